@@ -1,0 +1,59 @@
+# The two commands of the README are `make demo` and `make test`; everything else serves them.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STORE  ?= build/demo-store
+DATA   ?=
+
+.PHONY: setup demo test lint types check-kernels bench lock clean help
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo                  set up .venv, make a synthetic archive, run the main job, print where the report is"
+	@echo "make demo DATA=dir         the same job on your own archive (STORE=dir says where the store goes)"
+	@echo "make test                  lint, types and all tests"
+	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
+	@echo "make lock                  resolve the dependencies anew (needs uv)"
+	@echo "make clean                 remove what make has built, .venv included"
+
+# ---- environment -----------------------------------------------------------------------------------------
+$(VENV)/run.stamp: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "kinedex needs Python 3.11 or newer; say which with make PYTHON=python3.x")'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "installing the locked packages into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+setup: $(VENV)/run.stamp
+
+# ---- the main job ----------------------------------------------------------------------------------------
+demo: setup
+	@$(BIN)/kinedex demo --store "$(STORE)" $(if $(DATA),--data "$(DATA)")
+
+# ---- checks ----------------------------------------------------------------------------------------------
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/mypy
+
+test: lint types
+	$(BIN)/pytest -n auto
+	@$(MAKE) --no-print-directory check-kernels
+
+# The compiled kernels once with bounds checks, and once as plain Python.
+check-kernels: setup
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto -m "not slow" tests/ops
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto -m "not slow and not shared" tests/ops
+
+bench: setup
+	$(BIN)/python -m benchmarks
+
+lock:
+	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements.lock
+	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-dev.lock
+
+clean:
+	rm -rf $(VENV) build

@@ -1,0 +1,1 @@
+"""Public Python API of kinedex: `kinedex.open_store(path)` and what it returns."""

@@ -1,0 +1,80 @@
+"""The project's errors: one small tree, each saying where, what was expected, and the way out."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class KinedexError(Exception):
+    """Anything kinedex refuses to do, with a message that a user can act on."""
+
+
+class ParameterError(KinedexError, ValueError):
+    """A parameter of a function is out of its domain: "`name` must be …, got …"."""
+
+    def __init__(self, name: str, must_be: str, got: object) -> None:
+        super().__init__(f"{name} must be {must_be}, got {got!r}")
+        self.name = name
+
+
+class SourceError(KinedexError):
+    """A source file cannot be read as what it claims to be.
+
+    `line` counts from 1 and is None where the fault has no line (an empty or a missing file).
+    """
+
+    def __init__(self, path: str | Path, message: str, *, line: int | None = None) -> None:
+        self.path = str(path)
+        self.line = line
+        self.reason = message
+        where = self.path if line is None else f"{self.path}:{line}"
+        super().__init__(f"{where}: {message}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_source_error, (self.path, self.reason, self.line))
+
+
+def _source_error(path: str, reason: str, line: int | None) -> SourceError:
+    return SourceError(path, reason, line=line)
+
+
+class ConfigError(KinedexError):
+    """A configuration file is wrong: file, line, key, what was expected, the nearest valid name."""
+
+    def __init__(
+        self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None
+    ) -> None:
+        self.path = str(path)
+        self.line = line
+        self.key = key
+        self.reason = message
+        where = self.path if line is None else f"{self.path}:{line}"
+        super().__init__(f"{where}: {key}: {message}" if key else f"{where}: {message}")
+
+
+class StoreError(KinedexError):
+    """A store is missing, locked, damaged, of another format version, or lacks what is asked for."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return "; did you mean 'x'?" for the nearest known name, or the list of a few known names.
+
+    Parameters
+    ----------
+    name: what the user wrote.
+    known: the valid names.
+
+    Returns
+    -------
+    A clause to append to an error message; empty where nothing is known.
+    """
+    names = sorted(set(known))
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if near:
+        return f"; did you mean '{near[0]}'?"
+    if not names:
+        return ""
+    shown = ", ".join(names[:12])
+    return f"; known: {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")

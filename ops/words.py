@@ -1,0 +1,87 @@
+"""Words: the bit vectors of frames, and the words of many takes laid end to end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+
+U64 = npt.NDArray[np.uint64]
+I64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TakeWords:
+    """The words of T takes, one take after the other.
+
+    take_ids: int64 (T,), ascending. offsets: int64 (T + 1,), take i has frames offsets[i] .. offsets[i + 1].
+    words: uint64 (N,), bit i − 1 is feature F_i.
+    """
+
+    take_ids: I64
+    offsets: I64
+    words: U64
+
+    def __post_init__(self) -> None:
+        if len(self.offsets) != len(self.take_ids) + 1:
+            raise ParameterError("offsets", "one longer than take_ids", len(self.offsets))
+        if self.offsets[-1] != len(self.words):
+            raise ParameterError("offsets", f"ending at the {len(self.words)} words", int(self.offsets[-1]))
+
+    def __len__(self) -> int:
+        return len(self.take_ids)
+
+    def take(self, index: int) -> U64:
+        """Return the words of the take at this position (not take_id), without a copy."""
+        return self.words[self.offsets[index] : self.offsets[index + 1]]
+
+    @property
+    def frames(self) -> I64:
+        """The number of frames of each take, int64 (T,)."""
+        return np.diff(self.offsets)
+
+
+def cut(words: U64, first_feature: int, features: int) -> U64:
+    """Cut words down to one feature set: features F_first … , shifted down to bit 0.
+
+    Parameters
+    ----------
+    words: uint64 (N,).
+    first_feature: number of the set's lowest feature, from 1.
+    features: how many features the set has, 1 to 64.
+
+    Returns
+    -------
+    uint64 (N,).
+    """
+    if not 1 <= first_feature <= 64 or not 1 <= features <= 65 - first_feature:
+        raise ParameterError("feature set", "within bits 1 to 64", (first_feature, features))
+    mask = np.uint64((1 << features) - 1)
+    return (words >> np.uint64(first_feature - 1)) & mask
+
+
+def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
+    """Unpack words into a feature matrix.
+
+    Parameters
+    ----------
+    words: uint64 (N,).
+    features: number of features f.
+
+    Returns
+    -------
+    uint8 (N, f) of 0 and 1; column i − 1 is F_i.
+    """
+    shifts = np.arange(features, dtype=np.uint64)
+    return ((words[:, None] >> shifts) & np.uint64(1)).astype(np.uint8)
+
+
+def pack(matrix: npt.NDArray[np.bool_] | npt.NDArray[np.uint8]) -> U64:
+    """Pack a feature matrix (N, f) of 0 and 1 into words, uint64 (N,); the inverse of `bits`."""
+    shifts = np.arange(matrix.shape[1], dtype=np.uint64)
+    return np.bitwise_or.reduce(matrix.astype(np.uint64) << shifts, axis=1) if matrix.shape[1] else np.zeros(
+        len(matrix), np.uint64
+    )

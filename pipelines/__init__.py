@@ -1,0 +1,1 @@
+"""The flow: stages and their configuration, plan, runner, executors, reports, the command line."""

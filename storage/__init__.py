@@ -1,0 +1,1 @@
+"""The matter: file formats, Arrow schemas, Parquet parts, the manifest, the DuckDB index."""

@@ -1,0 +1,17 @@
+"""Where the tests find the real data, and what they do without it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of real data and reference results beside the checkout; skips where it is missing."""
+    if not (SHARED / "data").is_dir():
+        pytest.skip("no ../shared beside the checkout: comparisons with real data are left out")
+    return SHARED
