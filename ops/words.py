@@ -82,6 +82,8 @@ def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
 def pack(matrix: npt.NDArray[np.bool_] | npt.NDArray[np.uint8]) -> U64:
     """Pack a feature matrix (N, f) of 0 and 1 into words, uint64 (N,); the inverse of `bits`."""
     shifts = np.arange(matrix.shape[1], dtype=np.uint64)
-    return np.bitwise_or.reduce(matrix.astype(np.uint64) << shifts, axis=1) if matrix.shape[1] else np.zeros(
-        len(matrix), np.uint64
+    return (
+        np.bitwise_or.reduce(matrix.astype(np.uint64) << shifts, axis=1)
+        if matrix.shape[1]
+        else np.zeros(len(matrix), np.uint64)
     )

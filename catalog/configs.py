@@ -1,0 +1,192 @@
+"""Configuration files: where they are, and YAML that remembers its line numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from ops.errors import ConfigError, did_you_mean
+
+KINDS = ("skeletons", "features", "classes", "queries", "pipelines")
+"""The kinds of configuration file, each a folder of the shipped `configs/`."""
+
+Key = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def shipped_configs() -> Path:
+    """The folder of the configuration files that come with kinedex, in a checkout and in a wheel alike."""
+    return Path(__file__).resolve().parents[1] / "configs"
+
+
+def config_names(kind: str) -> list[str]:
+    """The names of the shipped files of one kind, sorted."""
+    return sorted(path.stem for path in (shipped_configs() / kind).glob("*.yaml"))
+
+
+def config_path(kind: str, name: str | Path) -> Path:
+    """Find a configuration file: a path as it is, else a shipped file of that kind by its name.
+
+    Parameters
+    ----------
+    kind: one of `KINDS`.
+    name: a path to a YAML file (anything with a separator or a .yaml/.yml/.json ending), or a shipped name.
+
+    Raises
+    ------
+    ConfigError: neither exists; the message names the nearest shipped file.
+    """
+    text = str(name)
+    if "/" in text or text.endswith((".yaml", ".yml", ".json")):
+        path = Path(text).expanduser()
+        if not path.is_file():
+            raise ConfigError(path, f"no such {kind} file")
+        return path
+    path = shipped_configs() / kind / f"{text}.yaml"
+    if not path.is_file():
+        raise ConfigError(
+            text,
+            f"no {kind} file of that name comes with kinedex{did_you_mean(text, config_names(kind))}"
+            " (a file of your own is given by its path, ending in .yaml)",
+        )
+    return path
+
+
+@dataclass(frozen=True)
+class Located:
+    """Parsed YAML with the line of every key: `lines[("stages", "ingest", "source")]` counts from 1."""
+
+    path: Path
+    data: Any
+    lines: dict[Key, int] = field(default_factory=dict)
+
+    def line(self, *key: str | int) -> int | None:
+        """The line of a key, or of the nearest enclosing one that has a line."""
+        for end in range(len(key), -1, -1):
+            if key[:end] in self.lines:
+                return self.lines[key[:end]]
+        return None
+
+    def error(self, message: str, *key: str | int) -> ConfigError:
+        """An error that names this file, the key and its line."""
+        return ConfigError(self.path, message, line=self.line(*key), key=_dotted(key) or None)
+
+    def mapping(self) -> dict[str, Any]:
+        """The top level as a mapping, or an error that says what it is instead."""
+        if not isinstance(self.data, dict):
+            raise self.error(f"expected a mapping of names, found {_kind_of(self.data)}")
+        return self.data
+
+    def model(self, model: type[Model], *key: str | int, data: Any = None) -> Model:
+        """Validate the part under `key` (or `data` in its place) as a pydantic model.
+
+        Raises
+        ------
+        ConfigError: the first fault, with its line, what was expected, and the nearest valid name.
+        """
+        part = data
+        if part is None:
+            part = self.data
+            for step in key:
+                part = part[step]
+        try:
+            return model.model_validate({} if part is None else part)
+        except ValidationError as fault:
+            raise self._translate(model, fault, key) from None
+
+    def _translate(self, model: type[BaseModel], fault: ValidationError, key: Key) -> ConfigError:
+        first = fault.errors(include_url=False)[0]
+        at = (*key, *first["loc"])
+        if first["type"] == "extra_forbidden":
+            known = _fields_at(model, first["loc"][:-1])
+            return self.error(f"no such key{did_you_mean(str(first['loc'][-1]), known)}", *at)
+        if first["type"] == "missing":
+            return self.error("this key is missing", *at)
+        reason = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+        got = "" if first["type"] == "value_error" else f", got {first['input']!r}"
+        must = "" if first["type"] == "value_error" else "must be "
+        return self.error(f"{must}{reason}{got}", *at)
+
+
+def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    current: Any = model
+    for step in loc:
+        info = getattr(current, "model_fields", {}).get(step)
+        if info is None:
+            return []
+        current = info.annotation
+    return list(getattr(current, "model_fields", {}))
+
+
+def _dotted(key: Key) -> str:
+    text = ""
+    for step in key:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text
+
+
+def _kind_of(data: object) -> str:
+    if data is None:
+        return "nothing (the file is empty)"
+    return {list: "a list", str: "a text", dict: "a mapping"}.get(type(data), f"{data!r}")
+
+
+def load_yaml(path: str | Path) -> Located:
+    """Read one YAML (or JSON) file with the line of every key.
+
+    Raises
+    ------
+    ConfigError: unreadable, not UTF-8, not YAML, or a key that stands twice; with the line.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as fault:
+        raise ConfigError(path, f"cannot be read: {fault.strerror}") from fault
+    except UnicodeDecodeError as fault:
+        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from fault
+    return parse_yaml(text, path)
+
+
+def parse_yaml(text: str, path: str | Path) -> Located:
+    """Like `load_yaml`, for text that is already read; `path` is what errors name."""
+    located = Located(Path(path), None, {})
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as fault:
+        line = fault.problem_mark.line + 1 if fault.problem_mark else None
+        raise ConfigError(path, f"is not valid YAML: {fault.problem}", line=line) from None
+    except yaml.YAMLError as fault:
+        raise ConfigError(path, f"is not valid YAML: {fault}") from None
+    constructor = yaml.SafeLoader("")
+    data = None if node is None else _construct(node, (), located, constructor)
+    return Located(located.path, data, located.lines)
+
+
+def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.SafeLoader) -> Any:
+    located.lines.setdefault(key, node.start_mark.line + 1)
+    if isinstance(node, yaml.MappingNode):
+        constructor.flatten_mapping(node)
+        result: dict[Any, Any] = {}
+        for key_node, value_node in node.value:
+            name = constructor.construct_object(key_node, deep=True)
+            inner = (*key, name)
+            line = key_node.start_mark.line + 1
+            if name in result:
+                first = located.lines.get(inner)
+                raise ConfigError(
+                    located.path,
+                    f"this key stands twice (first in line {first})",
+                    line=line,
+                    key=_dotted(inner),
+                )
+            located.lines[inner] = line
+            result[name] = _construct(value_node, inner, located, constructor)
+        return result
+    if isinstance(node, yaml.SequenceNode):
+        return [_construct(item, (*key, i), located, constructor) for i, item in enumerate(node.value)]
+    return constructor.construct_object(node, deep=True)

@@ -1,0 +1,240 @@
+"""Feature sets: the YAML definition of the features, their bits, and the sets that words are cut into."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.configs import Located, config_path, load_yaml
+from ops.errors import KinedexError, did_you_mean
+from ops.features import COMPARISONS, JOINTS_OF, Rule, Term
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One feature: its number (bit number − 1), its name, what it says, and its rule."""
+
+    number: int
+    name: str
+    description: str
+    rule: Rule
+
+
+@dataclass(frozen=True)
+class WordSet:
+    """A stretch of features whose bits make one kind of word; `first` is its lowest feature's number."""
+
+    name: str
+    first: int
+    count: int
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of the set's features."""
+        return range(self.first, self.first + self.count)
+
+
+@dataclass(frozen=True)
+class FeatureSet:
+    """The features of a kind of body and the sets they are split into."""
+
+    name: str
+    version: int
+    description: str
+    digest: str
+    joints: tuple[str, ...]
+    features: tuple[Feature, ...]
+    sets: dict[str, WordSet]
+
+    @property
+    def rules(self) -> tuple[Rule, ...]:
+        """The rules in bit order."""
+        return tuple(feature.rule for feature in self.features)
+
+    def feature(self, name_or_number: str | int) -> Feature:
+        """Look a feature up by name, number, or "F7".
+
+        Raises
+        ------
+        KinedexError: no such feature; the message names the nearest.
+        """
+        text = str(name_or_number).strip()
+        digits = text[1:] if text[:1] in "Ff" and text[1:].isdigit() else text
+        if digits.isdigit():
+            if 1 <= int(digits) <= len(self.features):
+                return self.features[int(digits) - 1]
+            raise KinedexError(f"no feature {text}: {self.name} has F1 to F{len(self.features)}")
+        for feature in self.features:
+            if feature.name == text:
+                return feature
+        raise KinedexError(f"no feature '{text}'{did_you_mean(text, [f.name for f in self.features])}")
+
+    def word_set(self, name: str) -> WordSet:
+        """Look a word set up by name; a KinedexError names the nearest."""
+        if name not in self.sets:
+            raise KinedexError(f"no feature set '{name}'{did_you_mean(name, self.sets)}")
+        return self.sets[name]
+
+    def set_of(self, number: int) -> WordSet:
+        """The word set that a feature belongs to."""
+        return next(s for s in self.sets.values() if number in s.numbers)
+
+
+class _FeatureFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    version: int = Field(ge=1)
+    description: str = ""
+    joints: list[str]
+    lengths: dict[str, list[tuple[str, str]]]
+    sets: dict[str, tuple[int, int]]
+    features: dict[int, dict[str, Any]]
+
+
+class _FeatureEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    description: str
+    quantity: dict[str, Any]
+    length: str | None = None
+    when: str
+    weak: float | tuple[float, float]
+    strong: float | tuple[float, float]
+
+
+@lru_cache(maxsize=8)
+def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
+    """Read a feature set from `configs/features/` or from a file of the user's own.
+
+    Raises
+    ------
+    ConfigError: file, line and key of the first fault.
+    """
+    located = load_yaml(config_path("features", name_or_path))
+    located.mapping()
+    parsed = located.model(_FeatureFile)
+    numbers = sorted(parsed.features)
+    if numbers != list(range(1, len(numbers) + 1)) or len(numbers) > 64:
+        raise located.error("features must be numbered 1, 2, 3, … without gaps, at most 64", "features")
+    features = tuple(_feature(located, parsed, number) for number in numbers)
+    names = [feature.name for feature in features]
+    for feature in features:
+        if names.count(feature.name) > 1:
+            raise located.error(f"two features are named '{feature.name}'", "features", feature.number)
+    return FeatureSet(
+        name=parsed.name,
+        version=parsed.version,
+        description=parsed.description,
+        digest=_digest(parsed),
+        joints=tuple(parsed.joints),
+        features=features,
+        sets=_sets(located, parsed, len(features)),
+    )
+
+
+def _digest(parsed: _FeatureFile) -> str:
+    """A hash of what the words depend on; comments and layout of the file do not count."""
+    text = json.dumps(parsed.model_dump(), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _sets(located: Located, parsed: _FeatureFile, count: int) -> dict[str, WordSet]:
+    expected = 1
+    result = {}
+    for name, (first, last) in parsed.sets.items():
+        if first != expected or last < first or last > count:
+            raise located.error(
+                f"the sets must split features 1 to {count} without gap or overlap, in order; got {first} to {last}",
+                "sets",
+                name,
+            )
+        result[name] = WordSet(name, first, last - first + 1)
+        expected = last + 1
+    if expected != count + 1:
+        raise located.error(f"features {expected} to {count} are in no set", "sets")
+    return result
+
+
+def _feature(located: Located, parsed: _FeatureFile, number: int) -> Feature:
+    key = ("features", number)
+    entry = located.model(_FeatureEntry, *key)
+    if entry.when not in COMPARISONS:
+        raise located.error(f"must be one of {', '.join(COMPARISONS)}, got {entry.when!r}", *key, "when")
+    length: tuple[tuple[int, int], ...] = ()
+    if entry.length is not None:
+        if entry.length not in parsed.lengths:
+            raise located.error(
+                f"no length '{entry.length}'{did_you_mean(entry.length, parsed.lengths)}", *key, "length"
+            )
+        length = tuple(
+            (
+                _joint(located, parsed, a, "lengths", entry.length),
+                _joint(located, parsed, b, "lengths", entry.length),
+            )
+            for a, b in parsed.lengths[entry.length]
+        )
+    rule = Rule(
+        terms=_terms(located, parsed, entry.quantity, (*key, "quantity")),
+        comparison=COMPARISONS[entry.when],
+        weak=_bounds(located, entry, entry.weak, (*key, "weak")),
+        strong=_bounds(located, entry, entry.strong, (*key, "strong")),
+        length=length,
+    )
+    return Feature(number, entry.name, entry.description, rule)
+
+
+def _bounds(
+    located: Located, entry: _FeatureEntry, value: float | tuple[float, float], key: tuple[str | int, ...]
+) -> tuple[float, float]:
+    if isinstance(value, tuple) != (entry.when == "within"):
+        expected = "a pair of bounds" if entry.when == "within" else "one number"
+        raise located.error(f"'{entry.when}' takes {expected}, got {value!r}", *key)
+    return value if isinstance(value, tuple) else (value, value)
+
+
+def _terms(
+    located: Located, parsed: _FeatureFile, quantity: dict[str, Any], key: tuple[str | int, ...]
+) -> tuple[Term, ...]:
+    if "sum" in quantity:
+        parts = quantity["sum"]
+        if len(quantity) > 1 or not isinstance(parts, list) or not parts:
+            raise located.error("sum must be a list of [factor, primitive] and stand alone", *key)
+        return tuple(_term(located, parsed, part, float(factor), key) for factor, part in parts)
+    return (_term(located, parsed, quantity, 1.0, key),)
+
+
+def _term(
+    located: Located, parsed: _FeatureFile, part: dict[str, Any], factor: float, key: tuple[str | int, ...]
+) -> Term:
+    options = {"window_ms", "without", "abs"}
+    names = [name for name in part if name not in options]
+    if len(names) != 1 or names[0] not in JOINTS_OF:
+        wrong = next((name for name in names if name not in JOINTS_OF), "nothing")
+        raise located.error(f"expected one primitive, got '{wrong}'{did_you_mean(wrong, JOINTS_OF)}", *key)
+    primitive = names[0]
+    joints = tuple(_joint(located, parsed, name, *key) for name in part[primitive])
+    wanted = JOINTS_OF[primitive]
+    if wanted is None and not joints:
+        raise located.error(f"{primitive} takes at least one joint", *key)
+    if wanted is not None and len(joints) != wanted:
+        raise located.error(f"{primitive} takes {wanted} joints, got {len(joints)}", *key)
+    return Term(
+        primitive=primitive,
+        joints=joints,
+        factor=factor,
+        window_ms=float(part.get("window_ms", 0.0)),
+        without=tuple(_joint(located, parsed, name, *key) for name in part.get("without", ())),
+        absolute=bool(part.get("abs", False)),
+    )
+
+
+def _joint(located: Located, parsed: _FeatureFile, name: str, *key: str | int) -> int:
+    if name not in parsed.joints:
+        raise located.error(f"no joint '{name}'{did_you_mean(name, parsed.joints)}", *key)
+    return parsed.joints.index(name)
