@@ -5,6 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The first call of a kernel compiles it, and tests run beside each other: time says nothing about correctness.
+settings.register_profile("kinedex", deadline=None)
+settings.load_profile("kinedex")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
