@@ -1,0 +1,57 @@
+"""What a stage is given to work with: the store, the executor, a terminal, and its place in the pipeline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from catalog.features import FeatureSet
+from pipelines.executors import Executor
+from pipelines.terminal import Progress, Terminal
+from storage.store import Store, open_store
+from storage.writer import StoreWriter
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """One stage of one run of one pipeline.
+
+    run: the run's id, a column of every results row. inputs: role → the stage instance that plays it, for instance
+    {"templates": "learn_templates"}. report_dir: where reports and metrics files of this pipeline go.
+    """
+
+    store_path: Path
+    feature_set: FeatureSet
+    pipeline: str
+    stage: str
+    run: str
+    executor: Executor
+    terminal: Terminal
+    inputs: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def report_dir(self) -> Path:
+        """The folder of this pipeline's reports inside the store; made when asked for."""
+        folder = self.store_path / "results" / "reports" / self.pipeline
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def key(self, stage: str | None = None) -> str:
+        """The name under which a stage instance of this pipeline is recorded: "<pipeline>/<stage>"."""
+        return f"{self.pipeline}/{stage or self.stage}"
+
+    def open(self) -> Store:
+        """A read-only snapshot of the store as it stands now."""
+        return open_store(self.store_path)
+
+    def writer(self) -> StoreWriter:
+        """The store's writer, a context manager that holds its lock."""
+        return StoreWriter.open(self.store_path, self.feature_set)
+
+    def progress(self, description: str, total: int | None = None) -> Progress:
+        """A progress bar on the terminal; `advance(n)` moves it."""
+        return self.terminal.progress(description, total)
+
+    def say(self, text: str) -> None:
+        """Print one line, below the stage's heading."""
+        self.terminal.say(text)

@@ -1,0 +1,61 @@
+"""What the user sees while a pipeline runs: lines, progress bars, tables."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+
+
+class Progress:
+    """One progress bar; a context manager. Where the output is no terminal it prints nothing."""
+
+    def __init__(self, console: Console, description: str, total: int | None) -> None:
+        self._bars = Bars(
+            TextColumn("    {task.description}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bars.add_task(description, total=total)
+
+    def __enter__(self) -> Progress:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bars.stop()
+
+    def advance(self, n: int = 1) -> None:
+        """Move the bar by n."""
+        self._bars.advance(self._task, n)
+
+
+class Terminal:
+    """Where stages speak."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self.console = console or Console(highlight=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """Print one indented line as it is (no markup)."""
+        self.console.print(f"    {text}", markup=False)
+
+    def heading(self, text: str) -> None:
+        """Print one line that begins a step."""
+        self.console.print(text, markup=False, style="bold")
+
+    def show(self, table: RenderableType) -> None:
+        """Print a rich table or anything else that rich can show."""
+        self.console.print(table)
+
+    def progress(self, description: str, total: int | None = None) -> Progress:
+        """A progress bar, to be used in a `with` statement."""
+        return Progress(self.console, description, total)
