@@ -43,9 +43,7 @@ def _source_error(path: str, reason: str, line: int | None) -> SourceError:
 class ConfigError(KinedexError):
     """A configuration file is wrong: file, line, key, what was expected, the nearest valid name."""
 
-    def __init__(
-        self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None
-    ) -> None:
+    def __init__(self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None) -> None:
         self.path = str(path)
         self.line = line
         self.key = key

@@ -185,9 +185,7 @@ def _forward(
                     x = offsets[node, 3] + stretch[t] * offsets[node, 6]
                     y = offsets[node, 4] + stretch[t] * offsets[node, 7]
                     z = offsets[node, 5] + stretch[t] * offsets[node, 8]
-                    out[axis, start + t] += (
-                        own[3 * axis, t] * x + own[3 * axis + 1, t] * y + own[3 * axis + 2, t] * z
-                    )
+                    out[axis, start + t] += own[3 * axis, t] * x + own[3 * axis + 1, t] * y + own[3 * axis + 2, t] * z
         for k in range(9):
             for t in range(size):
                 orientation[k, start + t] = h[0, k, t]

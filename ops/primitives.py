@@ -187,9 +187,7 @@ def _holds(x: float, comparison: int, low: float, high: float) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def hysteresis(
-    x: F64, comparison: int, weak: F64, strong: F64, bit: int, words: npt.NDArray[np.uint64]
-) -> None:
+def hysteresis(x: F64, comparison: int, weak: F64, strong: F64, bit: int, words: npt.NDArray[np.uint64]) -> None:
     """Set one bit of the words where the feature is on.
 
     It turns on where the strong condition becomes true and stays on until the weak one is false. weak and strong are
