@@ -24,7 +24,7 @@ _PLUS, _MINUS, _DOT, _ZERO, _NINE = 43, 45, 46, 48, 57
 
 @dataclass(frozen=True)
 class Fault:
-    """The first thing wrong in a text: its code, the line (from 1), and the bytes [start, stop) or index it is about."""
+    """The first thing wrong in a text: its code, the line (from 1), and the bytes or the index it is about."""
 
     code: int
     line: int
@@ -150,7 +150,7 @@ def _parse_frames(
         if pos >= end:
             break
         byte = data[pos]
-        if byte == _NEWLINE or byte == _RETURN or byte == _HASH:
+        if byte in (_NEWLINE, _RETURN, _HASH):
             pos = _next_line(data, pos, end)
             line += 1
             continue

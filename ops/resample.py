@@ -1,0 +1,56 @@
+"""Change of frame rate: positions linearly, orientations by slerp (features.md, Rates)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+
+def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
+    """The multiple of the analysis rate nearest to a source rate, and at least the analysis rate.
+
+    Features are computed there, then every (multiple)-th frame is kept. A rate in the middle takes the higher one.
+    """
+    if not (np.isfinite(source_rate_hz) and source_rate_hz > 0):
+        raise ParameterError("source_rate_hz", "positive and finite", source_rate_hz)
+    return rate_hz * max(1, int(np.floor(source_rate_hz / rate_hz + 0.5)))
+
+
+def resample(positions: F64, orientation: F64, source_rate_hz: float, rate_hz: float) -> tuple[F64, F64]:
+    """Sample a take at another rate; frame 0 stays where it is, and nothing is extrapolated past the last frame.
+
+    Parameters
+    ----------
+    positions: float64 (J, 3, T), metres. orientation: float64 (4, T), unit quaternions.
+    source_rate_hz, rate_hz: frames per second of the input and of the result.
+
+    Returns
+    -------
+    positions (J, 3, T'), orientation (4, T') with T' = floor((T − 1) · rate / source_rate) + 1; unchanged for one rate.
+    """
+    frames = positions.shape[2]
+    if source_rate_hz == rate_hz or frames < 2:
+        return positions, orientation
+    count = int(np.floor(round((frames - 1) * rate_hz / source_rate_hz, 9))) + 1
+    at = np.minimum(np.arange(count) * (source_rate_hz / rate_hz), frames - 1)
+    left = np.minimum(np.floor(np.round(at, 9)).astype(np.int64), frames - 2)
+    share = at - left
+    moved = positions[:, :, left] * (1.0 - share) + positions[:, :, left + 1] * share
+    return np.ascontiguousarray(moved), _slerp(orientation[:, left], orientation[:, left + 1], share)
+
+
+def _slerp(a: F64, b: F64, share: F64) -> F64:
+    cosine = np.sum(a * b, axis=0)
+    b = np.where(cosine < 0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    sine = np.sin(angle)
+    near = sine < 1e-9  # the two are one rotation: mix them linearly instead of dividing by zero
+    safe = np.where(near, 1.0, sine)
+    first = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+    second = np.where(near, share, np.sin(share * angle) / safe)
+    mixed = a * first + b * second
+    return np.ascontiguousarray(mixed / np.linalg.norm(mixed, axis=0))
