@@ -1,0 +1,155 @@
+"""Everything that speaks to DuckDB: how connections are set up, what queries may do, how errors are told."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from ops.errors import KinedexError, did_you_mean
+
+Connection = duckdb.DuckDBPyConnection
+Parameters = Sequence[Any] | dict[str, Any] | None
+
+_READING = {
+    duckdb.StatementType.SELECT,
+    duckdb.StatementType.EXPLAIN,
+    duckdb.StatementType.PRAGMA,
+    duckdb.StatementType.CALL,
+    duckdb.StatementType.MULTI,  # what PIVOT becomes
+}
+_READING_WORDS = re.compile(
+    r"\(*\s*(select|from|with|values|table|pivot|unpivot|explain|show|describe|desc|summarize|pragma|call)\b", re.I
+)
+_COMMENT = re.compile(r"\s*(--[^\n]*(\n|$)|/\*.*?\*/)", re.S)
+_EXPLAIN = re.compile(r"\s*explain\b\s*(analyze\b)?\s*(\([^)]*\))?", re.I)
+
+
+def connect(threads: int | None = None, memory_mb: int | None = None) -> Connection:
+    """Open an in-memory connection that never reaches for the network and spills to the system's temporary folder."""
+    connection = duckdb.connect(":memory:")
+    connection.execute("SET enable_progress_bar = false")
+    connection.execute("SET autoinstall_known_extensions = false")
+    connection.execute("SET autoload_known_extensions = false")
+    connection.execute(f"SET temp_directory = {quote(str(Path(tempfile.gettempdir()) / 'kinedex-duckdb'))}")
+    if threads is not None:
+        connection.execute(f"SET threads = {int(threads)}")
+    if memory_mb is not None:
+        connection.execute(f"SET memory_limit = '{int(memory_mb)}MB'")
+    return connection
+
+
+def quote(text: str) -> str:
+    """A text as a SQL literal."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def name(identifier: str) -> str:
+    """A name as a quoted SQL identifier."""
+    return '"' + identifier.replace('"', '""') + '"'
+
+
+def sql_type(kind: pa.DataType) -> str:
+    """The DuckDB type of a column of one of the store's schemas."""
+    if pa.types.is_list(kind):
+        return sql_type(kind.value_type) + "[]"
+    if pa.types.is_struct(kind):
+        return f"STRUCT({', '.join(f'{name(child.name)} {sql_type(child.type)}' for child in kind)})"
+    if pa.types.is_timestamp(kind):
+        return "TIMESTAMPTZ"
+    return {
+        pa.string(): "VARCHAR",
+        pa.int32(): "INTEGER",
+        pa.int64(): "BIGINT",
+        pa.uint8(): "UTINYINT",
+        pa.uint64(): "UBIGINT",
+        pa.float32(): "FLOAT",
+        pa.float64(): "DOUBLE",
+    }[kind]
+
+
+def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]]) -> str:
+    """The SELECT that reads Parquet parts.
+
+    Parameters
+    ----------
+    schema: what the parts hold; with no part, an empty relation of this schema.
+    files: each part with the take ids of its rows that do not count.
+    """
+    if not files:
+        columns = ", ".join(f"NULL::{sql_type(field.type)} AS {name(field.name)}" for field in schema)
+        return f"SELECT {columns} WHERE false"
+    whole = [file for file, dropped in files if not dropped]
+    branches = [f"SELECT * FROM read_parquet([{', '.join(quote(str(file)) for file in whole)}])"] if whole else []
+    branches += [
+        f"SELECT * FROM read_parquet({quote(str(file))}) WHERE take_id NOT IN ({', '.join(map(str, dropped))})"
+        for file, dropped in files
+        if dropped
+    ]
+    return "\nUNION ALL ".join(branches)
+
+
+def query(connection: Connection, text: str, parameters: Parameters = None, known: Iterable[str] = ()) -> pa.Table:
+    """Run one reading query and return its whole result.
+
+    Parameters
+    ----------
+    connection: where to run it.
+    text: one statement that only reads (SELECT, FROM, WITH, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE, PRAGMA).
+    parameters: values for its `?`, or for its `$name`.
+    known: names of the views, for the message when the query asks for one that is not there.
+
+    Raises
+    ------
+    KinedexError: the query would change something, holds several statements, or DuckDB refuses it.
+    """
+    _refuse_writing(connection, text)
+    try:
+        relation = connection.sql(text, params=parameters)
+        return pa.table({}) if relation is None else relation.to_arrow_table()
+    except duckdb.Error as fault:
+        raise KinedexError(explain(fault, known)) from None
+
+
+def _refuse_writing(connection: Connection, text: str) -> None:
+    try:
+        statements = connection.extract_statements(text)
+    except duckdb.Error as fault:
+        raise KinedexError(explain(fault)) from None
+    if len(statements) != 1:
+        raise KinedexError(f"expected one SQL statement, got {len(statements)}")
+    bare = text
+    while match := _COMMENT.match(bare):
+        bare = bare[match.end() :]
+    kind = statements[0].type
+    if kind not in _READING or not _READING_WORDS.match(bare.strip()):
+        raise KinedexError(
+            f"only queries that read are run here, this is {kind.name}; "
+            "to work with copies, write the result to a file or open the store with `Store.connect()`"
+        )
+    if kind == duckdb.StatementType.EXPLAIN:
+        # EXPLAIN ANALYZE runs what it explains
+        _refuse_writing(connection, _EXPLAIN.sub("", bare, count=1))
+
+
+def explain(fault: duckdb.Error, known: Iterable[str] = ()) -> str:
+    """DuckDB's message; where a table is unknown, with the names of the views instead of DuckDB's own guess."""
+    message = str(fault).strip()
+    missing = re.search(r"(?:Table(?: Function)?|Macro) with name \"?([\w.]+)\"? does not exist", message)
+    names = sorted(set(known))
+    if missing and names:
+        return (
+            f"no view or table function is named '{missing[1]}'{did_you_mean(missing[1], names)}"
+            f" (there are: {', '.join(names)})"
+        )
+    return re.sub(r"^(Invalid Input|\w+) Error: ", "", message, count=1) if missing is None else message
+
+
+def first_line(fault: duckdb.Error) -> str:
+    """DuckDB's reason in one line."""
+    return explain(fault).splitlines()[0]

@@ -1,0 +1,180 @@
+"""Writing Parquet parts: under a temporary name, flushed to disk, then named after their own content."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import uuid
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from catalog.features import FeatureSet
+from ops.errors import ParameterError, StoreError
+from storage.manifest import TEMPORARY, Part, sync_folder
+from storage.schemas import frames_schema
+
+ROW_GROUP = 131_072
+"""Rows of a row group of frames: about 27 MB on disk, so that one take is read without much else."""
+
+
+def frames_table(
+    take_id: int,
+    positions: npt.NDArray[np.floating],
+    orientation: npt.NDArray[np.floating],
+    words: npt.NDArray[np.uint64],
+    schema: pa.Schema,
+) -> pa.Table:
+    """Lay one take out as rows of a frames part.
+
+    Parameters
+    ----------
+    take_id: the take's id in the store.
+    positions: (J, 3, T) in metres, joints in the order of the feature set; stored as float32, NaN where unknown.
+    orientation: (4, T), the root's unit quaternion w, x, y, z.
+    words: uint64 (T,).
+    schema: `frames_schema` of the store.
+    """
+    joints = len(schema) - 4
+    if positions.shape != (joints, 3, len(words)):
+        raise ParameterError("positions", f"of shape ({joints}, 3, {len(words)})", positions.shape)
+    if orientation.shape != (4, len(words)):
+        raise ParameterError("orientation", f"of shape (4, {len(words)})", orientation.shape)
+    packed = np.ascontiguousarray(positions, dtype=np.float32)
+    turned = np.ascontiguousarray(orientation, dtype=np.float32)
+    columns: list[pa.Array] = [
+        pa.array(np.full(len(words), take_id, dtype=np.int64)),
+        pa.array(np.arange(len(words), dtype=np.int32)),
+    ]
+    columns += [pa.StructArray.from_arrays([pa.array(axis) for axis in joint], ["x", "y", "z"]) for joint in packed]
+    columns.append(pa.StructArray.from_arrays([pa.array(axis) for axis in turned], list("wxyz")))
+    columns.append(pa.array(np.ascontiguousarray(words, dtype=np.uint64)))
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def joint_positions(frames: pa.Table, joints: Iterable[str]) -> npt.NDArray[np.float32]:
+    """Read joints back from rows of a frames part: float32 (J, 3, T), in metres; the inverse of `frames_table`."""
+    rows = [
+        [field.to_numpy(zero_copy_only=False) for field in frames.column(joint).combine_chunks().flatten()]
+        for joint in joints
+    ]
+    return np.array(rows, dtype=np.float32).reshape(len(rows), 3, frames.num_rows)
+
+
+class FramesWriter:
+    """Writes takes one by one into one frames part; any process may: the part counts once it is committed.
+
+    Takes come in ascending order of take_id. `close` returns the description that the coordinator hands to
+    `StoreWriter.add_takes`. Left by an exception, it removes what it has written.
+    """
+
+    def __init__(self, store: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0) -> None:
+        self.store = Path(store)
+        self.schema = frames_schema(feature_set, rate_hz)
+        self._folder = self.store / "frames"
+        self._temporary = self._folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
+        self._writer: pq.ParquetWriter | None = None
+        self._waiting: list[pa.Table] = []
+        self._take_ids: list[int] = []
+        self._rows = 0
+
+    def add(
+        self,
+        take_id: int,
+        positions: npt.NDArray[np.floating],
+        orientation: npt.NDArray[np.floating],
+        words: npt.NDArray[np.uint64],
+    ) -> None:
+        """Add a whole take; arrays as in `frames_table`."""
+        self.add_table(take_id, frames_table(take_id, positions, orientation, words, self.schema))
+
+    def add_table(self, take_id: int, table: pa.Table) -> None:
+        """Add a whole take that is laid out already, its frames in order."""
+        if self._take_ids and take_id <= self._take_ids[-1]:
+            raise ParameterError("take_id", f"above {self._take_ids[-1]}, the take before", take_id)
+        self._take_ids.append(take_id)
+        self._waiting.append(table)
+        self._rows += table.num_rows
+        if sum(waiting.num_rows for waiting in self._waiting) >= 2 * ROW_GROUP:
+            self._write(last=False)
+
+    def close(self) -> Part:
+        """Finish the part, give it its name, and say what is in it."""
+        self._write(last=True)
+        assert self._writer is not None
+        self._writer.close()
+        return publish_part(self.store, self._temporary, "frames", self._rows, self._take_ids)
+
+    def _write(self, *, last: bool) -> None:
+        if self._writer is None:
+            self._writer = _parquet_writer(self._temporary, self.schema)
+        table = pa.concat_tables(self._waiting) if self._waiting else self.schema.empty_table()
+        # what stays is at least one whole group, so that the last group of a part is not a small one
+        while table.num_rows >= 2 * ROW_GROUP:
+            self._writer.write_table(table.slice(0, ROW_GROUP), row_group_size=ROW_GROUP)
+            table = table.slice(ROW_GROUP)
+        if last:
+            self._writer.write_table(table, row_group_size=max(1, table.num_rows))
+        self._waiting = [] if last else [table]
+
+    def __enter__(self) -> FramesWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None and self._writer.is_open:
+            self._writer.close()
+        self._temporary.unlink(missing_ok=True)
+
+
+def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    floats = [
+        f"{field.name}.{child.name}" for field in schema if pa.types.is_struct(field.type) for child in field.type
+    ]
+    return pq.ParquetWriter(
+        path,
+        schema,
+        compression="zstd",
+        compression_level=3,
+        # measured on 200,000 frames: half the size of dictionary encoding, nine times as fast to write
+        use_dictionary=["take_id", "word"],
+        use_byte_stream_split=floats,
+        write_statistics=["take_id", "frame", "word"],
+    )
+
+
+def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int] = ()) -> Part:
+    """Write a small table (takes, results) as one part of `folder`, relative to the store."""
+    (store / folder).mkdir(parents=True, exist_ok=True)
+    temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
+    try:
+        pq.write_table(table, temporary, compression="zstd")
+        return publish_part(store, temporary, folder, table.num_rows, take_ids)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
+    """Flush a finished file to disk and name it after its content; the same content gets the same name."""
+    with open(temporary, "rb") as file:
+        os.fsync(file.fileno())
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        size = os.fstat(file.fileno()).st_size
+    path = temporary.with_name(f"part-{digest[:24]}.parquet")
+    os.replace(temporary, path)
+    sync_folder(path.parent)
+    return Part(f"{folder}/{path.name}", rows, size, digest, tuple(take_ids))
+
+
+def part_file(store: Path, path: str) -> Path:
+    """The file of a part, or a StoreError that says it is missing."""
+    file = store / path
+    if not file.is_file():
+        raise StoreError(f"{file}: the manifest names this part, but the file is missing; see `kinedex verify`")
+    return file

@@ -1,0 +1,223 @@
+"""The Arrow schemas of a store: takes, frames, and every kind of result. They are the contract of its Parquet files."""
+
+from __future__ import annotations
+
+import json
+
+import pyarrow as pa
+
+from catalog.features import FeatureSet
+from ops.errors import KinedexError, StoreError, did_you_mean
+
+FORMAT_VERSION = 1
+"""Version of the store's layout. A store of another version is refused, never guessed at."""
+
+_METADATA = "kinedex."
+
+
+def _fields(*pairs: tuple[str, pa.DataType]) -> pa.Schema:
+    return pa.schema([pa.field(name, kind) for name, kind in pairs])
+
+
+_TAKES = _fields(
+    ("take_id", pa.int64()),
+    ("name", pa.string()),
+    ("source", pa.string()),
+    ("source_root", pa.string()),
+    ("checksum", pa.string()),
+    ("source_bytes", pa.int64()),
+    ("source_mtime_ns", pa.int64()),
+    ("format", pa.string()),
+    ("skeleton", pa.string()),
+    ("skeleton_source", pa.string()),
+    ("recipe", pa.string()),
+    ("unit", pa.string()),
+    ("source_rate_hz", pa.float64()),
+    ("source_frames", pa.int64()),
+    ("rate_hz", pa.float64()),
+    ("frames", pa.int64()),
+    ("seconds", pa.float64()),
+    ("actor", pa.string()),
+    ("class", pa.string()),
+    ("clip", pa.string()),
+    ("groups", pa.string()),
+    ("warnings", pa.list_(pa.string())),
+)
+"""One row per take. `groups` is a JSON object with the further named groups of the source pattern."""
+
+_RUN = ("run", pa.string())
+_COUNTS = (
+    "frames_both",
+    "frames_automatic",
+    "frames_manual",
+    "segments_automatic_hit",
+    "segments_automatic",
+    "segments_manual_hit",
+    "segments_manual",
+)
+
+_RESULTS: dict[str, pa.Schema] = {
+    "templates": _fields(
+        _RUN,
+        ("subclass", pa.string()),
+        ("kind", pa.string()),
+        ("features", pa.int32()),
+        ("columns", pa.int32()),
+        ("values", pa.list_(pa.float64())),
+        ("weights", pa.list_(pa.float64())),
+        ("clips", pa.list_(pa.string())),
+        ("rounds", pa.int32()),
+        ("costs", pa.list_(pa.float64())),
+        ("take_filter", pa.string()),
+    ),
+    "distance_curves": _fields(
+        _RUN,
+        ("take_id", pa.int64()),
+        ("take", pa.string()),
+        ("class", pa.string()),
+        ("subclass", pa.string()),
+        ("costs", pa.list_(pa.float32())),
+        ("preselected", pa.float64()),
+    ),
+    "annotations": _fields(
+        _RUN,
+        ("take_id", pa.int64()),
+        ("take", pa.string()),
+        ("class", pa.string()),
+        ("subclass", pa.string()),
+        ("start", pa.int32()),
+        ("stop", pa.int32()),
+        ("start_seconds", pa.float64()),
+        ("stop_seconds", pa.float64()),
+        ("cost", pa.float64()),
+        ("method", pa.string()),
+    ),
+    "ground_truth": _fields(
+        _RUN,
+        ("take_id", pa.int64()),
+        ("take", pa.string()),
+        ("class", pa.string()),
+        ("start", pa.int32()),
+        ("stop", pa.int32()),
+        ("source_start", pa.int64()),
+        ("source_stop", pa.int64()),
+        ("origin", pa.string()),
+    ),
+    "metrics": _fields(
+        _RUN,
+        ("evaluation", pa.string()),
+        ("scope", pa.string()),
+        ("name", pa.string()),
+        *((name, pa.float64()) for name in ("p1", "r1", "f1", "p2", "r2", "f2")),
+        *((name, pa.int64()) for name in _COUNTS),
+    ),
+    "hits": _fields(
+        _RUN,
+        ("query", pa.string()),
+        ("take_id", pa.int64()),
+        ("take", pa.string()),
+        ("start", pa.int32()),
+        ("stop", pa.int32()),
+        ("start_seconds", pa.float64()),
+        ("stop_seconds", pa.float64()),
+    ),
+    "ingest_log": _fields(
+        _RUN,
+        ("source", pa.string()),
+        ("stage", pa.string()),
+        ("error", pa.string()),
+        ("message", pa.string()),
+        ("file", pa.string()),
+        ("line", pa.int32()),
+        ("logged_at", pa.timestamp("us", tz="UTC")),
+    ),
+}
+
+RESULT_KINDS = tuple(_RESULTS)
+"""The kinds of result; each is a folder of `results/` and a view of that name."""
+
+
+def takes_schema() -> pa.Schema:
+    """The schema of a takes part."""
+    return _TAKES.with_metadata({_METADATA + "kind": "takes", _METADATA + "format_version": str(FORMAT_VERSION)})
+
+
+def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
+    """The schema of a frames part: take and frame, the joints in metres, the root's orientation, the word.
+
+    Its metadata say which bit of the word is which feature, so that a part explains itself to any reader.
+    """
+    point = pa.struct([("x", pa.float32()), ("y", pa.float32()), ("z", pa.float32())])
+    quaternion = pa.struct([(axis, pa.float32()) for axis in "wxyz"])
+    fields = [pa.field("take_id", pa.int64(), nullable=False), pa.field("frame", pa.int32(), nullable=False)]
+    fields += [pa.field(joint, point) for joint in feature_set.joints]
+    fields += [pa.field("root_orientation", quaternion), pa.field("word", pa.uint64(), nullable=False)]
+    bits = {
+        str(feature.number - 1): {
+            "number": feature.number,
+            "name": feature.name,
+            "feature_set": feature_set.set_of(feature.number).name,
+        }
+        for feature in feature_set.features
+    }
+    metadata = {
+        "kind": "frames",
+        "format_version": str(FORMAT_VERSION),
+        "rate_hz": repr(float(rate_hz)),
+        "feature_set": feature_set.name,
+        "feature_set_version": str(feature_set.version),
+        "feature_set_digest": feature_set.digest,
+        "bits": json.dumps(bits, separators=(",", ":")),
+    }
+    return pa.schema(fields, {_METADATA + key: value for key, value in metadata.items()})
+
+
+def result_schema(kind: str) -> pa.Schema:
+    """The schema of one kind of result; a KinedexError names the nearest kind."""
+    if kind not in _RESULTS:
+        raise KinedexError(f"no kind of result is named '{kind}'{did_you_mean(kind, RESULT_KINDS)}")
+    metadata = {_METADATA + "kind": kind, _METADATA + "format_version": str(FORMAT_VERSION)}
+    return _RESULTS[kind].with_metadata(metadata)
+
+
+def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
+    """Return the table with exactly the columns of the schema, in order and type.
+
+    Raises
+    ------
+    StoreError: a column is missing, unknown, or does not convert; the message names it.
+    """
+    missing = [name for name in schema.names if name not in table.column_names]
+    if missing:
+        raise StoreError(f"{what}: missing column {', '.join(missing)}")
+    extra = [name for name in table.column_names if name not in schema.names]
+    if extra:
+        raise StoreError(f"{what}: no column '{extra[0]}'{did_you_mean(extra[0], schema.names)}")
+    columns = []
+    for field in schema:
+        try:
+            columns.append(table.column(field.name).cast(field.type))
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as fault:
+            reason = str(fault).splitlines()[0]
+            raise StoreError(f"{what}: column {field.name} must be {field.type}: {reason}") from None
+        if not field.nullable and columns[-1].null_count:
+            raise StoreError(f"{what}: column {field.name} must not be null")
+    return pa.table(columns, schema=schema)
+
+
+def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
+    """Say what of a part's schema differs from what the store expects; None where nothing does."""
+    for field in expected:
+        position = found.get_field_index(field.name)
+        if position < 0:
+            return f"column {field.name} is missing"
+        if found.field(position).type != field.type:
+            return f"column {field.name} is {found.field(position).type}, expected {field.type}"
+    if found.names != expected.names:
+        return f"columns are {', '.join(found.names)}, expected {', '.join(expected.names)}"
+    has = found.metadata or {}
+    for key, value in (expected.metadata or {}).items():
+        if has.get(key) != value:
+            got = has.get(key, b"nothing").decode("utf-8", "replace")
+            return f"metadata {key.decode()} is {got}, expected {value.decode()}"
+    return None

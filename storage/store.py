@@ -1,0 +1,166 @@
+"""Reading a store: a snapshot of its newest version, as tables, words and SQL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+
+import duckdb
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from catalog.features import FeatureSet
+from ops.errors import KinedexError, ParameterError, StoreError, did_you_mean
+from ops.words import TakeWords
+from storage import duck
+from storage.frames import read_frames, read_words
+from storage.manifest import Manifest, read_newest
+from storage.parts import part_file
+from storage.schemas import frames_schema, result_schema, takes_schema
+
+
+def open_store(path: str | Path) -> Store:
+    """Open the newest version of a store for reading.
+
+    The store that is returned keeps showing this version, whatever writers do meanwhile; open it again to see theirs.
+
+    Raises
+    ------
+    StoreError: there is no store, it is damaged, or it has another format version.
+    """
+    root = Path(path)
+    return Store(root, read_newest(root))
+
+
+class Store:
+    """One version of a store, read-only.
+
+    path: the store's directory. manifest: the version it shows. feature_set: what the bits of its words mean.
+    """
+
+    def __init__(self, path: Path, manifest: Manifest) -> None:
+        self.path = path
+        self.manifest = manifest
+
+    def __repr__(self) -> str:
+        return f"Store({str(self.path)!r}, version {self.manifest.version}, {len(self.manifest.live_takes)} takes)"
+
+    @property
+    def feature_set(self) -> FeatureSet:
+        """The feature set that the store's words were made with, as the store itself recorded it."""
+        return self.manifest.feature_set
+
+    @property
+    def rate_hz(self) -> float:
+        """Analysis frames per second."""
+        return self.manifest.rate_hz
+
+    def takes(self, where: str | None = None) -> pl.DataFrame:
+        """The takes, sorted by name.
+
+        Parameters
+        ----------
+        where: a SQL filter over the columns of takes, such as "actor IN ('bd', 'bk') AND class IS NOT NULL".
+
+        Raises
+        ------
+        KinedexError: the filter is not valid; the message names the columns.
+        """
+        if where is None:
+            return self._takes
+        takes = self._takes.to_arrow()
+        connection = duck.connect(threads=1)
+        try:
+            connection.register("takes", takes)
+            text = f"SELECT * FROM takes WHERE (\n{where}\n) ORDER BY name"
+            statements = connection.extract_statements(text)
+            if len(statements) != 1:
+                raise KinedexError(f"the filter over takes holds more than one expression: {where}")
+            connection.execute("SET enable_external_access = false")
+            frame = pl.from_arrow(connection.sql(text).to_arrow_table())
+            assert isinstance(frame, pl.DataFrame)
+            return frame.cast(dict(self._takes.schema))  # type: ignore[arg-type]
+        except duckdb.Error as fault:
+            raise KinedexError(
+                f"the filter over takes does not work: {where}\n  {duck.first_line(fault)}\n"
+                f"  columns of takes: {', '.join(self._takes.columns)}"
+            ) from None
+        finally:
+            connection.close()
+
+    @cached_property
+    def _takes(self) -> pl.DataFrame:
+        schema = takes_schema()
+        tables = []
+        for part in self.manifest.takes:
+            table = _read_part(part_file(self.path, part.path), schema)
+            if part.dropped:
+                keep = [take not in set(part.dropped) for take in table.column("take_id").to_pylist()]
+                table = table.filter(pa.array(keep, pa.bool_()))
+            tables.append(table)
+        frame = pl.from_arrow(pa.concat_tables(tables) if tables else schema.empty_table())
+        assert isinstance(frame, pl.DataFrame)
+        return frame.sort("name")
+
+    def take_id(self, name: str) -> int:
+        """The id of a take by its name; a StoreError names the nearest."""
+        if name not in self._ids:
+            raise StoreError(f"{self.path}: no take is named '{name}'{did_you_mean(name, self._ids)}")
+        return self._ids[name]
+
+    @cached_property
+    def _ids(self) -> dict[str, int]:
+        return dict(zip(self._takes["name"].to_list(), self._takes["take_id"].to_list(), strict=True))
+
+    def words(self, take_ids: Sequence[int] | None = None) -> TakeWords:
+        """The words of these takes (of all takes for None), in order of take_id, each take once.
+
+        Raises
+        ------
+        StoreError: an id that no take of the store has.
+        """
+        return read_words(self.path, self.manifest, take_ids)
+
+    def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
+        """The frames [start, stop) of a take (to its end for None), one row per analysis frame.
+
+        Raises
+        ------
+        StoreError: no take of that name. ParameterError: the range is not inside the take.
+        """
+        take_id = self.take_id(take)
+        count = int(self._takes.filter(pl.col("take_id") == take_id)["frames"][0])
+        end = count if stop is None else stop
+        if not 0 <= start <= end <= count:
+            raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
+        return read_frames(self.path, self.manifest, take_id, start, end)
+
+    def result(self, kind: str, run: str | None = None, pipeline: str | None = None) -> pa.Table:
+        """The rows of one kind of result of the live runs; with the right columns where there are none.
+
+        Parameters
+        ----------
+        kind: one of `storage.schemas.RESULT_KINDS`.
+        run: only the rows of this run.
+        pipeline: only the rows that stages of this pipeline wrote.
+        """
+        schema = result_schema(kind)
+        tables = [
+            _read_part(part_file(self.path, part.path), schema)
+            for part in self.manifest.results.get(kind, ())
+            if (run is None or part.run == run) and (pipeline is None or part.stage.startswith(f"{pipeline}/"))
+        ]
+        return pa.concat_tables(tables) if tables else schema.empty_table()
+
+
+def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
+    try:
+        return pq.read_table(file, schema=schema)
+    except (OSError, pa.ArrowException) as fault:
+        reason = str(fault).splitlines()[0]
+        raise StoreError(f"{file}: the part cannot be read: {reason}; see `kinedex verify`") from None
+
+
+__all__ = ["Store", "frames_schema", "open_store"]

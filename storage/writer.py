@@ -1,0 +1,301 @@
+"""Writing to a store: one writer at a time collects changes and publishes them as one new version."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from catalog.features import FeatureSet
+from ops.errors import ParameterError, StoreError
+from storage.lock import Lock
+from storage.manifest import (
+    FOLDER,
+    TEMPORARY,
+    Manifest,
+    Part,
+    ResultPart,
+    StageRecord,
+    now,
+    publish,
+    read_newest,
+    read_version,
+    versions,
+)
+from storage.parts import FramesWriter, part_file, write_part
+from storage.schemas import FORMAT_VERSION, RESULT_KINDS, conform, frames_schema, result_schema, takes_schema
+from storage.store import Store
+
+_FOLDERS = (FOLDER, "frames", "takes", "index", "results")
+
+
+class StoreWriter:
+    """The one writer of a store, from `open` to `close` (or the end of its `with` block).
+
+    Nothing that it is given is visible to readers before `commit`; what is not committed at the end is dropped.
+    Parts may be written by other processes (`storage.parts.FramesWriter`) while this writer is open. Not before:
+    opening it removes what killed runs have left, and a part that no manifest names looks just like that.
+    """
+
+    def __init__(self, path: Path, manifest: Manifest, lock: Lock) -> None:
+        self.path = path
+        self._committed = manifest
+        self._manifest = manifest
+        self._lock = lock
+        self._takes: dict[int, pa.Table] = {}
+        self._ids = dict(Store(path, manifest).takes().select("name", "take_id").iter_rows())
+        self._next = manifest.next_take_id
+
+    @classmethod
+    def open(cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0) -> StoreWriter:
+        """Lock a store for writing; make an empty one where there is none.
+
+        Raises
+        ------
+        StoreError: another writer holds the lock (the message names its process and host); the directory holds other
+            things; the store has another format version, feature set or rate.
+        """
+        root = Path(path)
+        _refuse_foreign(root)
+        for folder in _FOLDERS:
+            (root / folder).mkdir(parents=True, exist_ok=True)
+        lock = Lock(root / "lock", "this one")
+        try:
+            if not versions(root):
+                publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
+            manifest = read_newest(root)
+            _refuse_other_words(root, manifest, feature_set, rate_hz)
+            _remove_leftovers(root, manifest)
+            return cls(root, manifest, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @property
+    def manifest(self) -> Manifest:
+        """The version that was committed last."""
+        return self._committed
+
+    @property
+    def store(self) -> Store:
+        """The store as it was committed last."""
+        return Store(self.path, self._committed)
+
+    def assign_take_ids(self, names: Iterable[str]) -> dict[str, int]:
+        """Give each take name its id: takes of the store keep theirs, new ones get the next ids in order of name."""
+        asked = sorted(set(names))
+        for name in asked:
+            if name not in self._ids:
+                self._ids[name] = self._next
+                self._next += 1
+        return {name: self._ids[name] for name in asked}
+
+    def add_takes(self, takes: pa.Table, frames: pa.Table | Part | Sequence[Part]) -> None:
+        """Add takes with their frames; a take whose id is in the store already is replaced.
+
+        Parameters
+        ----------
+        takes: one row per take, `takes_schema`, ids from `assign_take_ids`.
+        frames: the frames of exactly these takes: parts that workers have written, or a table sorted by take_id
+            and frame.
+
+        Raises
+        ------
+        StoreError: the frames are not those of the takes, or an id was not assigned to its take's name.
+        """
+        takes = conform(takes, takes_schema(), "takes")
+        parts = self._frames_parts(takes, frames)
+        self._check_takes(takes, parts)
+        ids = [take for part in parts for take in part.take_ids]
+        for part in parts:
+            part_file(self.path, part.path)
+        again = {part.path for part in parts}
+        others = tuple(part for part in self._manifest.frames if part.path not in again)
+        self._manifest = replace(self._manifest, frames=_without(others, ids) + tuple(parts))
+        self._drop_take_rows(ids)
+        for row, take in enumerate(takes.column("take_id").to_pylist()):
+            self._takes[take] = takes.slice(row, 1)
+
+    def drop_takes(self, take_ids: Iterable[int]) -> None:
+        """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit."""
+        gone = set(take_ids)
+        unknown = gone - set(self._manifest.live_takes)
+        if unknown:
+            raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
+        self._manifest = replace(self._manifest, frames=_without(self._manifest.frames, gone))
+        self._drop_take_rows(gone)
+        self._ids = {name: take for name, take in self._ids.items() if take not in gone}
+
+    def put_results(self, kind: str, table: pa.Table, *, stage: str, run: str) -> None:
+        """Set a stage's results of one kind, in place of its earlier ones.
+
+        Parameters
+        ----------
+        kind: one of `RESULT_KINDS`.
+        table: columns of `result_schema(kind)`; `run` may be left out. Without rows, the earlier ones are just removed.
+        stage: "<pipeline>/<stage>". run: the run's id.
+        """
+        if table.num_columns and "run" not in table.column_names:
+            table = table.append_column("run", pa.repeat(pa.scalar(run), table.num_rows))
+        schema = result_schema(kind)
+        rows = conform(table, schema, f"results of kind {kind}") if table.num_columns else schema.empty_table()
+        if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
+            raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
+        kept = tuple(part for part in self._manifest.results.get(kind, ()) if part.stage != stage)
+        if rows.num_rows:
+            part = write_part(self.path, f"results/{kind}", rows)
+            kept += (ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run),)
+        self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
+
+    def record_stage(self, record: StageRecord) -> None:
+        """Note that a stage is done; its earlier record goes."""
+        self._manifest = replace(self._manifest, stages={**self._manifest.stages, record.stage: record})
+
+    def commit(self) -> Manifest:
+        """Publish everything since the last commit as one new version; without changes, none is made.
+
+        Raises
+        ------
+        StoreError: the next version exists already, so somebody got around the lock; nothing is published.
+        """
+        pending = self._manifest
+        if self._takes:
+            rows = pa.concat_tables([self._takes[take] for take in sorted(self._takes)])
+            part = write_part(self.path, "takes", rows, sorted(self._takes))
+            others = tuple(other for other in pending.takes if other.path != part.path)
+            pending = replace(pending, takes=(*others, part))
+        if pending == self._committed:
+            return self._committed
+        version = self._committed.version + 1
+        pending = replace(pending, version=version, created=now(), next_take_id=self._next)
+        publish(self.path, pending)
+        self._committed = self._manifest = pending
+        self._takes = {}
+        return pending
+
+    def close(self) -> None:
+        """Let the next writer in; what was not committed is dropped."""
+        self._lock.release()
+
+    def __enter__(self) -> StoreWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _drop_take_rows(self, take_ids: Iterable[int]) -> None:
+        gone = set(take_ids)
+        self._manifest = replace(self._manifest, takes=_without(self._manifest.takes, gone))
+        self._takes = {take: row for take, row in self._takes.items() if take not in gone}
+
+    def _frames_parts(self, takes: pa.Table, frames: pa.Table | Part | Sequence[Part]) -> list[Part]:
+        if isinstance(frames, Part):
+            return [frames]
+        if not isinstance(frames, pa.Table):
+            return list(frames)
+        rows = conform(frames, frames_schema(self._manifest.feature_set, self._manifest.rate_hz), "frames")
+        ids = rows.column("take_id").to_numpy()
+        if np.any(np.diff(ids) < 0):
+            raise StoreError("frames: the rows must be sorted by take_id and frame")
+        with FramesWriter(self.path, self._manifest.feature_set, self._manifest.rate_hz) as writer:
+            for take in sorted(takes.column("take_id").to_pylist()):
+                start, stop = np.searchsorted(ids, take, "left"), np.searchsorted(ids, take, "right")
+                table = rows.slice(start, stop - start)
+                if not np.array_equal(table.column("frame").to_numpy(), np.arange(stop - start)):
+                    raise StoreError(f"frames: take {take} must have the frames 0, 1, 2, … in order")
+                writer.add_table(take, table)
+            part = writer.close()
+        if part.rows != rows.num_rows:
+            raise StoreError("frames: there are frames of takes that are not in the table of takes")
+        return [part]
+
+    def _check_takes(self, takes: pa.Table, parts: Sequence[Part]) -> None:
+        ids = takes.column("take_id").to_pylist()
+        held = sorted(take for part in parts for take in part.take_ids)
+        if sorted(ids) != held:
+            raise StoreError(
+                f"the frames parts hold the takes {held[:10]}…, the table of takes names {sorted(ids)[:10]}…; "
+                "they must be the same, each once"
+            )
+        frames = pc.sum(takes.column("frames")).as_py() or 0
+        rows = sum(part.rows for part in parts)
+        if frames != rows:
+            raise StoreError(f"the takes have {frames} frames together, their frames parts {rows} rows")
+        for take, name in zip(ids, takes.column("name").to_pylist(), strict=True):
+            if self._ids.get(name) != take:
+                raise StoreError(
+                    f"take '{name}' has the id {take}, but the store gives it {self._ids.get(name, 'none')}; "
+                    "ids come from assign_take_ids"
+                )
+
+
+def _without(parts: Iterable[Part], take_ids: Iterable[int]) -> tuple[Part, ...]:
+    """These parts with more tombstones; a part without any live take is left out."""
+    gone = set(take_ids)
+    result = []
+    for part in parts:
+        if gone.isdisjoint(part.take_ids):
+            result.append(part)
+            continue
+        part = replace(part, dropped=tuple(sorted({*part.dropped, *gone.intersection(part.take_ids)})))
+        if part.live:
+            result.append(part)
+    return tuple(result)
+
+
+def _refuse_foreign(root: Path) -> None:
+    if root.exists() and not root.is_dir():
+        raise StoreError(f"{root} is a file; a store is a directory")
+    if not root.exists() or versions(root):
+        return
+    foreign = sorted(set(os.listdir(root)) - {*_FOLDERS, "lock"})
+    if foreign:
+        raise StoreError(
+            f"{root} holds other things ({', '.join(foreign[:3])}) and is no kinedex store; "
+            "name a new or an empty directory"
+        )
+
+
+def _refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, rate_hz: float) -> None:
+    has = manifest.feature_set
+    if has.digest != feature_set.digest:
+        raise StoreError(
+            f"{root} was made with the feature set {has.name} version {has.version} ({has.digest}), not with "
+            f"{feature_set.name} version {feature_set.version} ({feature_set.digest}); ingest into a new store"
+        )
+    if manifest.rate_hz != rate_hz:
+        raise StoreError(f"{root} holds frames at {manifest.rate_hz:g} Hz, not {rate_hz:g} Hz; ingest into a new store")
+
+
+def _remove_leftovers(root: Path, newest: Manifest) -> None:
+    """Remove what killed runs have left: unfinished files, and parts that no manifest names.
+
+    Only the holder of the lock may do this: no live writer can be about to commit such a part.
+    """
+    candidates = set()
+    for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+        for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
+            if name.startswith(TEMPORARY):
+                (root / folder / name).unlink(missing_ok=True)
+            elif name.startswith("part-"):
+                candidates.add(f"{folder}/{name}")
+    candidates -= {part.path for part in newest.parts}
+    for version in reversed(versions(root)[:-1]):
+        # readers of an older version may still be at work
+        if not candidates:
+            break
+        try:
+            candidates -= {part.path for part in read_version(root, version).parts}
+        except StoreError:
+            # what a damaged manifest names is not known, so nothing is garbage; `kinedex verify` reports the manifest
+            return
+    for path in candidates:
+        (root / path).unlink(missing_ok=True)
