@@ -64,9 +64,7 @@ def align(local_cost: F64, first_weights: F64, second_weights: F64) -> Alignment
 
 
 @nb.njit(cache=True, nogil=True)
-def accumulate(
-    local_cost: F64, first_weights: F64, second_weights: F64
-) -> tuple[float, npt.NDArray[np.uint8]]:
+def accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tuple[float, npt.NDArray[np.uint8]]:
     """Return the cost of the best path and, per cell, the step that enters it (kernel of `align`)."""
     rows, columns = local_cost.shape
     steps = np.empty((rows, columns), np.uint8)
