@@ -132,7 +132,10 @@ def _dotted(key: Key) -> str:
 def _kind_of(data: object) -> str:
     if data is None:
         return "nothing (the file is empty)"
-    return {list: "a list", str: "a text", dict: "a mapping"}.get(type(data), f"{data!r}")
+    for kind, name in ((list, "a list"), (str, "a text"), (dict, "a mapping")):
+        if isinstance(data, kind):
+            return name
+    return repr(data)
 
 
 def load_yaml(path: str | Path) -> Located:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from catalog.features import FeatureSet
 from pipelines.executors import Executor
 from pipelines.terminal import Progress, Terminal
@@ -17,7 +19,8 @@ class StageContext:
     """One stage of one run of one pipeline.
 
     run: the run's id, a column of every results row. inputs: role → the stage instance that plays it, for instance
-    {"templates": "learn_templates"}. report_dir: where reports and metrics files of this pipeline go.
+    {"templates": "learn_templates"}. params: the validated parameters of every stage of the pipeline, by instance
+    name, for stages that repeat another one's work.
     """
 
     store_path: Path
@@ -28,6 +31,7 @@ class StageContext:
     executor: Executor
     terminal: Terminal
     inputs: dict[str, str] = field(default_factory=dict)
+    params: dict[str, BaseModel] = field(default_factory=dict)
 
     @property
     def report_dir(self) -> Path:

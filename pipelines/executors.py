@@ -7,6 +7,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from itertools import chain, islice
 from typing import Protocol, TypeVar
 
 from ops.errors import ParameterError
@@ -26,6 +27,10 @@ class Executor(Protocol):
         """Apply a function to every item; functions and items must be picklable."""
         ...
 
+    def close(self) -> None:
+        """Let the workers go."""
+        ...
+
 
 class SerialExecutor:
     """One task after the other in this process."""
@@ -36,28 +41,49 @@ class SerialExecutor:
         """Apply a function to every item, lazily."""
         return map(function, items)
 
+    def close(self) -> None:
+        """Nothing to let go."""
+
 
 class ProcessExecutor:
-    """Tasks in worker processes, at most twice as many in flight as there are workers."""
+    """Tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight."""
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
+        self._pool: ProcessPoolExecutor | None = None
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Apply a function to every item; results come in the items' order."""
-        # Workers start afresh: a fork of a process with numba, polars or DuckDB threads may hang.
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=_single_thread)
+        """Apply a function to every item; results come in the items' order. A single item stays in this process."""
+        source = iter(items)
+        first = list(islice(source, 2))
+        if len(first) < 2:
+            yield from map(function, first)
+            return
+        pool = self._start()
         waiting: deque[Future[Result]] = deque()
         try:
-            for item in items:
+            for item in chain(first, source):
                 waiting.append(pool.submit(function, item))
                 if len(waiting) >= 2 * self.workers:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            for future in waiting:
+                future.cancel()
+
+    def close(self) -> None:
+        """Wait for what is running and let the workers go."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def _start(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            # Workers start afresh: a fork of a process with numba, polars or DuckDB threads may hang.
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=_single_thread)
+        return self._pool
 
 
 def _single_thread() -> None:

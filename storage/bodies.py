@@ -31,7 +31,7 @@ class Body:
     @property
     def frames(self) -> int:
         """The number of source frames T."""
-        return self.positions.shape[2]
+        return int(self.positions.shape[2])
 
 
 @lru_cache(maxsize=64)

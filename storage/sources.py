@@ -55,7 +55,7 @@ def scan(root: str | Path) -> Scan:
     ------
     StoreError: the root is no folder.
     """
-    root = Path(root).expanduser()
+    root = Path(root).expanduser().resolve()
     if not root.is_dir():
         raise StoreError(f"source '{root}' is not a folder: give the folder that holds the motion files")
     motions: list[SourceFile] = []

@@ -1,0 +1,231 @@
+"""Pipeline files: stages by name, their inputs and parameters, and settings that the user fills in."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict
+
+from catalog.configs import Located, config_path, load_yaml
+from ops.errors import ConfigError, KinedexError, did_you_mean
+
+STAGES: dict[str, dict[str, str]] = {
+    "ingest": {},
+    "index": {"takes": "ingest"},
+    "learn_templates": {"takes": "ingest"},
+    "annotate": {"takes": "ingest", "templates": "learn_templates"},
+    "evaluate": {"annotations": "annotate"},
+    "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
+    "report": {
+        "templates": "learn_templates",
+        "annotations": "annotate",
+        "evaluation": "evaluate",
+        "leave_one_out": "leave_one_out",
+        "index": "index",
+    },
+}
+"""The stages there are; each names the roles that other stages play for it, and the stage that usually does."""
+
+OPTIONAL = {("report", "leave_one_out"), ("report", "index"), ("report", "evaluation")}
+"""Roles that a stage can do without."""
+
+_SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+class _StageEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    uses: str | None = None
+    inputs: dict[str, str] = {}
+    params: dict[str, Any] = {}
+
+
+class _PipelineFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    description: str = ""
+    settings: dict[str, Any] = {}
+    stages: dict[str, _StageEntry | None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a pipeline, ready to run: its instance name, what it uses, its inputs by role, its parameters."""
+
+    name: str
+    uses: str
+    inputs: dict[str, str]
+    params: BaseModel
+
+    @property
+    def module(self) -> ModuleType:
+        """The module of the stage."""
+        return stage_module(self.uses)
+
+    @property
+    def run(self) -> Callable[..., dict[str, object]]:
+        """The function that does the work."""
+        function: Callable[..., dict[str, object]] = self.module.run
+        return function
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """A pipeline file with its settings filled in; stages stand in an order in which they can run."""
+
+    name: str
+    path: Path
+    description: str
+    stages: tuple[Stage, ...] = field(default_factory=tuple)
+
+    def stage(self, name: str) -> Stage:
+        """A stage by its name; a KinedexError names the nearest."""
+        for stage in self.stages:
+            if stage.name == name:
+                return stage
+        raise KinedexError(f"{self.path}: no stage '{name}'{did_you_mean(name, [s.name for s in self.stages])}")
+
+
+def stage_module(uses: str) -> ModuleType:
+    """Import the module of a stage, `pipelines.stages.<name>`."""
+    return importlib.import_module(f"pipelines.stages.{uses}")
+
+
+def load_pipeline(name_or_path: str | Path, assignments: Mapping[str, str] | None = None) -> Pipeline:
+    """Read a pipeline file.
+
+    Parameters
+    ----------
+    name_or_path: a shipped name or a path ending in .yaml.
+    assignments: what the user sets: "name" for a setting of the file, "stage.key" for a parameter of a stage; the
+        values are YAML text.
+
+    Raises
+    ------
+    ConfigError: file, line and key of the first fault, and the nearest valid name.
+    """
+    located = load_yaml(config_path("pipelines", name_or_path))
+    located.mapping()
+    parsed = located.model(_PipelineFile)
+    entries = {name: entry or _StageEntry() for name, entry in parsed.stages.items()}
+    settings = dict(parsed.settings)
+    overrides: dict[str, dict[str, Any]] = {}
+    for name, text in (assignments or {}).items():
+        _assign(located, entries, settings, overrides, name, text)
+    stages = [_stage(located, entries, settings, overrides, name) for name in entries]
+    return Pipeline(parsed.name, located.path, parsed.description, _ordered(located, stages))
+
+
+def _assign(
+    located: Located,
+    entries: dict[str, _StageEntry],
+    settings: dict[str, Any],
+    overrides: dict[str, dict[str, Any]],
+    name: str,
+    text: str,
+) -> None:
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise KinedexError(f"--set {name}={text}: the value is not valid YAML; quote it") from None
+    stage, dot, key = name.partition(".")
+    if not dot:
+        if name not in settings:
+            hint = did_you_mean(name, settings) if settings else "; it has none"
+            raise KinedexError(f"--set {name}: {located.path} has no setting of that name{hint}")
+        settings[name] = value
+        return
+    if stage not in entries:
+        raise KinedexError(f"--set {name}: {located.path} has no stage '{stage}'{did_you_mean(stage, entries)}")
+    known = stage_module(_uses(located, entries, stage)).Params.model_fields
+    if key not in known:
+        raise KinedexError(f"--set {name}: stage '{stage}' has no parameter '{key}'{did_you_mean(key, known)}")
+    overrides.setdefault(stage, {})[key] = value
+
+
+def _uses(located: Located, entries: dict[str, _StageEntry], name: str) -> str:
+    uses = entries[name].uses or name
+    if uses not in STAGES:
+        key = ("uses",) if entries[name].uses else ()
+        raise located.error(f"there is no stage '{uses}'{did_you_mean(uses, STAGES)}", "stages", name, *key)
+    return uses
+
+
+def _stage(
+    located: Located,
+    entries: dict[str, _StageEntry],
+    settings: dict[str, Any],
+    overrides: dict[str, dict[str, Any]],
+    name: str,
+) -> Stage:
+    uses = _uses(located, entries, name)
+    key = ("stages", name, "params")
+    params = {option: _fill(located, settings, value, (*key, option)) for option, value in entries[name].params.items()}
+    params.update(overrides.get(name, {}))
+    model: type[BaseModel] = stage_module(uses).Params
+    return Stage(name, uses, _inputs(located, entries, name, uses), located.model(model, *key, data=params))
+
+
+def _fill(located: Located, settings: dict[str, Any], value: Any, key: tuple[str | int, ...]) -> Any:
+    """Replace ${setting} in texts; a text that is nothing else takes the setting's own type."""
+    if isinstance(value, dict):
+        return {name: _fill(located, settings, part, (*key, name)) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_fill(located, settings, part, (*key, i)) for i, part in enumerate(value)]
+    if not isinstance(value, str):
+        return value
+    for name in _SETTING.findall(value):
+        if name not in settings:
+            raise located.error(f"there is no setting '{name}'{did_you_mean(name, settings)}", *key)
+        if settings[name] is None:
+            raise located.error(f"the setting '{name}' must be given: --set {name}=…", "settings", name)
+    whole = _SETTING.fullmatch(value)
+    return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
+
+
+def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, uses: str) -> dict[str, str]:
+    """Which stage plays which role: as the file says, else the only stage that can."""
+    given = entries[name].inputs
+    for role in given:
+        if role not in STAGES[uses]:
+            hint = did_you_mean(role, STAGES[uses])
+            raise located.error(f"'{uses}' has no input '{role}'{hint}", "stages", name, "inputs", role)
+    result = {}
+    for role, usual in STAGES[uses].items():
+        if role in given:
+            if given[role] not in entries:
+                hint = did_you_mean(given[role], entries)
+                raise located.error(f"there is no stage '{given[role]}'{hint}", "stages", name, "inputs", role)
+            result[role] = given[role]
+            continue
+        candidates = [other for other, entry in entries.items() if (entry.uses or other) == usual]
+        if len(candidates) == 1:
+            result[role] = candidates[0]
+        elif candidates:
+            raise located.error(
+                f"input '{role}' could be any of {', '.join(candidates)}; say which under `inputs`", "stages", name
+            )
+        elif (uses, role) not in OPTIONAL:
+            raise located.error(f"'{uses}' needs a stage '{usual}' for its input '{role}'", "stages", name)
+    return result
+
+
+def _ordered(located: Located, stages: list[Stage]) -> tuple[Stage, ...]:
+    """Stages in an order in which every input comes first; the file's own order where it does not matter."""
+    result: list[Stage] = []
+    waiting = list(stages)
+    while waiting:
+        done = {stage.name for stage in result}
+        ready = next((stage for stage in waiting if done.issuperset(stage.inputs.values())), None)
+        if ready is None:
+            names = ", ".join(stage.name for stage in waiting)
+            raise ConfigError(located.path, f"the stages {names} wait for each other", key="stages")
+        result.append(ready)
+        waiting.remove(ready)
+    return tuple(result)

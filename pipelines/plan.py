@@ -1,0 +1,144 @@
+"""The plan: which stages run and why, before anything does; fingerprints tell what has been done already."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ops.errors import StoreError
+from pipelines.config import Pipeline, Stage
+from storage.manifest import StageRecord
+from storage.store import Store, open_store
+
+PACKAGES = ("ops", "catalog", "storage", "pipelines")
+ROOT = Path(__file__).resolve().parents[1]
+
+# What a stage is run by, but what its results do not depend on.
+_CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stage of a plan: its fingerprint, the record of the last time it ran, and why it runs (None: it does not)."""
+
+    stage: Stage
+    fingerprint: str
+    record: StageRecord | None
+    reason: str | None
+
+
+def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> list[Step]:
+    """Compare a pipeline with a store.
+
+    A stage is skipped where the store holds a record with its fingerprint: a hash of the project's sources that it
+    imports, its parameters, what it reads outside the store, and the fingerprints of its inputs.
+
+    Parameters
+    ----------
+    force: names of stages that run in any case.
+    """
+    for name in force:
+        pipeline.stage(name)
+    store = _open(store_path)
+    steps: list[Step] = []
+    fingerprints: dict[str, str] = {}
+    running: dict[str, str] = {}
+    for stage in pipeline.stages:
+        parts = _parts(stage, fingerprints)
+        fingerprint = _hash(parts)
+        fingerprints[stage.name] = fingerprint
+        record = store.manifest.stages.get(f"{pipeline.name}/{stage.name}") if store else None
+        reason = "--force" if stage.name in force else _reason(record, fingerprint, parts)
+        upstream = next((name for name in stage.inputs.values() if name in running), None)
+        if reason is None and upstream is not None and running[upstream] == "--force":
+            reason = f"{upstream} runs again"
+        if reason is not None:
+            running[stage.name] = reason
+        steps.append(Step(stage, fingerprint, record, reason))
+    return steps
+
+
+def fingerprint_parts(stage: Stage, inputs: dict[str, str]) -> dict[str, str]:
+    """What a stage's fingerprint is made of, by name; `inputs` are the fingerprints of stages by name."""
+    return _parts(stage, inputs)
+
+
+def _open(path: Path) -> Store | None:
+    try:
+        return open_store(path)
+    except StoreError:
+        if (path / "manifest").is_dir() and any((path / "manifest").glob("*.json")):
+            raise
+        return None
+
+
+def _parts(stage: Stage, fingerprints: dict[str, str]) -> dict[str, str]:
+    external = getattr(stage.module, "external_digest", None)
+    parts = {
+        "code": code_digest(f"pipelines.stages.{stage.uses}"),
+        "parameters": _hash(stage.params.model_dump(mode="json")),
+        "files": external(stage.params) if external else "",
+    }
+    return parts | {f"input {name}": fingerprints[name] for name in sorted(set(stage.inputs.values()))}
+
+
+def _reason(record: StageRecord | None, fingerprint: str, parts: dict[str, str]) -> str | None:
+    if record is None:
+        return "has not run yet"
+    if record.fingerprint == fingerprint:
+        return None
+    before = record.summary.get("fingerprint_parts", {})
+    changed = [name for name in parts if before.get(name) != parts[name]]
+    said = {"code": "kinedex itself changed", "parameters": "its parameters changed", "files": "its files changed"}
+    return (
+        "; ".join(said.get(name, name.removeprefix("input ") + " changed") for name in changed) or "its inputs changed"
+    )
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def code_digest(module: str) -> str:
+    """A hash of a module's source and of every project module that it imports, however indirectly."""
+    seen: dict[str, bytes] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        path = _module_file(name)
+        if name in seen or path is None or name in _CARRIERS:
+            continue
+        seen[name] = path.read_bytes()
+        waiting += imports_of(seen[name].decode(), name)
+    hasher = hashlib.sha256()
+    for name in sorted(seen):
+        hasher.update(name.encode() + b"\0" + seen[name] + b"\0")
+    return hasher.hexdigest()[:16]
+
+
+def imports_of(source: str, module: str) -> list[str]:
+    """The project modules that a source imports, packages and names in them alike."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                package = module.split(".")[: -node.level] or [module]
+                base = ".".join([*package, base] if base else package)
+            names.append(base)
+            names += [f"{base}.{alias.name}" for alias in node.names]
+    return sorted({name for name in names if name.split(".")[0] in PACKAGES})
+
+
+def _module_file(name: str) -> Path | None:
+    path = ROOT.joinpath(*name.split("."))
+    if path.with_suffix(".py").is_file():
+        return path.with_suffix(".py")
+    return path / "__init__.py" if (path / "__init__.py").is_file() else None

@@ -1,0 +1,381 @@
+"""Stage ingest: motion files become takes and frames with words; what cannot be read is logged."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from catalog.features import FeatureSet
+from catalog.skeletons import SkeletonMapping, load_skeleton
+from ops import features, kinematics, textnumbers
+from ops.errors import KinedexError, SourceError
+from ops.resample import feature_rate, resample
+from pipelines.context import StageContext
+from pipelines.plan import code_digest
+from storage.bodies import Body, read_acclaim
+from storage.manifest import Part
+from storage.parts import FramesWriter
+from storage.schemas import result_schema, takes_schema
+from storage.sources import Scan, SourceFile, checksum, path_groups, scan, skeleton_of
+from storage.writer import StoreWriter
+
+MEGABYTE = 1 << 20
+
+
+class Params(BaseModel):
+    """What the stage `ingest` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    source: str = Field(description="folder that holds the motion files, at any depth")
+    skeleton: str = Field("acclaim", description="skeleton mapping: a shipped name or a path to a .yaml file")
+    patterns: list[str] = Field(
+        default_factory=list,
+        description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
+        "relative to the source; the first that is found anywhere in it counts",
+    )
+    name: Literal["stem", "path"] = Field(
+        "stem", description="what a take is called: its file's stem, or its path without the ending"
+    )
+    rate_hz: float = Field(
+        120.0, gt=0, description="frames per second of files that do not say it (Acclaim files never do)"
+    )
+    prune: bool = Field(False, description="drop takes whose file is no longer in the source")
+    batch_mb: int = Field(256, ge=1, le=4096, description="most megabytes of raw files that one task reads")
+
+    @field_validator("patterns")
+    @classmethod
+    def _compiles(cls, patterns: list[str]) -> list[str]:
+        for pattern in patterns:
+            try:
+                re.compile(pattern)
+            except re.error as fault:
+                raise ValueError(f"'{pattern}' is no regular expression: {fault}") from None
+        return patterns
+
+
+def external_digest(params: Params) -> str:
+    """What the stage depends on outside the store: every source file's path, size and time."""
+    return scan(params.source).digest
+
+
+@dataclass(frozen=True)
+class Task:
+    """One motion file to bring in."""
+
+    name: str
+    take_id: int
+    motion: SourceFile
+    skeleton: SourceFile
+    groups: dict[str, str]
+    recipe: str
+    checksum: str
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One thing that did not come in, and why."""
+
+    source: str
+    error: str
+    message: str
+    file: str
+    line: int | None
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The files that one task reads and writes as one frames part."""
+
+    store: Path
+    feature_set: FeatureSet
+    rate_hz: float
+    mapping: SkeletonMapping
+    source_rate_hz: float
+    tasks: tuple[Task, ...]
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a batch left: rows of `takes`, the frames part (None where every file failed), and the failures."""
+
+    takes: list[dict[str, Any]]
+    part: Part | None
+    failures: list[Failure]
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Bring a source up to date in the store, batch by batch, each committed whole."""
+    found = scan(params.source)
+    if not found.motions:
+        raise KinedexError(
+            f"no motion files (.amc) below {params.source}. kinedex reads Acclaim ASF/AMC; is this the right folder?"
+        )
+    mapping = load_skeleton(params.skeleton, context.feature_set.joints)
+    with context.writer() as writer:
+        plan = _plan(writer, context.feature_set, params, mapping, found)
+        context.say(
+            f"{len(found.motions)} motion files below {params.source}: "
+            f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
+            + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
+        )
+        if plan.gone:
+            what = "dropped" if params.prune else "kept; `prune: true` drops them"
+            context.say(f"{len(plan.gone)} takes whose file is gone: {what}")
+            if params.prune:
+                writer.drop_takes(plan.gone)
+        failures = list(plan.failures)
+        frames = _bring_in(context, params, mapping, writer, plan.tasks, failures)
+        writer.put_results("ingest_log", _log(failures, context.run), stage=context.key(), run=context.run)
+        writer.commit()
+        total = len(writer.manifest.live_takes)
+    for failure in failures[:10]:
+        context.say(f"left out: {failure.message}")
+    if len(failures) > 10:
+        context.say(f"… and {len(failures) - 10} more: SELECT * FROM ingest_log lists them all")
+    read = len(plan.tasks) - (len(failures) - len(plan.failures))
+    return {
+        "takes": total,
+        "read": read,
+        "unchanged": plan.unchanged,
+        "frames_read": frames,
+        "left_out": len(failures),
+        "dropped": len(plan.gone) if params.prune else 0,
+    }
+
+
+@dataclass(frozen=True)
+class _Plan:
+    tasks: list[Task]
+    unchanged: int
+    gone: list[int]
+    failures: list[Failure]
+
+
+def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mapping: SkeletonMapping, found: Scan) -> _Plan:
+    """Compare the source with the store: what is new or changed, what is unchanged, what is gone, what has no place."""
+    known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
+    patterns = [re.compile(pattern) for pattern in params.patterns]
+    recipe = _recipe(feature_set, params, mapping)
+    skeleton_sums: dict[str, str] = {}
+    tasks: list[Task] = []
+    failures: list[Failure] = []
+    unchanged = 0
+    names = _take_names(params, found)
+    for motion in found.motions:
+        name = _name(params, motion)
+        try:
+            if len(names[name]) > 1:
+                others = ", ".join(path for path in names[name] if path != motion.path)
+                raise SourceError(
+                    motion.absolute,
+                    f"two takes would be named '{name}' (also {others}); rename one, or set `name: path`",
+                )
+            skeleton = skeleton_of(motion, found.skeletons)
+            if skeleton.path not in skeleton_sums:
+                skeleton_sums[skeleton.path] = checksum(skeleton.absolute)
+            groups = path_groups(motion.path, patterns)
+            made = _digest([recipe, skeleton_sums[skeleton.path], sorted((groups or {}).items())])
+            row = known.get(name)
+            if row is not None and row["recipe"] == made and _same_stamp(row, motion):
+                unchanged += 1
+                continue
+            content = checksum(motion.absolute)
+            if row is not None and row["checksum"] == content and row["recipe"] == made:
+                unchanged += 1
+                continue
+            if row is not None and row["checksum"] != content:
+                _refuse_stranger(row, motion)
+            warnings = () if groups is not None or not patterns else ("its path matches no pattern of the config",)
+            tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, content, warnings))
+        except SourceError as fault:
+            failures.append(_failure(motion, fault))
+    ids = writer.assign_take_ids(task.name for task in tasks)
+    tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
+    root = found.motions[0].root
+    gone = [row["take_id"] for name, row in known.items() if name not in names and row["source_root"] == root]
+    return _Plan(tasks, unchanged, gone, failures)
+
+
+def _take_names(params: Params, found: Scan) -> dict[str, list[str]]:
+    names: dict[str, list[str]] = {}
+    for motion in found.motions:
+        names.setdefault(_name(params, motion), []).append(motion.path)
+    return names
+
+
+def _name(params: Params, motion: SourceFile) -> str:
+    return motion.stem if params.name == "stem" else str(Path(motion.path).with_suffix(""))
+
+
+def _same_stamp(row: dict[str, Any], motion: SourceFile) -> bool:
+    return (row["source"], row["source_bytes"], row["source_mtime_ns"]) == (motion.path, motion.size, motion.mtime_ns)
+
+
+def _refuse_stranger(row: dict[str, Any], motion: SourceFile) -> None:
+    """A changed file replaces its take; a different file of the same name does not."""
+    if (row["source_root"], row["source"]) != (motion.root, motion.path):
+        raise SourceError(
+            motion.absolute,
+            f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
+            "differs; rename one, set `name: path`, or use a store of its own",
+        )
+
+
+def _recipe(feature_set: FeatureSet, params: Params, mapping: SkeletonMapping) -> str:
+    """What a take's rows depend on besides its own files; when it changes, the take is read again."""
+    code = [code_digest(module) for module in ("storage.bodies", "ops.features", "ops.resample")]
+    return _digest([feature_set.digest, mapping.digest, params.rate_hz, code])
+
+
+def _digest(parts: object) -> str:
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def _failure(motion: SourceFile, fault: SourceError) -> Failure:
+    return Failure(motion.path, type(fault).__name__, str(fault), fault.path, fault.line)
+
+
+def _bring_in(
+    context: StageContext,
+    params: Params,
+    mapping: SkeletonMapping,
+    writer: StoreWriter,
+    tasks: Sequence[Task],
+    failures: list[Failure],
+) -> int:
+    """Read all tasks and commit batch by batch; returns how many frames came in."""
+    if not tasks:
+        return 0
+    if context.executor.workers > 1:
+        _compile_kernels(context.feature_set)
+    frames = 0
+    with context.progress("reading takes", len(tasks)) as progress:
+        batches = [
+            Batch(context.store_path, context.feature_set, writer.manifest.rate_hz, mapping, params.rate_hz, part)
+            for part in _batches(tasks, params.batch_mb * MEGABYTE, context.executor.workers)
+        ]
+        for batch, written in zip(batches, context.executor.map(read_batch, batches), strict=True):
+            failures.extend(written.failures)
+            if written.part is not None:
+                writer.add_takes(pa.Table.from_pylist(written.takes, schema=takes_schema()), written.part)
+                writer.commit()
+                frames += written.part.rows
+            progress.advance(len(batch.tasks))
+    return frames
+
+
+def _batches(tasks: Sequence[Task], limit: int, workers: int) -> Iterator[tuple[Task, ...]]:
+    """Split tasks by bytes: at most `limit`, and small enough that every worker gets two where there is enough work."""
+    total = sum(task.motion.size for task in tasks)
+    target = min(limit, max(4 * MEGABYTE, total // (2 * workers) + 1))
+    batch: list[Task] = []
+    size = 0
+    for task in tasks:
+        if batch and size + task.motion.size > target:
+            yield tuple(batch)
+            batch, size = [], 0
+        batch.append(task)
+        size += task.motion.size
+    if batch:
+        yield tuple(batch)
+
+
+def _compile_kernels(feature_set: FeatureSet) -> None:
+    """Compile once, into the cache, before several processes would each do the same."""
+    node = kinematics.Node("root", -1, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), ())
+    kinematics.forward((node,), np.zeros((2, 1)))
+    textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])
+    features.words(np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2)), 30.0, feature_set.rules)
+
+
+def read_batch(batch: Batch) -> Written:
+    """Read the files of one batch and write their frames as one part; runs in any process."""
+    takes: list[dict[str, Any]] = []
+    failures: list[Failure] = []
+    writer: FramesWriter | None = None
+    try:
+        for task in batch.tasks:
+            try:
+                body = read_acclaim(
+                    task.motion.absolute, task.skeleton.absolute, batch.mapping, batch.feature_set.joints,
+                    batch.source_rate_hz,
+                )  # fmt: skip
+            except SourceError as fault:
+                failures.append(_failure(task.motion, fault))
+                continue
+            if writer is None:
+                writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
+            frames = _add_frames(writer, batch, task, body)
+            takes.append(_take_row(batch, task, body, frames))
+        return Written(takes, writer.close() if writer is not None else None, failures)
+    except BaseException:
+        if writer is not None:
+            writer.__exit__(None, None, None)
+        raise
+
+
+def _add_frames(writer: FramesWriter, batch: Batch, task: Task, body: Body) -> int:
+    """Compute features at the source's own rate, keep every frame of the analysis rate, and write them."""
+    rate = feature_rate(body.rate_hz, batch.rate_hz)
+    positions, orientation = resample(body.positions, body.orientation, body.rate_hz, rate)
+    words = features.words(positions, orientation, rate, batch.feature_set.rules)
+    step = round(rate / batch.rate_hz)
+    writer.add(task.take_id, positions[:, :, ::step], orientation[:, ::step], words[::step])
+    return len(words[::step])
+
+
+def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, Any]:
+    groups = dict(task.groups)
+    return {
+        "take_id": task.take_id,
+        "name": task.name,
+        "source": task.motion.path,
+        "source_root": task.motion.root,
+        "checksum": task.checksum,
+        "source_bytes": task.motion.size,
+        "source_mtime_ns": task.motion.mtime_ns,
+        "format": "amc",
+        "skeleton": batch.mapping.name,
+        "skeleton_source": task.skeleton.path,
+        "recipe": task.recipe,
+        "unit": body.unit,
+        "source_rate_hz": body.rate_hz,
+        "source_frames": body.frames,
+        "rate_hz": batch.rate_hz,
+        "frames": frames,
+        "seconds": body.frames / body.rate_hz,
+        "actor": groups.pop("actor", None),
+        "class": groups.pop("class", None),
+        "clip": groups.pop("clip", None),
+        "groups": json.dumps(groups, sort_keys=True),
+        "warnings": [*task.warnings, *body.warnings],
+    }
+
+
+def _log(failures: Sequence[Failure], run_id: str) -> pa.Table:
+    rows = [
+        {
+            "run": run_id,
+            "source": failure.source,
+            "stage": "ingest",
+            "error": failure.error,
+            "message": failure.message,
+            "file": failure.file,
+            "line": failure.line,
+            "logged_at": datetime.now(UTC),
+        }
+        for failure in failures
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("ingest_log"))
