@@ -1,0 +1,136 @@
+"""Precision, recall and F-measure of annotations on the level of frames and of segments (thesis, 5.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+
+Bounds = Sequence[tuple[int, int]] | npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What the measures are made of; counts of several takes, classes or folds add up.
+
+    frames_both, frames_automatic, frames_manual: |M ∩ A|, |A|, |M|, pairs of frame and class (Eq. 5.8, 5.9).
+    segments_automatic_hit: automatic segments that overlap a manual one of their class;
+    segments_manual_hit: the reverse.
+    """
+
+    frames_both: int = 0
+    frames_automatic: int = 0
+    frames_manual: int = 0
+    segments_automatic_hit: int = 0
+    segments_automatic: int = 0
+    segments_manual_hit: int = 0
+    segments_manual: int = 0
+
+    def __add__(self, other: Counts) -> Counts:
+        return Counts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    @property
+    def p1(self) -> float:
+        """Frame precision (Eq. 5.10); NaN where nothing was annotated."""
+        return _ratio(self.frames_both, self.frames_automatic)
+
+    @property
+    def r1(self) -> float:
+        """Frame recall (Eq. 5.11); NaN where there was nothing to find."""
+        return _ratio(self.frames_both, self.frames_manual)
+
+    @property
+    def f1(self) -> float:
+        """Frame F-measure (Eq. 5.12)."""
+        return f_measure(self.p1, self.r1)
+
+    @property
+    def p2(self) -> float:
+        """Segment precision; NaN where nothing was annotated."""
+        return _ratio(self.segments_automatic_hit, self.segments_automatic)
+
+    @property
+    def r2(self) -> float:
+        """Segment recall; NaN where there was nothing to find."""
+        return _ratio(self.segments_manual_hit, self.segments_manual)
+
+    @property
+    def f2(self) -> float:
+        """Segment F-measure."""
+        return f_measure(self.p2, self.r2)
+
+
+def f_measure(precision: float, recall: float) -> float:
+    """Return the harmonic mean of precision and recall (Eq. 5.12).
+
+    0 where one of them is 0 or only one is undefined (something was missed, or found in vain, and nothing was
+    right); NaN where both are undefined.
+    """
+    if math.isnan(precision) and math.isnan(recall):
+        return math.nan
+    if math.isnan(precision) or math.isnan(recall) or precision + recall == 0:
+        return 0.0
+    return 2 * precision * recall / (precision + recall)
+
+
+def pooled(counts: Iterable[Counts]) -> Counts:
+    """Add counts up, as if all takes were one after the other in a single long one."""
+    return sum(counts, Counts())
+
+
+def compare(automatic: Bounds, manual: Bounds) -> Counts:
+    """Count what the automatic and the manual segments of one class in one take have in common.
+
+    Parameters
+    ----------
+    automatic, manual: half-open frame ranges (start, stop), in any order; those that overlap count each frame
+        once but remain segments of their own.
+
+    Returns
+    -------
+    Counts.
+
+    Raises
+    ------
+    ParameterError: if a segment is empty or begins before frame 0.
+    """
+    mine, theirs = _segments("automatic", automatic), _segments("manual", manual)
+    stop = int(max(mine[:, 1].max(initial=0), theirs[:, 1].max(initial=0)))
+    in_mine, in_theirs = _covered(mine, stop), _covered(theirs, stop)
+    return Counts(
+        frames_both=int(np.count_nonzero(in_mine & in_theirs)),
+        frames_automatic=int(np.count_nonzero(in_mine)),
+        frames_manual=int(np.count_nonzero(in_theirs)),
+        segments_automatic_hit=_hit(mine, in_theirs),
+        segments_automatic=len(mine),
+        segments_manual_hit=_hit(theirs, in_mine),
+        segments_manual=len(theirs),
+    )
+
+
+def _segments(name: str, bounds: Bounds) -> npt.NDArray[np.int64]:
+    segments = np.asarray(bounds, np.int64).reshape(-1, 2)
+    if np.any(segments[:, 0] < 0) or np.any(segments[:, 0] >= segments[:, 1]):
+        raise ParameterError(name, "segments with 0 ≤ start < stop", segments.tolist()[:4])
+    return segments
+
+
+def _covered(segments: npt.NDArray[np.int64], stop: int) -> npt.NDArray[np.bool_]:
+    covered = np.zeros(stop, np.bool_)
+    for start, end in segments:
+        covered[start:end] = True
+    return covered
+
+
+def _hit(segments: npt.NDArray[np.int64], covered: npt.NDArray[np.bool_]) -> int:
+    """Count the segments of which the other side covers at least one frame."""
+    return sum(bool(covered[start:end].any()) for start, end in segments)
+
+
+def _ratio(part: int, whole: int) -> float:
+    return part / whole if whole else math.nan
