@@ -1,0 +1,172 @@
+"""Runs: the maximal stretches of frames of one take with the same word, or with the same feature on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from ops.errors import ParameterError
+
+I64 = npt.NDArray[np.int64]
+U64 = npt.NDArray[np.uint64]
+
+
+class WordRuns(NamedTuple):
+    """Runs of equal words, in order of take and start; frames count from the take's first, ranges are half-open.
+
+    take: int64 (R,), the position of the take among the offsets. start, stop: int64 (R,). word: uint64 (R,).
+    """
+
+    take: I64
+    start: I64
+    stop: I64
+    word: U64
+
+
+class FeatureRuns(NamedTuple):
+    """Runs of frames where a feature is on, in order of feature, take and start.
+
+    feature: int64 (R,), the feature's number, from 1. take, start, stop: int64 (R,), as in `WordRuns`.
+    """
+
+    feature: I64
+    take: I64
+    start: I64
+    stop: I64
+
+
+def word_runs(words: U64, offsets: I64) -> WordRuns:
+    """Cut the words of many takes into runs: the inverted lists before they are sorted (thesis, 3.1).
+
+    Parameters
+    ----------
+    words: uint64 (N,), the words of T takes, one take after the other (cut down to one feature set by `ops.words.cut`).
+    offsets: int64 (T + 1,), take i has the words offsets[i] to offsets[i + 1]. Takes may be empty.
+
+    Returns
+    -------
+    The runs; they cover every frame once and never cross from one take to the next.
+
+    Raises
+    ------
+    ParameterError: the offsets do not fit the words.
+    """
+    words, offsets = _checked(words, offsets)
+    count = _count_word_runs(words, offsets)
+    take, start, stop = (np.empty(count, np.int64) for _ in range(3))
+    word = np.empty(count, np.uint64)
+    _fill_word_runs(words, offsets, take, start, stop, word)
+    return WordRuns(take, start, stop, word)
+
+
+def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
+    """Find, for every feature, the stretches of frames where it is on.
+
+    Parameters
+    ----------
+    words: uint64 (N,), whole words; bit i − 1 is F_i. Bits from `features` on are ignored.
+    offsets: int64 (T + 1,), as in `word_runs`.
+    features: number of features, 1 to 64.
+
+    Returns
+    -------
+    The runs of all features; none crosses from one take to the next.
+
+    Raises
+    ------
+    ParameterError: the offsets do not fit the words, or the number of features is out of range.
+    """
+    words, offsets = _checked(words, offsets)
+    if not 1 <= features <= 64:
+        raise ParameterError("features", "from 1 to 64", features)
+    mask = np.uint64((1 << features) - 1)
+    counts = np.zeros(features, np.int64)
+    _count_feature_runs(words, offsets, mask, counts)
+    total = int(counts.sum())
+    take, start, stop = (np.empty(total, np.int64) for _ in range(3))
+    cursor = np.cumsum(counts) - counts
+    _fill_feature_runs(words, offsets, mask, cursor, take, start, stop)
+    feature = np.repeat(np.arange(1, features + 1, dtype=np.int64), counts)
+    return FeatureRuns(feature, take, start, stop)
+
+
+def _checked(words: U64, offsets: I64) -> tuple[U64, I64]:
+    words = np.ascontiguousarray(words, dtype=np.uint64)
+    offsets = np.ascontiguousarray(offsets, dtype=np.int64)
+    if words.ndim != 1:
+        raise ParameterError("words", "one-dimensional", words.shape)
+    if offsets.ndim != 1 or len(offsets) == 0 or offsets[0] != 0:
+        raise ParameterError("offsets", "one-dimensional and starting at 0", offsets[:3])
+    if offsets[-1] != len(words) or np.any(np.diff(offsets) < 0):
+        raise ParameterError("offsets", f"rising to {len(words)}, the number of words", int(offsets[-1]))
+    return words, offsets
+
+
+@njit(cache=True)
+def _count_word_runs(words: U64, offsets: I64) -> int:
+    count = 0
+    for take in range(len(offsets) - 1):
+        for i in range(offsets[take], offsets[take + 1]):
+            if i == offsets[take] or words[i] != words[i - 1]:
+                count += 1
+    return count
+
+
+@njit(cache=True)
+def _fill_word_runs(words: U64, offsets: I64, take: I64, start: I64, stop: I64, word: U64) -> None:
+    run = -1
+    for t in range(len(offsets) - 1):
+        first = offsets[t]
+        for i in range(first, offsets[t + 1]):
+            if i == first or words[i] != words[i - 1]:
+                run += 1
+                take[run] = t
+                start[run] = i - first
+                word[run] = words[i]
+            stop[run] = i - first + 1
+
+
+@njit(cache=True)
+def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) -> None:
+    for take in range(len(offsets) - 1):
+        before = np.uint64(0)
+        for i in range(offsets[take], offsets[take + 1]):
+            now = words[i] & mask
+            rising = now & ~before
+            feature = 0
+            while rising:
+                if rising & np.uint64(1):
+                    counts[feature] += 1
+                rising >>= np.uint64(1)
+                feature += 1
+            before = now
+
+
+@njit(cache=True)
+def _fill_feature_runs(
+    words: U64, offsets: I64, mask: np.uint64, cursor: I64, take: I64, start: I64, stop: I64
+) -> None:
+    # every feature writes into a stretch of its own, so the runs come out sorted by feature
+    for t in range(len(offsets) - 1):
+        first = offsets[t]
+        before = np.uint64(0)
+        for i in range(first, offsets[t + 1] + 1):
+            # one step past the take's end everything is off
+            now = words[i] & mask if i < offsets[t + 1] else np.uint64(0)
+            changed = now ^ before
+            feature = 0
+            while changed:
+                if changed & np.uint64(1):
+                    run = cursor[feature]
+                    if (now >> np.uint64(feature)) & np.uint64(1):
+                        take[run] = t
+                        start[run] = i - first
+                    else:
+                        stop[run] = i - first
+                        cursor[feature] = run + 1
+                changed >>= np.uint64(1)
+                feature += 1
+            before = now
