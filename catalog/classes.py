@@ -1,0 +1,108 @@
+"""Classes: which subclasses (the labels of training clips) make up the classes that takes are annotated with."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from catalog.configs import Located, config_path, load_yaml
+from ops.errors import ConfigError, did_you_mean
+
+OWN = "own"
+"""In place of a class file: every subclass is a class of its own."""
+
+
+@dataclass(frozen=True)
+class MotionClass:
+    """A class: its name, what it is, and the subclasses in it."""
+
+    name: str
+    description: str
+    subclasses: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Classes:
+    """The classes of an annotation, in order of their labels (ties in cost go to the first).
+
+    without_class: subclasses that the archive has and no class takes; they are not annotated.
+    """
+
+    classes: tuple[MotionClass, ...]
+    without_class: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The classes' names."""
+        return tuple(motion_class.name for motion_class in self.classes)
+
+    def of_subclass(self) -> dict[str, str]:
+        """Subclass → class."""
+        return {subclass: one.name for one in self.classes for subclass in one.subclasses}
+
+    def class_of(self, label: str) -> str | None:
+        """The class that a label means: a class by its name, or the class of a subclass; None where neither."""
+        return label if label in self.names else self.of_subclass().get(label)
+
+
+class _ClassEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    description: str = ""
+    subclasses: list[str] = []
+
+
+def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes:
+    """Sort the subclasses of an archive into the classes of a file.
+
+    Parameters
+    ----------
+    name_or_path: "own", a shipped file of `configs/classes`, or a path to a .yaml file. The file maps a class to its
+        description and its subclasses, names or patterns with * ? [ ].
+    subclasses: every subclass that the archive has. A pattern takes those that it fits; classes without any stay.
+
+    Raises
+    ------
+    ConfigError: file and line of an unknown subclass, of one that is in two classes, or of a wrong entry.
+    """
+    known = sorted(set(subclasses))
+    if str(name_or_path) == OWN:
+        return Classes(tuple(MotionClass(name, "", (name,)) for name in known))
+    try:
+        path = config_path("classes", name_or_path)
+    except ConfigError as fault:
+        raise ConfigError(name_or_path, f"{fault.reason}; or say '{OWN}': every subclass its own class") from None
+    located = load_yaml(path)
+    entries = {
+        str(name): located.model(_ClassEntry, name, data=entry if isinstance(entry, dict) else {"subclasses": entry})
+        for name, entry in located.mapping().items()
+    }
+    owner: dict[str, tuple[str, int | None]] = {}
+    classes = []
+    for name, entry in entries.items():
+        if not entry.subclasses:
+            raise located.error("a class needs `subclasses`: a list of names or patterns", name)
+        taken = []
+        for place, pattern in enumerate(entry.subclasses):
+            key = (name, "subclasses", place)
+            for subclass in _matching(located, key, pattern, known):
+                other, line = owner.setdefault(subclass, (name, located.line(*key)))
+                if other != name:
+                    raise located.error(
+                        f"subclass '{subclass}' is in class '{other}' already (line {line}); take it out of one", *key
+                    )
+                taken.append(subclass)
+        classes.append(MotionClass(name, entry.description, tuple(dict.fromkeys(taken))))
+    return Classes(tuple(classes), tuple(name for name in known if name not in owner))
+
+
+def _matching(located: Located, key: tuple[str | int, ...], pattern: str, known: list[str]) -> list[str]:
+    """The known subclasses that an entry names; a plain name must be one of them, a pattern may fit none."""
+    if any(character in pattern for character in "*?["):
+        return [name for name in known if fnmatch.fnmatchcase(name, pattern)]
+    if pattern not in known:
+        raise located.error(f"the archive has no subclass '{pattern}'{did_you_mean(pattern, known)}", *key)
+    return [pattern]
