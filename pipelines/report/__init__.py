@@ -1,0 +1,1 @@
+"""Reports: what a pipeline's results say, on one HTML page that needs nothing else."""

@@ -1,0 +1,64 @@
+"""The template of each subclass as a card: two images, a time axis, and what the template was made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipelines.report.axes import Axis, percent, time_axis
+from pipelines.report.data import FeatureNames, Template
+from pipelines.report.pixels import quantised_image, soft_image, wildcard_share
+from pipelines.report.timelines import counted
+
+
+@dataclass(frozen=True)
+class Card:
+    """One template as it is drawn."""
+
+    template: Template
+    soft: str
+    quantised: str
+    axis: Axis
+    frames: int
+    seconds: float
+    wildcards: float
+    origin: str
+    description: str
+
+
+def card(template: Template, delta: float, rate_hz: float) -> Card:
+    """Draw a template quantised with δ; its columns are frames of the analysis rate."""
+    frames = int(template.values.shape[0])
+    seconds = frames / rate_hz
+    share = wildcard_share(template.values, delta)
+    return Card(
+        template=template,
+        soft=soft_image(template.values),
+        quantised=quantised_image(template.values, delta),
+        axis=time_axis(max(seconds, 1e-6), most=4, room=0.82),
+        frames=frames,
+        seconds=seconds,
+        wildcards=share,
+        origin=origin(template),
+        description=f"Motion template of {template.subclass}: {template.values.shape[1]} features "
+        f"over {counted(frames, 'frame')}; {share:.0%} of the entries vary between the examples",
+    )
+
+
+def origin(template: Template) -> str:
+    """Say from how many clips and in how many rounds a template was learned."""
+    text = f"{counted(len(template.clips), 'clip')}, {counted(template.rounds, 'round')} of averaging"
+    if len(template.costs) > 1:
+        text += f" (largest pair cost {template.costs[0]:.3f} → {template.costs[-1]:.3f})"
+    elif template.costs:
+        text += f" (largest pair cost {template.costs[0]:.3f})"
+    return text
+
+
+def rules(features: FeatureNames) -> tuple[float, ...]:
+    """Return where the sets of features meet, in percent of an image's height."""
+    return tuple(percent(first - 1, len(features.names)) for _, first, _ in features.sets if first > 1)
+
+
+def readable(name: str) -> str:
+    """Spell a feature's name as words: rhand_forwards becomes "rhand forwards"."""
+    return name.replace("_", " ")

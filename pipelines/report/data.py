@@ -1,0 +1,200 @@
+"""What a report shows, as plain data: gathered once from a store, rendered without another look at it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class FeatureNames:
+    """The feature set of a store: its identity, and the rows of every template image.
+
+    `sets` holds (name, number of the first feature, count) in the order of the feature numbers.
+    """
+
+    name: str
+    version: str
+    digest: str
+    names: tuple[str, ...]
+    sets: tuple[tuple[str, int, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class TakeRow:
+    """One annotated take; `frames` and `rate_hz` are those of the analysis."""
+
+    name: str
+    frames: int
+    rate_hz: float
+    actor: str | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        return self.frames / self.rate_hz
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch `[start, stop)` of analysis frames of a take that carries a class.
+
+    `cost` and `subclass` belong to automatic segments only.
+    """
+
+    take: str
+    label: str
+    start: int
+    stop: int
+    cost: float | None = None
+    subclass: str | None = None
+
+
+@dataclass(frozen=True)
+class Score:
+    """One row of an evaluation: precision, recall and F measure of frames (1) and of segments (2).
+
+    `scope` is 'pooled', 'class', 'take' or 'fold'; a measure without a value (0/0) is None.
+    """
+
+    evaluation: str
+    scope: str
+    name: str
+    p1: float | None = None
+    r1: float | None = None
+    f1: float | None = None
+    p2: float | None = None
+    r2: float | None = None
+    f2: float | None = None
+    frames_both: int = 0
+    frames_automatic: int = 0
+    frames_manual: int = 0
+    segments_automatic_hit: int = 0
+    segments_automatic: int = 0
+    segments_manual_hit: int = 0
+    segments_manual: int = 0
+
+
+@dataclass(frozen=True)
+class Template:
+    """The motion template of a subclass: `values` has one row per column of the template, one column per feature."""
+
+    subclass: str
+    label: str | None
+    kind: str
+    values: npt.NDArray[np.float64]
+    clips: tuple[str, ...]
+    rounds: int
+    costs: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The distance curve of one subclass over one take: one cost per frame, inf where no path ends."""
+
+    label: str
+    subclass: str
+    costs: npt.NDArray[np.float64]
+    preselected: float = 1.0
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A source that did not come in, and why."""
+
+    source: str
+    stage: str
+    error: str
+    message: str
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One stage as the store's manifest records it: what it was given, and what it said of its result."""
+
+    stage: str
+    run: str
+    finished: str
+    seconds: float
+    fingerprint: str
+    params: Mapping[str, object] = field(default_factory=dict)
+    summary: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class HitCount:
+    """What one keyframe query found."""
+
+    query: str
+    hits: int
+    takes: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything a report shows.
+
+    `takes` are the annotated takes sorted by name; `archive_takes` and `archive_seconds` count the whole store.
+    `evaluation` and `held_out` name the evaluations of `scores` that are the main one and leave one actor out.
+    `subclasses` maps a class to the subclasses that were searched for it; empty where that is not stored.
+    `curves` belong to the take `curves_take`.
+    """
+
+    title: str
+    pipeline: str
+    created: datetime
+    store_path: str
+    source_roots: tuple[str, ...]
+    kinedex_version: str
+    feature_set: FeatureNames
+    archive_takes: int
+    archive_seconds: float
+    takes: tuple[TakeRow, ...]
+    automatic: tuple[Segment, ...] = ()
+    manual: tuple[Segment, ...] = ()
+    delta: float | None = None
+    tau: float | None = None
+    method: str | None = None
+    searched_share: float | None = None
+    scores: tuple[Score, ...] = ()
+    evaluation: str | None = None
+    held_out: str | None = None
+    subclasses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    templates: tuple[Template, ...] = ()
+    other_templates: int = 0
+    curves: tuple[Curve, ...] = ()
+    curves_take: str | None = None
+    curves_choice: str = ""
+    hits: tuple[HitCount, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    warnings: tuple[tuple[str, str], ...] = ()
+    stages: tuple[StageRow, ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    commands: tuple[str, ...] = ()
+
+    def scores_of(self, evaluation: str | None, scope: str) -> tuple[Score, ...]:
+        """Return the rows of one evaluation and scope, in stored order."""
+        return tuple(s for s in self.scores if s.evaluation == evaluation and s.scope == scope)
+
+    def pooled(self, evaluation: str | None) -> Score | None:
+        """Return the pooled row of an evaluation, None where there is none."""
+        rows = self.scores_of(evaluation, "pooled")
+        return rows[0] if rows else None
+
+    def take_scores(self) -> dict[str, Score]:
+        """Return the main evaluation's row of each take."""
+        return {score.name: score for score in self.scores_of(self.evaluation, "take")}
+
+    def labels(self) -> tuple[str, ...]:
+        """Return every class that the report knows, sorted: the order of colours and rows all over the page."""
+        known = {segment.label for segment in (*self.automatic, *self.manual)}
+        known.update(score.name for score in self.scores_of(self.evaluation, "class"))
+        known.update(curve.label for curve in self.curves)
+        known.update(self.subclasses)
+        return tuple(sorted(known))

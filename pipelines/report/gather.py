@@ -1,0 +1,322 @@
+"""Gathers report data from a store: reads what the stages stored, recomputes nothing."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from catalog.features import FeatureSet
+from ops.errors import KinedexError, did_you_mean
+from pipelines.report.choice import median_take
+from pipelines.report.data import (
+    Curve,
+    Failure,
+    FeatureNames,
+    HitCount,
+    ReportData,
+    Score,
+    Segment,
+    StageRow,
+    TakeRow,
+    Template,
+)
+from pipelines.report.reproduce import command
+from storage.manifest import ResultPart, StageRecord
+from storage.parts import part_file
+from storage.schemas import result_schema
+from storage.store import Store
+
+PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
+
+ROLES = {
+    "templates": "templates",
+    "annotations": "annotations",
+    "distance_curves": "annotations",
+    "hits": "annotations",
+    "ground_truth": "evaluation",
+    "metrics": "evaluation",
+}
+"""Which of the report stage's inputs made the results of a kind."""
+
+USUAL = {
+    "templates": "learn_templates",
+    "annotations": "annotate",
+    "evaluation": "evaluate",
+    "leave_one_out": "leave_one_out",
+}
+"""The stages that usually play these roles."""
+
+BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts"}
+"""What the runner adds to what a stage says of its result."""
+
+
+def gather(
+    store: Store,
+    pipeline: str,
+    *,
+    created: datetime,
+    title: str | None = None,
+    inputs: Mapping[str, str] | None = None,
+    own_stage: str | None = None,
+    curves_take: str | None = None,
+) -> ReportData:
+    """Read everything a report shows.
+
+    Parameters
+    ----------
+    store: the store.
+    pipeline: whose results to report.
+    created: the moment that the page carries.
+    title: the page's title; None makes one from the archive's name.
+    inputs: role → the stage instance whose results to report (the roles of the report stage: templates,
+        annotations, evaluation, leave_one_out); None takes the stages of these usual names.
+    own_stage: the instance name of the stage that asks; what the store recorded of its last run is left out.
+    curves_take: whose distance curves to show; None takes the median by F1.
+
+    Raises
+    ------
+    KinedexError: `curves_take` was not annotated.
+    """
+    reader = Reader(store, pipeline, USUAL if inputs is None else inputs)
+    takes = store.takes()
+    own, held = _scores(reader, "evaluation"), _scores(reader, "leave_one_out")
+    main = own[0].evaluation if own else None
+    pairs = reader.frame("distance_curves", ["take", "class", "subclass", "preselected"])
+    annotations = reader.frame("annotations")
+    truth = reader.frame("ground_truth")
+    subclasses = {
+        str(label): tuple(sorted(group["subclass"].unique()))
+        for (label,), group in pairs.group_by("class", maintain_order=True)
+    }
+    annotated = set(pairs["take"]) | set(annotations["take"]) | set(truth["take"])
+    rows = _takes(takes.filter(pl.col("name").is_in(list(annotated))))
+    chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
+    records = tuple(record for record in reader.records() if record.stage != own_stage)
+    annotate = reader.record("annotations")
+    kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
+    drawn, others = _templates(reader, kind, {sub: label for label, subs in subclasses.items() for sub in subs})
+    roots = tuple(sorted(takes["source_root"].drop_nulls().unique()))
+    return ReportData(
+        title=title or _title(roots),
+        pipeline=pipeline,
+        created=created,
+        store_path=str(store.path.resolve()),
+        source_roots=roots,
+        kinedex_version=_version("kinedex"),
+        feature_set=feature_names(store.feature_set),
+        archive_takes=takes.height,
+        archive_seconds=float(takes["seconds"].sum()),
+        takes=rows,
+        automatic=_segments(annotations, automatic=True),
+        manual=_segments(truth, automatic=False),
+        delta=_number(annotate, "delta"),
+        tau=_number(annotate, "tau"),
+        method=_methods(annotations),
+        searched_share=_searched_share(pairs, rows),
+        scores=(*own, *held),
+        evaluation=main,
+        held_out=held[0].evaluation if held else None,
+        subclasses=subclasses,
+        templates=drawn,
+        other_templates=others,
+        curves=_curves(reader, chosen),
+        curves_take=chosen,
+        curves_choice=why,
+        hits=_hits(reader),
+        failures=_failures(store),
+        warnings=tuple(
+            (name, text) for name, texts in takes.select("name", "warnings").iter_rows() for text in texts or ()
+        ),
+        stages=records,
+        versions=(("Python", platform.python_version()), *((name, _version(name)) for name in PACKAGES)),
+        commands=(command(pipeline, store.path.resolve(), records),),
+    )
+
+
+class Reader:
+    """The results of the stages that play the roles of a report's inputs."""
+
+    def __init__(self, store: Store, pipeline: str, inputs: Mapping[str, str]) -> None:
+        self._store = store
+        self._pipeline = pipeline
+        self._inputs = inputs
+
+    def parts(self, kind: str, role: str) -> list[ResultPart]:
+        """The parts of a kind that the stage of a role made."""
+        stage = f"{self._pipeline}/{self._inputs.get(role)}"
+        return [part for part in self._store.manifest.results.get(kind, ()) if part.stage == stage]
+
+    def table(
+        self,
+        kind: str,
+        columns: Sequence[str] | None = None,
+        *,
+        role: str | None = None,
+        filters: list[tuple[str, str, Any]] | None = None,
+    ) -> pa.Table:
+        """The rows of a kind (of its usual role, or of another), with the right columns where there are none."""
+        schema = result_schema(kind)
+        wanted = pa.schema([schema.field(name) for name in columns or schema.names])
+        tables = [
+            pq.read_table(part_file(self._store.path, part.path), columns=wanted.names, filters=filters)
+            for part in self.parts(kind, role or ROLES[kind])
+        ]
+        return pa.concat_tables([wanted.empty_table(), *(table.cast(wanted) for table in tables)])
+
+    def frame(self, kind: str, columns: Sequence[str] | None = None) -> pl.DataFrame:
+        """The rows of a kind as a data frame."""
+        frame = pl.from_arrow(self.table(kind, columns))
+        assert isinstance(frame, pl.DataFrame)
+        return frame
+
+    def records(self) -> tuple[StageRow, ...]:
+        """The pipeline's stages in the order in which they finished."""
+        stages = self._store.manifest.stages
+        own = [record for key, record in stages.items() if key.startswith(f"{self._pipeline}/")]
+        return tuple(_stage_row(record) for record in sorted(own, key=lambda r: (r.finished, r.stage)))
+
+    def record(self, role: str) -> StageRow | None:
+        """The record of the stage of a role."""
+        return next((record for record in self.records() if record.stage == self._inputs.get(role)), None)
+
+
+def feature_names(features: FeatureSet) -> FeatureNames:
+    """Take from a feature set what a report names."""
+    return FeatureNames(
+        name=features.name,
+        version=str(features.version),
+        digest=features.digest,
+        names=tuple(feature.name for feature in features.features),
+        sets=tuple((word_set.name, word_set.first, word_set.count) for word_set in features.sets.values()),
+    )
+
+
+def _scores(reader: Reader, role: str) -> tuple[Score, ...]:
+    rows = reader.table("metrics", role=role).to_pylist()
+    return tuple(Score(**{key: value for key, value in row.items() if key != "run"}) for row in rows)
+
+
+def _takes(takes: pl.DataFrame) -> tuple[TakeRow, ...]:
+    columns = takes.select("name", "frames", "rate_hz", "actor", "warnings").sort("name")
+    return tuple(
+        TakeRow(name, frames, rate_hz, actor, tuple(warnings or ()))
+        for name, frames, rate_hz, actor, warnings in columns.iter_rows()
+    )
+
+
+def _segments(frame: pl.DataFrame, *, automatic: bool) -> tuple[Segment, ...]:
+    rows = frame.sort("take", "start", "stop", "class").iter_rows(named=True)
+    if automatic:
+        return tuple(
+            Segment(row["take"], row["class"], row["start"], row["stop"], row["cost"], row["subclass"]) for row in rows
+        )
+    return tuple(Segment(row["take"], row["class"], row["start"], row["stop"]) for row in rows)
+
+
+def _curves_take(
+    wanted: str | None, names: Sequence[str], scores: Sequence[Score], with_curves: set[str]
+) -> tuple[str | None, str]:
+    if wanted is not None:
+        if wanted not in names:
+            raise KinedexError(f"curves_take: no annotated take is named '{wanted}'{did_you_mean(wanted, names)}")
+        return wanted, "as asked for"
+    f1 = {s.name: s.f1 for s in scores if s.scope == "take" and s.f1 is not None}
+    median = median_take({name: value for name, value in f1.items() if name in with_curves})
+    if median is not None:
+        return median, "the one in the middle by F1"
+    first = min(with_curves, default=None)
+    return first, "the first by name" if first else ""
+
+
+def _curves(reader: Reader, take: str | None) -> tuple[Curve, ...]:
+    if take is None:
+        return ()
+    rows = reader.table("distance_curves", filters=[("take", "==", take)]).to_pylist()
+    curves = [
+        Curve(row["class"], row["subclass"], np.asarray(row["costs"], np.float64), float(row["preselected"]))
+        for row in rows
+    ]
+    return tuple(sorted(curves, key=lambda curve: (curve.label, curve.subclass)))
+
+
+def _templates(reader: Reader, kind: str, labels: Mapping[str, str]) -> tuple[tuple[Template, ...], int]:
+    """Read the templates of one kind, and count the others."""
+    rows = reader.table("templates").to_pylist()
+    templates = [
+        Template(
+            subclass=row["subclass"],
+            label=labels.get(row["subclass"]),
+            kind=row["kind"],
+            values=np.asarray(row["values"], np.float64).reshape(row["columns"], row["features"]),
+            clips=tuple(row["clips"]),
+            rounds=row["rounds"],
+            costs=tuple(row["costs"] or ()),
+        )
+        for row in rows
+        if row["kind"] == kind
+    ]
+    return tuple(sorted(templates, key=lambda template: template.subclass)), len(rows) - len(templates)
+
+
+def _searched_share(pairs: pl.DataFrame, rows: Sequence[TakeRow]) -> float | None:
+    frames = {row.name: row.frames for row in rows}
+    weights = [frames.get(take, 0) for take in pairs["take"]]
+    total = sum(weights)
+    if not total:
+        return None
+    return float(np.dot(weights, pairs["preselected"].fill_null(1.0).to_numpy()) / total)
+
+
+def _methods(annotations: pl.DataFrame) -> str | None:
+    return ", ".join(sorted(annotations["method"].drop_nulls().unique())) or None
+
+
+def _hits(reader: Reader) -> tuple[HitCount, ...]:
+    grouped = (
+        reader.frame("hits")
+        .group_by("query")
+        .agg(
+            pl.len().alias("hits"),
+            pl.col("take").n_unique().alias("takes"),
+            (pl.col("stop_seconds") - pl.col("start_seconds")).sum().alias("seconds"),
+        )
+    )
+    return tuple(HitCount(*row) for row in grouped.sort("query").iter_rows())
+
+
+def _failures(store: Store) -> tuple[Failure, ...]:
+    rows = store.result("ingest_log").to_pylist()
+    failures = {Failure(row["source"], row["stage"], row["error"], row["message"], row["line"]): None for row in rows}
+    return tuple(sorted(failures, key=lambda failure: (failure.source, failure.line or 0, failure.message)))
+
+
+def _stage_row(record: StageRecord) -> StageRow:
+    name = record.stage.split("/", 1)[-1]
+    params = record.summary.get("params") or {}
+    said = {key: value for key, value in record.summary.items() if key not in BOOKKEEPING}
+    return StageRow(name, record.run, record.finished, record.seconds, record.fingerprint, params, said)
+
+
+def _number(record: StageRow | None, key: str) -> float | None:
+    value = record.params.get(key) if record else None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _title(roots: Sequence[str]) -> str:
+    names = [root.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1] for root in roots]
+    return f"Annotation of {' and '.join(names)}" if names else "Annotation report"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,80 @@
+"""Template images: one pixel per entry, as an indexed PNG inside a data URI."""
+
+from __future__ import annotations
+
+import base64
+import struct
+import zlib
+
+import numpy as np
+import numpy.typing as npt
+
+Colour = tuple[int, int, int]
+
+BLACK: Colour = (0, 0, 0)
+WHITE: Colour = (255, 255, 255)
+WILDCARD: Colour = (151, 176, 204)
+# Purple to yellow: rises in lightness from black to white, and stays readable with any colour vision.
+VARYING: tuple[Colour, ...] = ((66, 10, 145), (126, 3, 168), (204, 71, 120), (248, 149, 64), (252, 206, 37))
+TOLERANCE = 1e-9
+
+
+def ramp(position: float) -> Colour:
+    """Return the colour of a value strictly between 0 and 1."""
+    scaled = position * (len(VARYING) - 1)
+    lower = min(int(scaled), len(VARYING) - 2)
+    share = scaled - lower
+    first, second = VARYING[lower], VARYING[lower + 1]
+    red, green, blue = (round(a + (b - a) * share) for a, b in zip(first, second, strict=True))
+    return red, green, blue
+
+
+def soft_image(values: npt.NDArray[np.float64]) -> str:
+    """Draw a template: black is 0, white is 1, the ramp of colours what lies between.
+
+    Parameters
+    ----------
+    values: (columns, features), in [0, 1].
+
+    Returns
+    -------
+    A data URI of a PNG with `features` rows and `columns` columns.
+    """
+    palette = [BLACK, *(ramp(i / 253) for i in range(254)), WHITE]
+    indices = np.clip(1 + np.round(values * 253), 1, 254).astype(np.uint8)
+    indices[values <= TOLERANCE] = 0
+    indices[values >= 1 - TOLERANCE] = 255
+    return png_uri(indices.T, palette)
+
+
+def quantised_image(values: npt.NDArray[np.float64], delta: float) -> str:
+    """Draw what annotation compares: values up to δ black, from 1 − δ white, the wildcards grey blue."""
+    indices = np.full(values.shape, 2, dtype=np.uint8)
+    indices[values <= delta + TOLERANCE] = 0
+    indices[values >= 1 - delta - TOLERANCE] = 1
+    return png_uri(indices.T, [BLACK, WHITE, WILDCARD])
+
+
+def wildcard_share(values: npt.NDArray[np.float64], delta: float) -> float:
+    """Return the share of entries that are wildcards once quantised with δ."""
+    if not values.size:
+        return 0.0
+    return float(np.mean((values > delta + TOLERANCE) & (values < 1 - delta - TOLERANCE)))
+
+
+def png_uri(indices: npt.NDArray[np.uint8], palette: list[Colour]) -> str:
+    """Encode a matrix of palette indices, first row on top, as a PNG data URI."""
+    height, width = indices.shape
+    rows = b"".join(b"\0" + np.ascontiguousarray(row).tobytes() for row in indices)
+    parts = [
+        b"\x89PNG\r\n\x1a\n",
+        _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
+        _chunk(b"PLTE", bytes(channel for colour in palette for channel in colour)),
+        _chunk(b"IDAT", zlib.compress(rows, 9)),
+        _chunk(b"IEND", b""),
+    ]
+    return "data:image/png;base64," + base64.b64encode(b"".join(parts)).decode("ascii")
+
+
+def _chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))

@@ -1,0 +1,199 @@
+"""From report data to one HTML page without any outside reference."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from pipelines.report.cards import Card, card, readable, rules
+from pipelines.report.choice import choose_takes
+from pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
+from pipelines.report.data import ReportData, Score, Segment
+from pipelines.report.palette import colour_rules, colour_slot
+from pipelines.report.timelines import Timeline, counted, timeline
+
+DELTA_SHOWN = 0.05  # δ of the quantised view where the store does not say which one annotation used
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Classes that one side of the evaluation does not know."""
+
+    without_template: tuple[str, ...]
+    without_manual: tuple[str, ...]
+
+
+def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: int = 40) -> str:
+    """Render a report.
+
+    Parameters
+    ----------
+    data: what to show.
+    takes: the takes whose timelines are shown; None chooses.
+    max_takes: how many timelines at most when it chooses.
+
+    Returns
+    -------
+    A complete HTML page; the same text for the same data.
+
+    Raises
+    ------
+    KinedexError: a take is asked for that was not annotated.
+    ParameterError: max_takes is not positive.
+    """
+    labels = data.labels()
+    slots = {label: colour_slot(i) for i, label in enumerate(labels)}
+    f1 = {name: score.f1 for name, score in data.take_scores().items() if score.f1 is not None}
+    choice = choose_takes([take.name for take in data.takes], f1, wanted=takes, max_takes=max_takes)
+    delta = DELTA_SHOWN if data.delta is None else data.delta
+    light, dark = colour_rules(len(labels))
+    figure = curves_of(data, slots)
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            data=data,
+            main=data.pooled(data.evaluation),
+            held=data.pooled(data.held_out),
+            labels=labels,
+            slots=slots,
+            by_class=data.scores_of(data.evaluation, "class"),
+            by_take=data.scores_of(data.evaluation, "take"),
+            by_fold=data.scores_of(data.held_out, "fold"),
+            weakest=weakest(data),
+            choice=choice,
+            timelines=timelines_of(data, choice.shown, slots),
+            delta=delta,
+            cards=cards_of(data, delta),
+            rules=rules(data.feature_set),
+            figure=figure,
+            y_ticks=y_ticks(figure) if figure else (),
+            height=HEIGHT,
+            gaps=gaps(data),
+            take_seconds={take.name: take.seconds for take in data.takes},
+            light=light,
+            dark=dark,
+        )
+    )
+
+
+def timelines_of(data: ReportData, names: Sequence[str], slots: Mapping[str, int]) -> list[Timeline]:
+    """Lay out the timelines of some takes."""
+    rows = {take.name: take for take in data.takes}
+    scores = data.take_scores()
+    automatic, manual = by_take(data.automatic), by_take(data.manual)
+    return [
+        timeline(rows[name], automatic.get(name, []), manual.get(name, []), slots, scores.get(name)) for name in names
+    ]
+
+
+def curves_of(data: ReportData, slots: Mapping[str, int]) -> CurveFigure | None:
+    """Lay out the distance curves, None where the data has none."""
+    rows = {take.name: take for take in data.takes}
+    if data.curves_take is None or not data.curves or data.curves_take not in rows:
+        return None
+    name = data.curves_take
+    automatic, manual = by_take(data.automatic).get(name, []), by_take(data.manual).get(name, [])
+    return curve_figure(rows[name], data.curves, automatic, manual, slots, data.tau)
+
+
+def cards_of(data: ReportData, delta: float) -> list[Card]:
+    """Draw the templates, ordered by class and subclass."""
+    rate_hz = data.takes[0].rate_hz if data.takes else 30.0
+    ordered = sorted(data.templates, key=lambda t: (t.label or t.subclass, t.subclass))
+    return [card(template, delta, rate_hz) for template in ordered]
+
+
+def by_take(segments: Sequence[Segment]) -> dict[str, list[Segment]]:
+    """Group segments by take, in the order of their starts."""
+    grouped: dict[str, list[Segment]] = {}
+    for segment in sorted(segments, key=lambda s: (s.take, s.start, s.stop, s.label)):
+        grouped.setdefault(segment.take, []).append(segment)
+    return grouped
+
+
+def weakest(data: ReportData, count: int = 3) -> list[Score]:
+    """Return the classes with the lowest F1, the lowest first; none where all are perfect or there are few."""
+    scored = [score for score in data.scores_of(data.evaluation, "class") if score.f1 is not None]
+    ranked = sorted(scored, key=lambda score: (score.f1, score.name))
+    return [score for score in ranked[:count] if score.f1 != 1] if len(ranked) > count else []
+
+
+def gaps(data: ReportData) -> Gaps:
+    """Find classes that occur in the ground truth without a template, and templates without ground truth."""
+    searched = {template.label or template.subclass for template in data.templates} | set(data.subclasses)
+    manual = {segment.label for segment in data.manual}
+    if not searched or not manual:
+        return Gaps((), ())
+    return Gaps(tuple(sorted(manual - searched)), tuple(sorted(searched - manual)))
+
+
+def pages_digest() -> str:
+    """Return a hash of the files that a page is made from."""
+    hasher = hashlib.sha256()
+    for file in sorted(resources.files("pipelines.report").joinpath("pages").iterdir(), key=lambda file: file.name):
+        hasher.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return hasher.hexdigest()[:16]
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("pipelines.report", "pages"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    filters: dict[str, Callable[..., str]] = {
+        "measure": measure,
+        "share": share,
+        "span": span,
+        "thousands": thousands,
+        "compact_json": compact_json,
+        "readable": readable,
+        "counted": counted,
+        "breakable": breakable,
+    }
+    environment.filters.update(filters)
+    return environment
+
+
+def breakable(name: str) -> Markup:
+    """Allow a long name to break where its words meet."""
+    return Markup("<wbr>").join(re.split(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[_./-])", name))
+
+
+def measure(value: float | None) -> str:
+    """Print a measure between 0 and 1 with two digits; a dash where it is undefined."""
+    return "–" if value is None else f"{value:.2f}"
+
+
+def share(value: float | None) -> str:
+    """Print a share as a percentage."""
+    return "–" if value is None else f"{value:.0%}" if value >= 0.1 or value == 0 else f"{value:.1%}"
+
+
+def span(seconds: float) -> str:
+    """Print a length of time the way it is read best."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    if seconds < 3600:
+        return f"{seconds / 60:.1f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def thousands(value: float) -> str:
+    """Print a count with separators."""
+    return f"{value:,.0f}"
+
+
+def compact_json(value: object) -> str:
+    """Print a stage's summary in one line, keys sorted."""
+    return json.dumps(value, ensure_ascii=False, sort_keys=True, default=str)

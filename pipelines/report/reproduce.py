@@ -1,0 +1,55 @@
+"""The command that makes the results of a pipeline again."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+from ops.errors import KinedexError
+from pipelines.config import load_pipeline
+from pipelines.report.data import StageRow
+
+
+def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
+    """Return the command that runs a shipped pipeline with the parameters that the store recorded.
+
+    Every parameter that differs from the pipeline file's own is set. For a pipeline that is not shipped under its
+    name the file is unknown: the command says so, and sets nothing.
+    """
+    words = ["kinedex", "run", pipeline, "--store", str(store_path)]
+    recorded = {record.stage: record.params for record in records}
+    source = recorded.get("ingest", {}).get("source")
+    settings = {} if source is None else {"source": _yaml(source)}
+    try:
+        planned = load_pipeline(pipeline, settings)
+    except KinedexError:
+        return f"{shlex.join(words)}    # with the file of pipeline “{pipeline}” in place of its name"
+    for name, text in settings.items():
+        words += ["--set", f"{name}={text}"]
+    for stage in planned.stages:
+        own = stage.params.model_dump(mode="json")
+        words += _differing(stage.name, own, recorded.get(stage.name, {}))
+    return shlex.join(words)
+
+
+def _differing(stage: str, own: Mapping[str, object], recorded: Mapping[str, object]) -> list[str]:
+    words = []
+    for key, value in recorded.items():
+        if own.get(key) != value:
+            words += ["--set", f"{stage}.{key}={_yaml(value)}"]
+    return words
+
+
+def _yaml(value: object) -> str:
+    """Write a value as YAML text in one line: a text as it is where YAML reads it so, anything else as JSON."""
+    if isinstance(value, str):
+        try:
+            if yaml.safe_load(value) == value:
+                return value
+        except yaml.YAMLError:
+            pass
+    return json.dumps(value, ensure_ascii=False)

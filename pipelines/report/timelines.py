@@ -1,0 +1,117 @@
+"""The geometry of timelines: one lane per class, automatic segments above manual ones (thesis, Fig. 5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pipelines.report.axes import Axis, percent, time_axis
+from pipelines.report.data import Score, Segment, TakeRow
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One segment: where it lies in percent, whether the other side agrees, and what a pointer is told.
+
+    `agrees` is None where the take has no ground truth.
+    """
+
+    left: float
+    width: float
+    agrees: bool | None
+    tip: str
+
+
+@dataclass(frozen=True)
+class Lane:
+    """The segments of one class in one take."""
+
+    label: str
+    slot: int
+    automatic: tuple[Bar, ...]
+    manual: tuple[Bar, ...]
+    description: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """One take as it is drawn."""
+
+    take: TakeRow
+    score: Score | None
+    lanes: tuple[Lane, ...]
+    axis: Axis
+    has_manual: bool
+
+
+def timeline(
+    take: TakeRow,
+    automatic: Sequence[Segment],
+    manual: Sequence[Segment],
+    slots: Mapping[str, int],
+    score: Score | None = None,
+) -> Timeline:
+    """Lay out one take.
+
+    Parameters
+    ----------
+    take: the take; every segment must lie in it.
+    automatic, manual: its segments.
+    slots: the colour of each class; its order is the order of the lanes.
+    score: its row of the evaluation.
+
+    Returns
+    -------
+    The lanes of the classes that occur in the take. Whether two segments agree is the segment measure's own
+    reading (thesis, 5.4): the same class, and at least one frame in common.
+    """
+    occurring = {segment.label for segment in (*automatic, *manual)}
+    lanes = []
+    for label in (label for label in slots if label in occurring):
+        ours = [segment for segment in automatic if segment.label == label]
+        theirs = [segment for segment in manual if segment.label == label]
+        lanes.append(
+            Lane(
+                label=label,
+                slot=slots[label],
+                automatic=tuple(bar(s, take, "automatic", theirs if manual else None) for s in ours),
+                manual=tuple(bar(s, take, "manual", ours) for s in theirs),
+                description=f"{label}: {counted(len(ours), 'automatic segment')}, "
+                f"{counted(len(theirs), 'manual segment')}",
+            )
+        )
+    return Timeline(take, score, tuple(lanes), time_axis(max(take.seconds, 1e-6)), bool(manual))
+
+
+def bar(segment: Segment, take: TakeRow, origin: str, others: Sequence[Segment] | None) -> Bar:
+    """Place one segment and say in words what it is."""
+    agrees = None if others is None else any(overlap(segment, other) for other in others)
+    return Bar(
+        left=percent(segment.start, take.frames),
+        width=percent(segment.stop - segment.start, take.frames),
+        agrees=agrees,
+        tip=tip(segment, take.rate_hz, origin, agrees),
+    )
+
+
+def overlap(one: Segment, other: Segment) -> bool:
+    """Tell whether two segments of one take have a frame in common."""
+    return one.start < other.stop and other.start < one.stop
+
+
+def tip(segment: Segment, rate_hz: float, origin: str, agrees: bool | None) -> str:
+    """Describe a segment in one line."""
+    seconds = f"{segment.start / rate_hz:.2f}–{segment.stop / rate_hz:.2f} s"
+    text = f"{segment.label}, {origin}: {seconds}, frames [{segment.start}, {segment.stop})"
+    if segment.cost is not None:
+        text += f", cost {segment.cost:.3f}"
+    if segment.subclass is not None and segment.subclass != segment.label:
+        text += f", as {segment.subclass}"
+    if agrees is False:
+        text += "; no manual segment here" if origin == "automatic" else "; not found"
+    return text
+
+
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """Say how many of something there are."""
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"

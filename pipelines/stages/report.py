@@ -1,0 +1,64 @@
+"""The report stage: one HTML page from what the pipeline's stages stored."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipelines.context import StageContext
+from pipelines.report.gather import gather
+from pipelines.report.render import pages_digest, render
+from pipelines.report.write import write_page
+
+
+class Params(BaseModel):
+    """What the page shows where it cannot show everything."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: str | None = Field(default=None, description="Title of the page; by default the archive's folder names it.")
+    takes: list[str] | None = Field(
+        default=None,
+        description="The takes whose timelines are shown, in this order; by default all, or a choice of the worst, "
+        "the middle and the best by F1.",
+    )
+    max_takes: int = Field(default=40, ge=1, description="How many timelines at most where `takes` is not given.")
+    curves_take: str | None = Field(
+        default=None, description="The take whose distance curves are shown; by default the median by F1."
+    )
+
+
+def external_digest(params: Params) -> str:
+    """A hash of the page's own files, so that the report is made again where one of them changed."""
+    return pages_digest()
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Write `report.html` into the pipeline's report folder.
+
+    Inputs: the stages whose templates, annotations, evaluation and leave_one_out are reported; a missing one is a
+    sentence on the page. Returns the page's path relative to the store, its size, and whose curves it shows.
+
+    Raises
+    ------
+    KinedexError: `takes` or `curves_take` names a take that was not annotated.
+    """
+    data = gather(
+        context.open(),
+        context.pipeline,
+        created=datetime.now().astimezone(),
+        title=params.title,
+        inputs=context.inputs,
+        own_stage=context.stage,
+        curves_take=params.curves_take,
+    )
+    path = context.report_dir / "report.html"
+    size = write_page(render(data, takes=params.takes, max_takes=params.max_takes), path)
+    context.say(f"report: {path.resolve()}")
+    return {
+        "report": path.relative_to(context.store_path).as_posix(),
+        "bytes": size,
+        "takes": len(data.takes),
+        "curves_take": data.curves_take,
+    }
