@@ -125,6 +125,25 @@ def extend(ranges: TakeRanges, left: int, right: int, frames: I64) -> TakeRanges
     return ranges_of_takes(merge(to_axis(index, starts), to_axis(index, stops)), len(ranges))
 
 
+def unite(several: Sequence[TakeRanges]) -> TakeRanges:
+    """Unite ranges of the same takes; those that overlap or touch become one.
+
+    Parameters
+    ----------
+    several: one or more sets of ranges, each of the same T takes.
+
+    Raises
+    ------
+    ParameterError: none, or ranges of different numbers of takes.
+    """
+    if not several or len({len(ranges) for ranges in several}) != 1:
+        raise ParameterError("ranges", "one or more, all of the same takes", [len(ranges) for ranges in several])
+    index = [np.repeat(np.arange(len(one), dtype=np.int64), np.diff(one.offsets)) for one in several]
+    starts = [to_axis(takes, one.starts) for takes, one in zip(index, several, strict=True)]
+    stops = [to_axis(takes, one.stops) for takes, one in zip(index, several, strict=True)]
+    return ranges_of_takes(merge(np.concatenate(starts), np.concatenate(stops)), len(several[0]))
+
+
 def fit_keyframes(
     template: npt.NDArray[np.float64],
     masks: npt.NDArray[np.bool_],

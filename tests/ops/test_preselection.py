@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ops.errors import ParameterError
 from ops.keyframes import UNBOUNDED, Segments
-from ops.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes
+from ops.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
 from tests.oracles.preselection import best_placement
 
 
@@ -63,6 +63,14 @@ def test_margins_stay_inside_the_take_and_join_what_they_meet() -> None:
 def test_margins_that_touch_join() -> None:
     assert listed(extend(ranges([(2, 4), (8, 9)]), 2, 2, np.array([30]))) == [[(0, 11)]]
     assert listed(extend(ranges([(2, 4), (9, 10)]), 2, 2, np.array([30]))) == [[(0, 6), (7, 12)]]
+
+
+def test_ranges_of_several_queries_are_united_take_by_take() -> None:
+    one, other = ranges([(1, 3)], [(5, 8)], []), ranges([(3, 4), (9, 10)], [(0, 4)], [(2, 3)])
+    assert listed(unite([one, other])) == [[(1, 4), (9, 10)], [(0, 4), (5, 8)], [(2, 3)]]
+    for wrong in ([], [one, ranges([])]):
+        with pytest.raises(ParameterError):
+            unite(wrong)
 
 
 def test_margins_out_of_their_domain_are_refused() -> None:
