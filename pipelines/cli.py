@@ -1,0 +1,307 @@
+"""The command line: `kinedex COMMAND`, one function a command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from ops.errors import KinedexError, did_you_mean
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from pipelines.runner import Outcome
+
+FAILED, LEFT_OUT = 1, 3
+"""Exit codes: something could not be done; everything was done, but the ingest left source files out."""
+
+app = typer.Typer(
+    name="kinedex",
+    help="A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were left out.",
+)
+
+StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="directory of the store")]
+StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="directory of the store; made where missing")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="a setting of the pipeline, or stage.parameter; may be repeated"),
+]
+Format = Annotated[str, typer.Option("--format", help="table, csv, json or parquet")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="write to this file instead of the terminal")]
+ExecutorOption = Annotated[str, typer.Option(help="serial or processes")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="worker processes; all cores unless given")]
+ForceOption = Annotated[
+    list[str] | None, typer.Option(metavar="STAGE", help="run this stage even where nothing changed; may be repeated")
+]
+Where = Annotated[str | None, typer.Option(help="only takes for which this SQL filter holds, e.g. \"actor = 'bk'\"")]
+
+
+@app.command()
+def demo(
+    store: StoreOption = Path("build/demo-store"),
+    data: Annotated[
+        Path | None, typer.Option(help="an archive of your own; a synthetic one is made without it")
+    ] = None,
+    minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in the synthetic archive")] = 30.0,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+) -> None:
+    """Run the main job, from motion files to a report, on a synthetic archive or on your own."""
+    from pipelines.demo import run_demo
+
+    console = Console(highlight=False, soft_wrap=True)
+    outcome = run_demo(store, data, minutes, executor, workers, console)
+    _finish(outcome, store, console)
+
+
+@app.command()
+def run(
+    pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
+    store: StoreOption,
+    assign: SetOption = None,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+    force: ForceOption = None,
+) -> None:
+    """Run a pipeline: every stage whose code, parameters or inputs changed since it last ran."""
+    from pipelines.runner import run_pipeline
+
+    outcome = run_pipeline(
+        pipeline,
+        store,
+        assignments=_assignments(assign),
+        executor=executor,
+        workers=workers,
+        force=frozenset(force or ()),
+    )
+    _finish(outcome, store, Console(highlight=False, soft_wrap=True))
+
+
+@app.command()
+def plan(
+    pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
+    store: StoreOption,
+    assign: SetOption = None,
+    force: ForceOption = None,
+) -> None:
+    """Show what `run` would do, and why, without doing it."""
+    from rich import box
+    from rich.table import Table
+
+    from pipelines.config import load_pipeline
+    from pipelines.plan import make_plan
+
+    loaded = load_pipeline(pipeline, _assignments(assign))
+    table = Table(
+        box=box.SIMPLE_HEAD, pad_edge=False, title=f"{loaded.name}: {loaded.description}", title_justify="left"
+    )
+    for column in ("stage", "inputs", "runs because", "last run"):
+        table.add_column(column)
+    steps = make_plan(loaded, store, frozenset(force or ()))
+    for step in steps:
+        last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
+        inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
+        table.add_row(step.stage.name, inputs, step.reason or "– (nothing to do)", last)
+    Console(highlight=False).print(table)
+
+
+@app.command()
+def ingest(
+    store: StorePath,
+    source: Annotated[Path, typer.Argument(help="folder that holds the motion files")],
+    assign: SetOption = None,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+) -> None:
+    """Bring motion files into a store and index them (the pipeline `ingest`)."""
+    from pipelines.runner import run_pipeline
+
+    assignments = {"source": _yaml_text(str(source)), **_assignments(assign)}
+    outcome = run_pipeline("ingest", store, assignments=assignments, executor=executor, workers=workers)
+    _finish(outcome, store, Console(highlight=False, soft_wrap=True))
+
+
+@app.command()
+def search(
+    store: StorePath,
+    queries: Annotated[str, typer.Argument(help="a query file: a shipped name, or a path to a .yaml or .json file")],
+    name: Annotated[list[str] | None, typer.Option("--query", "-q", help="only this query; may be repeated")] = None,
+    where: Where = None,
+    explain: Annotated[bool, typer.Option(help="show list sizes per keyframe and the share of frames kept")] = False,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Search keyframe queries over the index; prints the ranges that hold hits."""
+    from pipelines.search import explain_search, load_query_file, search_store
+    from storage.store import open_store
+
+    opened = open_store(store)
+    loaded = load_query_file(queries, opened.feature_set, name)
+    if explain:
+        _show(explain_search(opened, loaded, where), form, output)
+        return
+    _show(search_store(opened, loaded, where), form, output)
+
+
+@app.command()
+def sql(
+    store: StorePath,
+    query: Annotated[str | None, typer.Argument(help="one SQL statement; standard input where it is missing")] = None,
+    file: Annotated[Path | None, typer.Option("--file", "-f", help="read the statement from this file")] = None,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
+    from storage.store import open_store
+
+    if query is not None and file is not None:
+        raise KinedexError("give the SQL as an argument or with --file, not both")
+    if file is not None:
+        if not file.is_file():
+            raise KinedexError(f"--file {file}: no such file")
+        query = file.read_text(encoding="utf-8")
+    _show(open_store(store).sql(query if query is not None else sys.stdin.read()), form, output)
+
+
+@app.command()
+def takes(
+    store: StorePath,
+    where: Where = None,
+    columns: Annotated[str, typer.Option(help="columns to show, separated by commas; * for all")] = (
+        "name,actor,class,clip,frames,seconds,source_rate_hz,warnings"
+    ),
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """List the takes of a store."""
+    from storage.store import open_store
+
+    frame = open_store(store).takes(where)
+    wanted = frame.columns if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
+    for column in wanted:
+        if column not in frame.columns:
+            raise KinedexError(f"--columns: takes have no column '{column}'{did_you_mean(column, frame.columns)}")
+    _show(frame.select(wanted).to_arrow(), form, output)
+    if form == "table" and output is None:
+        Console(highlight=False).print(f"{len(frame)} takes, {frame['seconds'].sum() / 60:.1f} minutes")
+
+
+@app.command()
+def verify(store: StorePath) -> None:
+    """Check every file of a store against its manifest: sums, sizes, counts, order, and the index."""
+    from storage.store import open_store
+    from storage.verify import verify as check
+
+    opened = open_store(store)
+    findings = check(opened)
+    for finding in findings:
+        print(f"✗ {finding}")
+    parts = len(opened.manifest.parts)
+    if findings:
+        raise KinedexError(f"{len(findings)} findings in {parts} parts of {store}")
+    print(
+        f"{store}: version {opened.manifest.version}, {len(opened.manifest.live_takes)} takes, {parts} parts: all sound"
+    )
+
+
+@app.command()
+def synth(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder to make; must be empty or missing")],
+    minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in all")] = 30.0,
+    actors: Annotated[int, typer.Option(min=2, help="how many actors")] = 5,
+    seed: Annotated[int, typer.Option(help="the same seed makes the same bytes")] = 2026,
+    workers: WorkersOption = None,
+) -> None:
+    """Make a synthetic archive: ASF/AMC files of example clips and long takes, with ground truth."""
+    from pipelines.demo import make_archive
+
+    make_archive(directory, minutes, actors, seed, workers, Console(highlight=False, soft_wrap=True))
+
+
+@app.command()
+def version() -> None:
+    """Print the versions of kinedex and of what it computes with."""
+    from importlib.metadata import version as installed
+
+    for package in ("kinedex", "numpy", "numba", "pyarrow", "duckdb", "polars"):
+        print(f"{package:10} {installed(package)}")
+
+
+def _assignments(pairs: list[str] | None) -> dict[str, str]:
+    result = {}
+    for pair in pairs or ():
+        name, equals, value = pair.partition("=")
+        if not equals or not name:
+            raise KinedexError(f"--set {pair}: expected NAME=VALUE")
+        result[name] = value
+    return result
+
+
+def _yaml_text(text: str) -> str:
+    """A text as YAML that means just this text."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _show(table: pa.Table, form: str, output: Path | None) -> None:
+    from pipelines.tables import encode, rich_table
+
+    if output is not None and form == "table":
+        form = {".csv": "csv", ".json": "json", ".parquet": "parquet"}.get(output.suffix, "csv")
+    if form == "table":
+        Console(highlight=False).print(rich_table(table))
+        return
+    data = encode(table, form)
+    if output is not None:
+        output.write_bytes(data)
+    elif form == "parquet" and sys.stdout.isatty():
+        raise KinedexError("Parquet is not for the terminal: name a file with --output, or redirect")
+    else:
+        sys.stdout.buffer.write(data)
+
+
+def _finish(outcome: Outcome, store: Path, console: Console) -> None:
+    if not outcome.ran:
+        console.print(f"everything was done already: {len(outcome.skipped)} stages, nothing to do", style="bold")
+    if outcome.report is not None:
+        console.print(f"report: {outcome.report}", style="bold")
+    if outcome.left_out:
+        console.print(
+            f'{outcome.left_out} source files were left out: kinedex sql {store} "SELECT * FROM ingest_log"',
+            markup=False,
+        )
+        raise typer.Exit(LEFT_OUT)
+
+
+@contextmanager
+def _errors() -> Iterator[None]:
+    """Show the project's errors as one message, without a traceback."""
+    try:
+        yield
+    except KinedexError as fault:
+        print(f"kinedex: {fault}", file=sys.stderr)
+        raise SystemExit(FAILED) from None
+    except KeyboardInterrupt:
+        print("\nkinedex: stopped; the same command goes on where it was", file=sys.stderr)
+        raise SystemExit(130) from None
+    except BrokenPipeError:
+        raise SystemExit(0) from None
+
+
+def main() -> None:
+    """The console command `kinedex`."""
+    with _errors():
+        app()
+
+
+if __name__ == "__main__":
+    main()

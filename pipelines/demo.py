@@ -1,0 +1,68 @@
+"""The demo: the main job on a synthetic archive, made where it is missing, or on an archive of the user's own."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from ops.errors import KinedexError
+from pipelines.executors import cores
+from pipelines.runner import Outcome, run_pipeline
+from pipelines.synth import write_archive
+from pipelines.terminal import Progress, Terminal
+
+ACTORS, SEED = 5, 2026
+
+
+def run_demo(
+    store: Path, data: Path | None, minutes: float, executor: str, workers: int | None, console: Console
+) -> Outcome:
+    """Run the pipeline `annotate`; without data, on a synthetic archive beside the store.
+
+    Parameters
+    ----------
+    store: where the store goes. data: an archive of the user's own, or None. minutes: size of the synthetic archive.
+    executor, workers: as for `run_pipeline`. console: where to say what happens.
+    """
+    settings = {}
+    if data is None:
+        data = store.parent / f"{store.name}-archive-{minutes:g}min"
+        if _is_whole(data):
+            console.print(f"synthetic archive: {data} (made before)")
+        else:
+            make_archive(data, minutes, ACTORS, SEED, workers, console)
+        settings = {"classes": "synthetic"}
+    elif not data.is_dir():
+        raise KinedexError(f"--data {data}: no such folder")
+    settings["source"] = "'" + str(data).replace("'", "''") + "'"
+    console.print(f"store: {store}")
+    return run_pipeline(
+        "annotate", store, assignments=settings, executor=executor, workers=workers, terminal=Terminal(console)
+    )
+
+
+def make_archive(
+    directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
+) -> None:
+    """Make a synthetic archive and say what is in it.
+
+    Raises
+    ------
+    KinedexError: the folder holds something already.
+    """
+    if directory.exists() and any(directory.iterdir()):
+        raise KinedexError(f"{directory} is not empty; name a folder that is empty or does not exist")
+    begin = time.perf_counter()
+    console.print(f"making a synthetic archive of {minutes:g} minutes in {directory} …", style="bold")
+    with Progress(console, "writing takes", None) as progress:
+        summary = write_archive(
+            directory, minutes=minutes, actors=actors, seed=seed, jobs=workers or cores(), progress=progress.advance
+        )
+    console.print(f"    {summary} ({time.perf_counter() - begin:.0f} s)", markup=False)
+
+
+def _is_whole(directory: Path) -> bool:
+    """Whether the archive was finished: its ground truth is written last."""
+    return (directory / "takes" / "ground_truth.csv").is_file()

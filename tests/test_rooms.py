@@ -1,0 +1,34 @@
+"""The rooms of the house: imports go pipelines → storage → catalog → ops, and never back."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("ops", "catalog", "storage", "pipelines")
+FILES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+
+
+def imported_rooms(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return {name.split(".")[0] for name in names}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_go_one_way(path: Path) -> None:
+    room = ROOMS.index(path.relative_to(ROOT).parts[0])
+    above = {*ROOMS[room + 1 :], "kinedex", "tests", "benchmarks"}
+    assert not imported_rooms(path) & above
+
+
+@pytest.mark.parametrize("path", [f for f in FILES if "ops" in f.parts], ids=lambda path: path.stem)
+def test_the_numbers_know_no_files_no_sql_and_no_config(path: Path) -> None:
+    assert not imported_rooms(path) & {"duckdb", "polars", "pyarrow", "yaml", "pydantic", "logging", "rich", "typer"}
