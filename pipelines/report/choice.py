@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ops.errors import KinedexError, ParameterError, did_you_mean
 
 
+OPEN_ALL = 10  # up to so many timelines are all open; of more, OPEN of them lead and the others are folded
+OPEN = 6
+
+
 @dataclass(frozen=True)
 class Choice:
-    """The takes shown, in the order in which they are shown, and those left out, by name."""
+    """The takes shown, in the order in which they are shown, and those left out, by name.
+
+    The last `folded` of those shown are there, but folded away.
+    """
 
     shown: tuple[str, ...]
     left_out: tuple[str, ...]
     reason: str
+    folded: int = 0
 
 
 def choose_takes(
@@ -31,7 +39,8 @@ def choose_takes(
 
     Returns
     -------
-    The choice. Takes with an F1 come first, the worst leading; takes without ground truth follow by name.
+    The choice. Takes with an F1 come first, the worst leading; takes without ground truth follow by name. Of many, a
+    few from the start, the middle and the end of this order lead, and the others are folded.
 
     Raises
     ------
@@ -45,6 +54,15 @@ def choose_takes(
             if name not in names:
                 raise KinedexError(f"takes: no annotated take is named '{name}'{did_you_mean(name, names)}")
         return Choice(tuple(wanted), tuple(sorted(set(names) - set(wanted))), "as asked for")
+    choice = _ranked(names, f1, max_takes)
+    if len(choice.shown) <= OPEN_ALL:
+        return choice
+    first = worst_middle_best(choice.shown, OPEN)
+    rest = [name for name in choice.shown if name not in first]
+    return replace(choice, shown=(*first, *rest), folded=len(rest))
+
+
+def _ranked(names: Sequence[str], f1: Mapping[str, float], max_takes: int) -> Choice:
     ranked = sorted((name for name in names if name in f1), key=lambda name: (f1[name], name))
     unranked = sorted(name for name in names if name not in f1)
     if len(names) <= max_takes:

@@ -1,4 +1,4 @@
-"""Template images: one pixel per entry, as an indexed PNG inside a data URI."""
+"""Template images: a square of pixels per entry, as an indexed PNG inside a data URI."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ WILDCARD: Colour = (151, 176, 204)
 # Purple to yellow: rises in lightness from black to white, and stays readable with any colour vision.
 VARYING: tuple[Colour, ...] = ((66, 10, 145), (126, 3, 168), (204, 71, 120), (248, 149, 64), (252, 206, 37))
 TOLERANCE = 1e-9
+SCALE = 4  # pixels per entry each way: printers smooth images, and entries must stay apart
 
 
 def ramp(position: float) -> Colour:
@@ -38,7 +39,7 @@ def soft_image(values: npt.NDArray[np.float64]) -> str:
 
     Returns
     -------
-    A data URI of a PNG with `features` rows and `columns` columns.
+    A data URI of a PNG with SCALE rows per feature and SCALE columns per column.
     """
     palette = [BLACK, *(ramp(i / 253) for i in range(254)), WHITE]
     indices = np.clip(1 + np.round(values * 253), 1, 254).astype(np.uint8)
@@ -64,8 +65,9 @@ def wildcard_share(values: npt.NDArray[np.float64], delta: float) -> float:
 
 def png_uri(indices: npt.NDArray[np.uint8], palette: list[Colour]) -> str:
     """Encode a matrix of palette indices, first row on top, as a PNG data URI."""
-    height, width = indices.shape
-    rows = b"".join(b"\0" + np.ascontiguousarray(row).tobytes() for row in indices)
+    enlarged = indices.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
+    height, width = enlarged.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in enlarged)
     parts = [
         b"\x89PNG\r\n\x1a\n",
         _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),

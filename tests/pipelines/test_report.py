@@ -33,7 +33,7 @@ from pipelines.report.data import (
 )
 from pipelines.report.gather import gather
 from pipelines.report.palette import CLASS_COLOURS
-from pipelines.report.pixels import quantised_image, soft_image, wildcard_share
+from pipelines.report.pixels import SCALE, quantised_image, soft_image, wildcard_share
 from pipelines.report.render import render
 from pipelines.report.timelines import timeline
 from pipelines.report.write import write_page
@@ -318,6 +318,15 @@ def test_of_many_takes_the_worst_the_middle_and_the_best_are_shown() -> None:
         assert chosen == sorted(set(chosen), key=ranked.index)
 
 
+def test_a_few_of_many_timelines_lead_and_the_others_are_folded() -> None:
+    names = [f"t{i:02d}" for i in range(12)]
+    choice = choose_takes(names, {name: i / 12 for i, name in enumerate(names)})
+    assert choice.shown[:6] == ("t00", "t01", "t05", "t06", "t10", "t11")
+    assert sorted(choice.shown) == names
+    assert choice.folded == 6
+    assert choose_takes(names, {}, wanted=names).folded == 0
+
+
 def test_takes_with_a_score_go_before_those_without() -> None:
     choice = choose_takes(["a", "b", "c", "d"], {"d": 0.5}, max_takes=2)
     assert choice.shown == ("d", "a")
@@ -397,7 +406,8 @@ def decoded(image: object, uri: str) -> np.ndarray:
     import io
 
     data = base64.b64decode(uri.removeprefix("data:image/png;base64,"))
-    return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))  # type: ignore[attr-defined]
+    pixels = np.asarray(image.open(io.BytesIO(data)).convert("RGB"))  # type: ignore[attr-defined]
+    return pixels[::SCALE, ::SCALE]
 
 
 def test_class_colours_stand_out_from_their_backgrounds() -> None:
