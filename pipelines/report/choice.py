@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from ops.errors import KinedexError, ParameterError, did_you_mean
 
-
 OPEN_ALL = 10  # up to so many timelines are all open; of more, OPEN of them lead and the others are folded
 OPEN = 6
 

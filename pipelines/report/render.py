@@ -22,6 +22,10 @@ from pipelines.report.timelines import Timeline, counted, timeline
 DELTA_SHOWN = 0.05  # δ of the quantised view where the store does not say which one annotation used
 
 
+ROWS = 500  # the longest a table or list gets; the page says how many more there are
+CARDS = 16  # of more templates than this, the others are folded
+
+
 @dataclass(frozen=True)
 class Gaps:
     """Classes that one side of the evaluation does not know."""
@@ -65,7 +69,10 @@ def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: i
             labels=labels,
             slots=slots,
             by_class=data.scores_of(data.evaluation, "class"),
-            by_take=data.scores_of(data.evaluation, "take"),
+            by_take=lowest(data.scores_of(data.evaluation, "take"), ROWS),
+            takes_scored=len(data.scores_of(data.evaluation, "take")),
+            rows_shown=ROWS,
+            cards_open=CARDS,
             by_fold=data.scores_of(data.held_out, "fold"),
             weakest=weakest(data),
             choice=choice,
@@ -124,6 +131,15 @@ def weakest(data: ReportData, count: int = 3) -> list[Score]:
     scored = [score for score in data.scores_of(data.evaluation, "class") if score.f1 is not None]
     ranked = sorted(scored, key=lambda score: (score.f1, score.name))
     return [score for score in ranked[:count] if score.f1 != 1] if len(ranked) > count else []
+
+
+def lowest(scores: Sequence[Score], count: int) -> list[Score]:
+    """Return all scores if they are few, else those with the lowest F1, in their own order."""
+    if len(scores) <= count:
+        return list(scores)
+    ranked = sorted(scores, key=lambda score: (score.f1 is None, score.f1, score.name))[:count]
+    kept = set(ranked)
+    return [score for score in scores if score in kept]
 
 
 def gaps(data: ReportData) -> Gaps:

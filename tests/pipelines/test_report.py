@@ -247,6 +247,25 @@ def test_a_take_that_was_not_annotated_cannot_be_asked_for() -> None:
         render(study(), takes=["tow"])
 
 
+def test_long_lists_say_how_many_more_there_are() -> None:
+    data = study()
+    many = replace(
+        data,
+        failures=tuple(Failure(f"bad{i:04d}.amc", "ingest", "SourceError", "cut", 1) for i in range(520)),
+        warnings=tuple((f"take{i}", "odd") for i in range(510)),
+        scores=(data.scores[0], *(Score("annotate", "take", f"t{i:04d}", f1=i / 600) for i in range(600))),
+        templates=tuple(replace(data.templates[0], subclass=f"s{i:02d}") for i in range(20)),
+    )
+    page = render(many)
+    text = Reading(page).text
+    for expected in ("20 more: SELECT * FROM ingest_log", "10 more: SELECT name, warnings", "of 600; all of them",
+                     "4 further templates"):  # fmt: skip
+        assert expected in text
+    assert "t0499" in text
+    assert "t0500" not in text
+    assert Reading(page).open == []
+
+
 def test_forty_takes_of_fifteen_classes_stay_below_five_megabytes() -> None:
     generator = np.random.default_rng(5)
     labels = [f"class{i:02d}" for i in range(15)]
