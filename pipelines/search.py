@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
 from catalog.features import FeatureSet
-from catalog.queries import Keyframe, KeyframeQuery, pattern_of
+from catalog.queries import Keyframe, KeyframeQuery, choose_queries, pattern_of
+from catalog.queryfiles import read_queries
 from ops.errors import KinedexError
 from ops.keyframes import Segments, keyframe_list, search, survivors, to_axis
 from ops.preselection import KeyframeFit, TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
@@ -18,6 +20,15 @@ from ops.runs import word_runs
 from ops.words import I64, U64, TakeWords, cut
 from storage.schemas import result_schema
 from storage.store import Store
+
+_EXPLANATION = pa.schema(
+    [
+        *((name, pa.string()) for name in ("query", "step", "set", "pattern")),
+        *((name, pa.int64()) for name in ("words", "runs", "segments", "frames")),
+        ("share", pa.float64()),
+        ("surviving_frames", pa.int64()),
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +106,18 @@ class TemplateWindow:
     fit: KeyframeFit | None
 
 
+def load_query_file(
+    name_or_path: str | Path, feature_set: FeatureSet, names: Sequence[str] | None = None
+) -> tuple[KeyframeQuery, ...]:
+    """Read a query file, and of it only the queries named, in that order; all of them where none is.
+
+    Raises
+    ------
+    ConfigError: the file is wrong; with line and key. KinedexError: it has no query of a name asked for.
+    """
+    return choose_queries(read_queries(name_or_path, feature_set), names or ())
+
+
 def search_store(
     store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None, run: str = ""
 ) -> pa.Table:
@@ -129,6 +152,25 @@ def explain_store(store: Store, queries: Sequence[KeyframeQuery], take_filter: s
     takes = _Takes.of_store(store, take_filter)
     lists = lists_of_store(store, queries, takes.ids)
     return [explain(lists, query, store.feature_set, int(takes.frames.sum())) for query in queries]
+
+
+def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> pa.Table:
+    """Lay out what `explain_store` tells: one row per keyframe, and one for the hits of each query.
+
+    Returns
+    -------
+    Columns query, step ("keyframe 1", ..., "hits"), set, pattern, words, runs, segments, frames, share (of the frames
+    searched) and surviving_frames; what does not apply to the hits is null.
+    """
+    rows: list[dict[str, object]] = []
+    for report in explain_store(store, queries, take_filter):
+        searched = max(report.frames_searched, 1)
+        for number, keyframe in enumerate(report.keyframes, start=1):
+            step = {"query": report.query, "step": f"keyframe {number}", **asdict(keyframe)}
+            rows.append({**step, "share": keyframe.frames / searched})
+        hits = {"query": report.query, "step": "hits", "segments": report.ranges, "frames": report.frames_kept}
+        rows.append({**hits, "share": report.frames_kept / searched})
+    return pa.Table.from_pylist(rows, schema=_EXPLANATION)
 
 
 def explain(lists: RunLists, query: KeyframeQuery, feature_set: FeatureSet, frames: int) -> QueryReport:
@@ -167,7 +209,8 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
     Parameters
     ----------
     query: a query with positions; one without gets those at which its keyframes fit the template best.
-    template: float64 (N, f), the template's columns; column entry i − 1 belongs to F_i.
+    template: float64 (N, f), the template's columns; entry i − 1 of a column belongs to F_i. A quantised template has
+        0 and 1, and one half for wildcards.
     feature_set: the features of the query's sets.
 
     Raises

@@ -14,9 +14,11 @@ from catalog.queryfiles import parse_queries, read_queries
 from ops.errors import KinedexError, StoreError
 from ops.words import U64, TakeWords, pack
 from pipelines.search import (
+    explain_search,
     explain_store,
     lists_of_store,
     lists_of_words,
+    load_query_file,
     preselect,
     search_store,
     template_ranges,
@@ -116,6 +118,25 @@ def test_a_search_explains_what_its_keyframes_found(store: Store) -> None:
     assert squat.keyframes[0].surviving_frames == 5
     assert (squat.ranges, squat.takes, squat.frames_kept, squat.frames_searched) == (2, 2, 14, 21)
     assert (hand_up.keyframes[0].words, hand_up.keyframes[0].runs, hand_up.keyframes[0].segments) == (1, 3, 3)
+
+
+def test_an_explanation_has_a_row_for_each_keyframe_and_for_the_hits(store: Store) -> None:
+    table = explain_search(store, choose_queries(QUERIES, ["hand_up"])).to_pylist()
+    pattern = "**1***********"
+    first = {"query": "hand_up", "step": "keyframe 1", "set": "upper", "pattern": pattern, "words": 1, "runs": 3}
+    hits = {"query": "hand_up", "step": "hits", "set": None, "pattern": None, "words": None, "runs": None}
+    assert table == [
+        first | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving_frames": 4},
+        hits | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving_frames": None},
+    ]
+    assert explain_search(store, QUERIES, "frames > 100").num_rows == 7
+
+
+def test_a_query_file_is_loaded_whole_or_by_name() -> None:
+    assert [query.name for query in load_query_file("example", BODY, ["turn", "squat"])] == ["turn", "squat"]
+    assert load_query_file("example", BODY) == read_queries("example", BODY)
+    with pytest.raises(KinedexError, match="did you mean 'squat'"):
+        load_query_file("example", BODY, ["squad"])
 
 
 def test_words_in_memory_give_what_the_index_gives(store: Store) -> None:
