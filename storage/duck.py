@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import duckdb
 import pyarrow as pa
 
-from ops.errors import KinedexError, did_you_mean
+from ops.errors import KinedexError
 
 Connection = duckdb.DuckDBPyConnection
+Error = duckdb.Error
 Parameters = Sequence[Any] | dict[str, Any] | None
 
 _READING = {
@@ -27,6 +28,7 @@ _READING_WORDS = re.compile(
     r"\(*\s*(select|from|with|values|table|pivot|unpivot|explain|show|describe|desc|summarize|pragma|call)\b", re.I
 )
 _COMMENT = re.compile(r"\s*(--[^\n]*(\n|$)|/\*.*?\*/)", re.S)
+_MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
 _EXPLAIN = re.compile(r"\s*explain\b\s*(analyze\b)?\s*(\([^)]*\))?", re.I)
 
 
@@ -94,7 +96,35 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
     return "\nUNION ALL ".join(branches)
 
 
-def query(connection: Connection, text: str, parameters: Parameters = None, known: Iterable[str] = ()) -> pa.Table:
+def filtered(table: pa.Table, called: str, where: str) -> pa.Table:
+    """The rows of a table for which a SQL condition holds; a wrong condition is an `Error` of DuckDB's.
+
+    Parameters
+    ----------
+    table: what to filter. called: the table's name in the condition.
+    where: one condition; it sees the table and nothing outside this process.
+    """
+    connection = connect(threads=1)
+    try:
+        connection.register(called, table)
+        connection.execute("SET enable_external_access = false")
+        text = f"SELECT * FROM {called} WHERE (\n{where}\n)"
+        if len(connection.extract_statements(text)) != 1:
+            raise duckdb.ParserException("more than one statement")
+        return connection.sql(text).to_arrow_table()
+    finally:
+        connection.close()
+
+
+class UnknownName(KinedexError):
+    """A query asks for a table or a function that is not there."""
+
+    def __init__(self, name: str, message: str) -> None:
+        super().__init__(message)
+        self.name = name
+
+
+def query(connection: Connection, text: str, parameters: Parameters = None) -> pa.Table:
     """Run one reading query and return its whole result.
 
     Parameters
@@ -102,18 +132,19 @@ def query(connection: Connection, text: str, parameters: Parameters = None, know
     connection: where to run it.
     text: one statement that only reads (SELECT, FROM, WITH, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE, PRAGMA).
     parameters: values for its `?`, or for its `$name`.
-    known: names of the views, for the message when the query asks for one that is not there.
 
     Raises
     ------
-    KinedexError: the query would change something, holds several statements, or DuckDB refuses it.
+    KinedexError: the query would change something, holds several statements, or DuckDB refuses it; an UnknownName
+        where it asks for a table or a function that is not there.
     """
     _refuse_writing(connection, text)
     try:
         relation = connection.sql(text, params=parameters)
         return pa.table({}) if relation is None else relation.to_arrow_table()
     except duckdb.Error as fault:
-        raise KinedexError(explain(fault, known)) from None
+        missing = _MISSING.search(str(fault))
+        raise (UnknownName(missing[1], explain(fault)) if missing else KinedexError(explain(fault))) from None
 
 
 def _refuse_writing(connection: Connection, text: str) -> None:
@@ -137,17 +168,9 @@ def _refuse_writing(connection: Connection, text: str) -> None:
         _refuse_writing(connection, _EXPLAIN.sub("", bare, count=1))
 
 
-def explain(fault: duckdb.Error, known: Iterable[str] = ()) -> str:
-    """DuckDB's message; where a table is unknown, with the names of the views instead of DuckDB's own guess."""
-    message = str(fault).strip()
-    missing = re.search(r"(?:Table(?: Function)?|Macro) with name \"?([\w.]+)\"? does not exist", message)
-    names = sorted(set(known))
-    if missing and names:
-        return (
-            f"no view or table function is named '{missing[1]}'{did_you_mean(missing[1], names)}"
-            f" (there are: {', '.join(names)})"
-        )
-    return re.sub(r"^(Invalid Input|\w+) Error: ", "", message, count=1) if missing is None else message
+def explain(fault: duckdb.Error) -> str:
+    """DuckDB's message without the class of error in front."""
+    return re.sub(r"^(Invalid Input|\w+) Error: ", "", str(fault).strip(), count=1)
 
 
 def first_line(fault: duckdb.Error) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
+from types import TracebackType
 
-import duckdb
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,11 +14,11 @@ import pyarrow.parquet as pq
 from catalog.features import FeatureSet
 from ops.errors import KinedexError, ParameterError, StoreError, did_you_mean
 from ops.words import TakeWords
-from storage import duck
+from storage import duck, index, sql
 from storage.frames import read_frames, read_words
 from storage.manifest import Manifest, read_newest
 from storage.parts import part_file
-from storage.schemas import frames_schema, result_schema, takes_schema
+from storage.schemas import result_schema, takes_schema
 
 
 def open_store(path: str | Path) -> Store:
@@ -70,25 +70,15 @@ class Store:
         """
         if where is None:
             return self._takes
-        takes = self._takes.to_arrow()
-        connection = duck.connect(threads=1)
         try:
-            connection.register("takes", takes)
-            text = f"SELECT * FROM takes WHERE (\n{where}\n) ORDER BY name"
-            statements = connection.extract_statements(text)
-            if len(statements) != 1:
-                raise KinedexError(f"the filter over takes holds more than one expression: {where}")
-            connection.execute("SET enable_external_access = false")
-            frame = pl.from_arrow(connection.sql(text).to_arrow_table())
-            assert isinstance(frame, pl.DataFrame)
-            return frame.cast(dict(self._takes.schema))  # type: ignore[arg-type]
-        except duckdb.Error as fault:
+            found = pl.from_arrow(duck.filtered(self._takes.to_arrow(), "takes", where))
+        except duck.Error as fault:
             raise KinedexError(
                 f"the filter over takes does not work: {where}\n  {duck.first_line(fault)}\n"
                 f"  columns of takes: {', '.join(self._takes.columns)}"
             ) from None
-        finally:
-            connection.close()
+        assert isinstance(found, pl.DataFrame)
+        return found.cast(dict(self._takes.schema)).sort("name")  # type: ignore[arg-type]
 
     @cached_property
     def _takes(self) -> pl.DataFrame:
@@ -154,6 +144,66 @@ class Store:
         ]
         return pa.concat_tables(tables) if tables else schema.empty_table()
 
+    def index_path(self) -> Path:
+        """The DuckDB file of the index of exactly these takes.
+
+        Raises
+        ------
+        StoreError: the index is missing or stale; the message says how to build it.
+        """
+        generation = index.current(self.path, self.manifest)
+        if generation is None:
+            raise index.missing(self.path)
+        return generation / "index.duckdb"
+
+    def connect(self, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
+        """Open a DuckDB connection with all views and macros (`catalog.views`); it cannot change the store.
+
+        Parameters
+        ----------
+        threads, memory_mb: what DuckDB may use; None leaves it to DuckDB.
+        """
+        return sql.connect(self, threads, memory_mb)
+
+    def sql(self, query: str, params: duck.Parameters = None) -> pa.Table:
+        """Run one SQL query over the views and macros (`catalog.views`) and return its rows.
+
+        Parameters
+        ----------
+        query: a statement that only reads.
+        params: values for its `?` (a sequence) or its `$name` (a dict).
+
+        Raises
+        ------
+        KinedexError: the query is not valid, or would change something.
+        """
+        try:
+            return duck.query(self._connection, query, params)
+        except duck.UnknownName as fault:
+            raise sql.explain_unknown(self, fault) from None
+
+    @cached_property
+    def _connection(self) -> duck.Connection:
+        return self.connect()
+
+    def close(self) -> None:
+        """Close the connection that `sql` has opened; the store can still be used."""
+        opened = self.__dict__.pop("_connection", None)
+        if opened is not None:
+            opened.close()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest]]:
+        # a worker gets the same version, and opens what it needs itself
+        return Store, (self.path, self.manifest)
+
 
 def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
     try:
@@ -161,6 +211,3 @@ def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
     except (OSError, pa.ArrowException) as fault:
         reason = str(fault).splitlines()[0]
         raise StoreError(f"{file}: the part cannot be read: {reason}; see `kinedex verify`") from None
-
-
-__all__ = ["Store", "frames_schema", "open_store"]

@@ -18,6 +18,7 @@ import pytest
 from ops.errors import KinedexError, ParameterError, StoreError
 from storage.manifest import StageRecord, manifest_path, publish, versions
 from storage.store import open_store
+from storage.verify import verify
 from storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
 
@@ -251,6 +252,7 @@ INGEST = """
 import sys
 from pathlib import Path
 from storage.store import open_store
+from storage.verify import verify
 from storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add
 names = {f"take_{i:03d}": 20 + i for i in range(40)}
@@ -297,6 +299,7 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_its_takes(tmp_p
     named = {part.path for v in versions(store) for part in json_parts(store, v)}
     there = {f"{folder}/{name}" for folder in ("frames", "takes") for name in os.listdir(store / folder)}
     assert there == named
+    assert verify(final) == []
 
 
 def json_parts(store: Path, version: int):

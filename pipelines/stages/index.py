@@ -1,0 +1,32 @@
+"""Stage index: word runs, feature runs and vocabulary of all takes, as a published DuckDB file."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipelines.context import StageContext
+from storage import index
+
+
+class Params(BaseModel):
+    """What the stage `index` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    threads: int | None = Field(None, ge=1, description="threads that DuckDB may use; all cores when left out")
+    memory_mb: int | None = Field(
+        None, ge=64, description="memory that DuckDB may use, in MB; 80 % of the machine's when left out"
+    )
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Build the index of the store's takes, unless it stands already."""
+    store = context.open()
+    generation = index.build(store, params.threads, params.memory_mb)
+    says = index.read_generation(generation)
+    assert says is not None
+    context.say(
+        f"{says.rows['word_runs']:,} word runs of {says.rows['vocabulary']:,} words, "
+        f"{says.rows['feature_runs']:,} feature runs in {generation.name}"
+    )
+    return {"generation": generation.name, "bytes": says.bytes, **says.rows}

@@ -1,0 +1,226 @@
+"""Checking a store: every file against the manifest, the parts against each other, the index against the parts."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from catalog.views import VIEWS
+from ops.errors import KinedexError
+from storage import duck, index
+from storage.manifest import FOLDER, Part, ResultPart, read_version, versions
+from storage.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
+from storage.store import Store
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something about a store that is not as it should be.
+
+    file: the file it is about, relative to the store. remedy: the way out.
+    fault: whether the store is damaged; otherwise something is merely out of date or in the way.
+    """
+
+    file: str
+    problem: str
+    remedy: str
+    fault: bool = True
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.problem}; {self.remedy}"
+
+
+_COPY = "bring the file back from a copy of the store, or ingest the sources into a new store"
+_RESULT = "run the stage that made it again"
+
+
+def verify(store: Store) -> list[Finding]:
+    """Check everything that the newest version of a store says of itself.
+
+    Every part's size, checksum, row count, schema, takes, order of rows; that the frames of every take are 0, 1, …, as
+    many as the take says; that no take is live twice; older manifests; leftover files; the index's checksum and counts.
+
+    Returns
+    -------
+    The findings, empty for a sound store.
+    """
+    return [
+        *_manifests(store),
+        *_parts(store),
+        *_live_twice("frames", store.manifest.frames),
+        *_live_twice("takes", store.manifest.takes),
+        *_leftovers(store),
+        *_index(store),
+    ]
+
+
+def _manifests(store: Store) -> Iterator[Finding]:
+    for version in versions(store.path):
+        if version != store.manifest.version:
+            try:
+                read_version(store.path, version)
+            except KinedexError as fault:
+                problem = str(fault).removeprefix(f"{store.path}/").split(": ", 1)[-1].split(";")[0]
+                yield Finding(f"{FOLDER}/{version:06d}.json", problem, "move this old version away", fault=False)
+
+
+def _parts(store: Store) -> Iterator[Finding]:
+    frames = frames_schema(store.feature_set, store.rate_hz)
+    counted: dict[int, int] = {}
+    sound = True
+    for part in store.manifest.frames:
+        found = list(_file(store, part, frames, _COPY)) or list(_frames_rows(store, part, counted))
+        sound &= not found
+        yield from found
+    for part in store.manifest.takes:
+        found = list(_file(store, part, takes_schema(), _COPY)) or list(_takes_rows(store, part))
+        sound &= not found
+        yield from found
+    for kind, parts in store.manifest.results.items():
+        for result in parts:
+            if kind not in RESULT_KINDS:
+                yield Finding(result.path, f"no kind of result is named '{kind}'", _RESULT)
+            else:
+                yield from _file(store, result, result_schema(kind), _RESULT) or _result_rows(store, result)
+    if sound:
+        yield from _takes_against_frames(store, counted)
+
+
+def _file(store: Store, part: Part | ResultPart, schema: pa.Schema, remedy: str) -> list[Finding]:
+    """What is wrong with a part as a file; its rows are looked at only where nothing is."""
+    file = store.path / part.path
+    try:
+        size = file.stat().st_size
+        if size != part.bytes:
+            return [Finding(part.path, f"has {size} bytes, the manifest says {part.bytes}", remedy)]
+        with open(file, "rb") as content:
+            if hashlib.file_digest(content, "sha256").hexdigest() != part.sha256:
+                return [Finding(part.path, "its content does not fit its checksum", remedy)]
+        metadata = pq.read_metadata(file)
+    except FileNotFoundError:
+        return [Finding(part.path, "is missing", remedy)]
+    except (OSError, pa.ArrowException) as fault:
+        return [Finding(part.path, f"cannot be read: {str(fault).splitlines()[0]}", remedy)]
+    if metadata.num_rows != part.rows:
+        return [Finding(part.path, f"has {metadata.num_rows} rows, the manifest says {part.rows}", remedy)]
+    problem = schema_problem(metadata.schema.to_arrow_schema(), schema)
+    return [Finding(part.path, problem, remedy)] if problem else []
+
+
+def _frames_rows(store: Store, part: Part, counted: dict[int, int]) -> Iterator[Finding]:
+    table = pq.read_table(store.path / part.path, columns=["take_id", "frame"])
+    takes, frames = table.column("take_id").to_numpy(), table.column("frame").to_numpy()
+    if np.any(np.diff(takes) < 0):
+        yield Finding(part.path, "its rows are not sorted by take_id", _COPY)
+        return
+    ids, starts, lengths = np.unique(takes, return_index=True, return_counts=True)
+    expected = np.arange(len(takes)) - np.repeat(starts, lengths)
+    wrong = np.flatnonzero(frames != expected)
+    if len(wrong):
+        take, frame = int(takes[wrong[0]]), int(expected[wrong[0]])
+        yield Finding(part.path, f"take {take} lacks frame {frame}, or has it in the wrong place", _COPY)
+    unknown = set(ids.tolist()) - set(part.take_ids)
+    if unknown:
+        yield Finding(part.path, f"holds take {min(unknown)}, which the manifest does not list for it", _COPY)
+    has = dict(zip(ids.tolist(), lengths.tolist(), strict=True))
+    counted.update({take: has.get(take, 0) for take in part.live})
+
+
+def _takes_rows(store: Store, part: Part) -> Iterator[Finding]:
+    held = pq.read_table(store.path / part.path, columns=["take_id"]).column("take_id").to_pylist()
+    if sorted(held) != sorted(part.take_ids):
+        yield Finding(part.path, "its takes are not those that the manifest lists for it", _COPY)
+
+
+def _result_rows(store: Store, part: ResultPart) -> list[Finding]:
+    runs = pc.unique(pq.read_table(store.path / part.path, columns=["run"]).column("run")).to_pylist()
+    return [Finding(part.path, f"holds rows of the runs {runs}, not {part.run}", _RESULT)] if runs != [part.run] else []
+
+
+def _takes_against_frames(store: Store, counted: dict[int, int]) -> Iterator[Finding]:
+    manifest = f"{FOLDER}/{store.manifest.version:06d}.json"
+    takes = store.takes()
+    rows = dict(zip(takes["take_id"].to_list(), takes["frames"].to_list(), strict=True))
+    for take in sorted(counted.keys() ^ rows.keys()):
+        lacks = "row in takes" if take in counted else "frames"
+        yield Finding(manifest, f"take {take} has no {lacks}", _COPY)
+    for take in sorted(counted.keys() & rows.keys()):
+        if counted[take] != rows[take]:
+            yield Finding(manifest, f"take {take} has {counted[take]} frames, takes says {rows[take]}", _COPY)
+    for name, count in takes["name"].value_counts().filter(pl.col("count") > 1).iter_rows():
+        yield Finding(manifest, f"{count} takes are named {name}", _COPY)
+    if rows and max(rows) >= store.manifest.next_take_id:
+        yield Finding(manifest, f"next_take_id {store.manifest.next_take_id} is taken already", _COPY)
+
+
+def _live_twice(what: str, parts: Sequence[Part]) -> Iterator[Finding]:
+    homes = Counter(take for part in parts for take in part.live)
+    for take, count in sorted(homes.items()):
+        if count > 1:
+            paths = [part.path for part in parts if take in part.live]
+            yield Finding(paths[1], f"take {take} is live here and in {paths[0]} ({what})", _COPY)
+
+
+def _leftovers(store: Store) -> Iterator[Finding]:
+    try:
+        named = {part.path for version in versions(store.path) for part in read_version(store.path, version).parts}
+    except KinedexError:
+        return  # reported above; what a damaged manifest names is not known
+    for folder in ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+        for name in sorted(os.listdir(store.path / folder)) if (store.path / folder).is_dir() else ():
+            if f"{folder}/{name}" not in named:
+                remedy = "the next writer removes what a killed run has left" if _ours(name) else "remove it"
+                yield Finding(f"{folder}/{name}", "no manifest names this file", remedy, fault=False)
+
+
+def _ours(name: str) -> bool:
+    return name.startswith((".tmp-", "part-"))
+
+
+def _index(store: Store) -> Iterable[Finding]:
+    generations = sorted((store.path / "index").glob("gen-*"))
+    if not generations:
+        return
+    generation = index.current(store.path, store.manifest)
+    if generation is None:
+        newest = f"index/{generations[-1].name}"
+        says = index.read_generation(generations[-1])
+        if says is not None and says.content == store.manifest.content_digest():
+            yield Finding(newest, "the index is damaged or of another version", index.BUILD)
+        else:
+            yield Finding(newest, "the index is stale: the takes have changed since", index.BUILD, fault=False)
+        return
+    says = index.read_generation(generation)
+    assert says is not None
+    file = f"index/{generation.name}/index.duckdb"
+    remove = f"remove the folder index/{generation.name}, then {index.BUILD}"
+    with open(store.path / file, "rb") as content:
+        if hashlib.file_digest(content, "sha256").hexdigest() != says.sha256:
+            yield Finding(file, "its content does not fit its checksum", remove)
+            return
+    yield from _index_counts(store, file, says.rows, remove)
+
+
+def _index_counts(store: Store, file: str, rows: dict[str, int], remedy: str) -> Iterator[Finding]:
+    with duck.connect() as connection:
+        connection.execute(f"ATTACH {duck.quote(str(store.path / file))} AS idx (READ_ONLY)")
+        for view in VIEWS:
+            if view.origin == "index":
+                count = duck.query(connection, f"SELECT count(*) FROM idx.{view.name}").column(0)[0].as_py()
+                if count != rows.get(view.name):
+                    yield Finding(file, f"{view.name} has {count} rows, not {rows.get(view.name)}", remedy)
+        total = duck.query(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM idx.takes").column(0)[0].as_py()
+        for name in store.feature_set.sets:
+            query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM idx.vocabulary WHERE feature_set = ?"
+            frames = duck.query(connection, query, [name]).column(0)[0].as_py()
+            if frames != total:
+                yield Finding(file, f"the words of {name} fill {frames} frames, the takes have {total}", remedy)
