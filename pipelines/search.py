@@ -26,7 +26,7 @@ _EXPLANATION = pa.schema(
         *((name, pa.string()) for name in ("query", "step", "set", "pattern")),
         *((name, pa.int64()) for name in ("words", "runs", "segments", "frames")),
         ("share", pa.float64()),
-        ("surviving_frames", pa.int64()),
+        ("surviving", pa.int64()),
     ]
 )
 
@@ -72,7 +72,7 @@ class RunLists:
 class KeyframeReport:
     """What one keyframe of a query found: words and runs that match, the segments they merge into, and frames.
 
-    surviving_frames: those of the frames from which the rest of the query can be completed.
+    surviving: those of the frames from which the rest of the query can be completed.
     """
 
     set: str
@@ -81,7 +81,7 @@ class KeyframeReport:
     runs: int
     segments: int
     frames: int
-    surviving_frames: int
+    surviving: int
 
 
 @dataclass(frozen=True)
@@ -159,14 +159,14 @@ def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: 
 
     Returns
     -------
-    Columns query, step ("keyframe 1", ..., "hits"), set, pattern, words, runs, segments, frames, share (of the frames
-    searched) and surviving_frames; what does not apply to the hits is null.
+    Columns query, step ("1", "2", ..., "hits"), set, pattern, words, runs, segments, frames, share (of the frames
+    searched) and surviving; what does not apply to the hits is null.
     """
     rows: list[dict[str, object]] = []
     for report in explain_store(store, queries, take_filter):
         searched = max(report.frames_searched, 1)
         for number, keyframe in enumerate(report.keyframes, start=1):
-            step = {"query": report.query, "step": f"keyframe {number}", **asdict(keyframe)}
+            step = {"query": report.query, "step": str(number), **asdict(keyframe)}
             rows.append({**step, "share": keyframe.frames / searched})
         hits = {"query": report.query, "step": "hits", "segments": report.ranges, "frames": report.frames_kept}
         rows.append({**hits, "share": report.frames_kept / searched})
@@ -190,7 +190,7 @@ def explain(lists: RunLists, query: KeyframeQuery, feature_set: FeatureSet, fram
                 runs=len(matching),
                 segments=len(merged),
                 frames=merged.frames,
-                surviving_frames=surviving.frames,
+                surviving=surviving.frames,
             )
         )
     takes = int(np.count_nonzero(np.diff(found.offsets)))

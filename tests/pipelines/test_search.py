@@ -114,8 +114,8 @@ def test_a_search_explains_what_its_keyframes_found(store: Store) -> None:
     assert [keyframe.set for keyframe in squat.keyframes] == ["lower", "lower", "mix", "lower"]
     assert squat.keyframes[1].pattern == "*****1******"
     assert [keyframe.frames for keyframe in squat.keyframes] == [11, 10, 7, 11]
-    assert squat.keyframes[2].surviving_frames == 6
-    assert squat.keyframes[0].surviving_frames == 5
+    assert squat.keyframes[2].surviving == 6
+    assert squat.keyframes[0].surviving == 5
     assert (squat.ranges, squat.takes, squat.frames_kept, squat.frames_searched) == (2, 2, 14, 21)
     assert (hand_up.keyframes[0].words, hand_up.keyframes[0].runs, hand_up.keyframes[0].segments) == (1, 3, 3)
 
@@ -123,11 +123,11 @@ def test_a_search_explains_what_its_keyframes_found(store: Store) -> None:
 def test_an_explanation_has_a_row_for_each_keyframe_and_for_the_hits(store: Store) -> None:
     table = explain_search(store, choose_queries(QUERIES, ["hand_up"])).to_pylist()
     pattern = "**1***********"
-    first = {"query": "hand_up", "step": "keyframe 1", "set": "upper", "pattern": pattern, "words": 1, "runs": 3}
+    first = {"query": "hand_up", "step": "1", "set": "upper", "pattern": pattern, "words": 1, "runs": 3}
     hits = {"query": "hand_up", "step": "hits", "set": None, "pattern": None, "words": None, "runs": None}
     assert table == [
-        first | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving_frames": 4},
-        hits | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving_frames": None},
+        first | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving": 4},
+        hits | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving": None},
     ]
     assert explain_search(store, QUERIES, "frames > 100").num_rows == 7
 
