@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -113,13 +113,20 @@ class Located:
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    """The keys of the model that stands at a place inside another one."""
     current: Any = model
     for step in loc:
-        info = getattr(current, "model_fields", {}).get(step)
-        if info is None:
-            return []
-        current = info.annotation
+        fields = getattr(current, "model_fields", {})
+        if step in fields:  # any other step is a key or an index of a container of models
+            current = _model_in(fields[step].annotation)
     return list(getattr(current, "model_fields", {}))
+
+
+def _model_in(annotation: Any) -> Any:
+    """The first model inside an annotation such as `dict[str, Model | None]`, or the annotation itself."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _model_in(part)) is not None), None)
 
 
 def _dotted(key: Key) -> str:

@@ -1,0 +1,117 @@
+"""Pipeline files: what they say, what the user sets, and how wrong ones are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from catalog.configs import config_names, load_yaml
+from ops.errors import ConfigError, KinedexError
+from pipelines.config import STAGES, load_pipeline, stage_module
+
+GOOD = """
+name: small
+description: two stages
+settings:
+  source:
+  rate: 120
+stages:
+  index:
+  ingest:
+    params:
+      source: ${source}
+      rate_hz: ${rate}
+      patterns: ['${source}/(?P<actor>x)']
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_settings_fill_parameters_and_keep_their_type(tmp_path: Path) -> None:
+    pipeline = load_pipeline(write(tmp_path, GOOD), {"source": "/data", "rate": "60"})
+    assert [stage.name for stage in pipeline.stages] == ["ingest", "index"]
+    params = pipeline.stage("ingest").params.model_dump()
+    assert (params["source"], params["rate_hz"], params["patterns"]) == ("/data", 60.0, ["/data/(?P<actor>x)"])
+    assert pipeline.stage("index").inputs == {"takes": "ingest"}
+
+
+def test_a_parameter_can_be_set_from_outside(tmp_path: Path) -> None:
+    pipeline = load_pipeline(write(tmp_path, GOOD), {"source": "/data", "ingest.prune": "true"})
+    assert pipeline.stage("ingest").params.model_dump()["prune"] is True
+
+
+@pytest.mark.parametrize(
+    ("change", "assignments", "line", "message"),
+    [
+        (("rate: 120", "rate: fast"), {"source": "x"}, 12, "ingest.params.rate_hz: must be a valid number"),
+        (("rate_hz:", "rate_hx:"), {"source": "x"}, 12, "no such key; did you mean 'rate_hz'?"),
+        (("${source}\n", "${sauce}\n"), {"source": "x"}, 11, "no setting 'sauce'; did you mean 'source'?"),
+        (("  index:", "  indexx:"), {"source": "x"}, 8, "no stage 'indexx'; did you mean 'index'?"),
+        (("  index:", "  index: {inputs: {takes: injest}}"), {"source": "x"}, 8, "did you mean 'ingest'?"),
+        (("  index:", "  index: {inputs: {take: ingest}}"), {"source": "x"}, 8, "did you mean 'takes'?"),
+        (("  index:", "  index: {use: index}"), {"source": "x"}, 8, "no such key; did you mean 'uses'?"),
+        (("name: small", "nam: small"), {"source": "x"}, None, "this key is missing"),
+        (("  rate: 120", "  rate: 120\n  rate: 60"), {"source": "x"}, 7, "stands twice (first in line 6)"),
+        (("  rate: 120", "  rate: [120"), {"source": "x"}, 7, "not valid YAML"),
+        (("", ""), {}, 5, "the setting 'source' must be given"),
+    ],
+)
+def test_a_fault_in_a_pipeline_file_names_line_key_and_way_out(
+    tmp_path: Path, change: tuple[str, str], assignments: dict[str, str], line: int | None, message: str
+) -> None:
+    path = write(tmp_path, GOOD.replace(*change, 1))
+    with pytest.raises(ConfigError) as caught:
+        load_pipeline(path, assignments)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+    if line is not None:
+        assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("sorce", "no setting of that name; did you mean 'source'?"),
+        ("injest.prune", "no stage 'injest'; did you mean 'ingest'?"),
+        ("ingest.prun", "no parameter 'prun'; did you mean 'prune'?"),
+    ],
+)
+def test_a_wrong_assignment_names_the_nearest(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(KinedexError) as caught:
+        load_pipeline(write(tmp_path, GOOD), {"source": "x", name: "1"})
+    assert message in str(caught.value)
+
+
+def test_stages_that_wait_for_each_other_are_refused(tmp_path: Path) -> None:
+    text = "name: x\nstages:\n  a: {uses: index, inputs: {takes: b}}\n  b: {uses: index, inputs: {takes: a}}\n"
+    with pytest.raises(ConfigError, match="wait for each other"):
+        load_pipeline(write(tmp_path, text))
+
+
+def test_an_unknown_pipeline_names_the_nearest() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'annotate'"):
+        load_pipeline("anotate")
+
+
+@pytest.mark.parametrize("name", config_names("pipelines"))
+def test_every_shipped_pipeline_loads(name: str) -> None:
+    assert load_pipeline(name, {"source": "/data"}).stages
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_every_stage_documents_each_of_its_parameters(name: str) -> None:
+    module = stage_module(name)
+    assert module.run.__doc__
+    for key, field in module.Params.model_fields.items():
+        assert field.description, f"{name}.{key}"
+
+
+def test_yaml_remembers_lines_of_nested_keys(tmp_path: Path) -> None:
+    located = load_yaml(write(tmp_path, "a:\n  - b: 1\n    c: 2\n  - {d: 3}\n"))
+    assert [located.line("a", 0, "c"), located.line("a", 1, "d"), located.line("a", 7), located.line()] == [3, 4, 1, 1]
+    assert located.data == {"a": [{"b": 1, "c": 2}, {"d": 3}]}

@@ -1,0 +1,192 @@
+"""Ingest: what comes in, what is left out and said, what is not done twice, and what a killed run leaves."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ops import features, kinematics
+from ops.errors import ConfigError, KinedexError
+from pipelines.stages import ingest
+from storage.acclaim import read_amc, read_asf
+from storage.store import open_store
+from storage.verify import verify
+from tests.pipelines.archives import context, human_amc, write_archive
+
+TAKES = {"a/x_1.amc": 50, "a/x_2.amc": 33, "b/x_3.amc": 121}
+
+
+def bring_in(store: Path, source: Path, **params: object) -> dict[str, object]:
+    return ingest.run(context(store), ingest.Params(source=str(source), **params))  # type: ignore[arg-type]
+
+
+def test_every_fourth_source_frame_becomes_a_frame_with_the_word_of_the_source_rate(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", TAKES)
+    assert bring_in(tmp_path / "store", source)["read"] == 3
+    store = open_store(tmp_path / "store")
+    assert store.takes()["name"].to_list() == ["x_1", "x_2", "x_3"]
+    assert store.takes()["frames"].to_list() == [13, 9, 31]
+    skeleton = read_asf(source / "x.asf")
+    nodes, matrices = kinematics.forward(skeleton.nodes, read_amc(source / "b/x_3.amc", skeleton).channels)
+    joints = store.feature_set.joints
+    mapping = ingest.load_skeleton("acclaim", joints)
+    positions = mapping.apply("", skeleton.bones, nodes, joints)
+    words = features.words(positions, kinematics.quaternions(matrices), 120.0, store.feature_set.rules)
+    take_id = store.takes("name = 'x_3'")["take_id"][0]
+    np.testing.assert_array_equal(store.words([take_id]).words, words[::4])
+    rows = store.frames("x_3")
+    hand = rows.column("rwrist").combine_chunks()
+    np.testing.assert_allclose(hand.field("y").to_numpy(), positions[joints.index("rwrist"), 1, ::4], atol=1e-6)
+    assert len(np.unique(words)) > 3
+
+
+def test_a_second_run_reads_nothing_and_a_changed_file_only(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    bring_in(store, source)
+    before = open_store(store).takes()
+    again = bring_in(store, source)
+    assert (again["read"], again["unchanged"]) == (0, 3)
+    os.utime(source / "a/x_1.amc", ns=(1, 1))
+    assert bring_in(store, source)["read"] == 0
+    (source / "a/x_2.amc").write_text(human_amc(45, seed=99))
+    assert bring_in(store, source)["read"] == 1
+    after = open_store(store).takes()
+    assert after["take_id"].to_list() == before["take_id"].to_list()
+    assert after["frames"].to_list() == [13, 12, 31]
+    assert verify(open_store(store)) == []
+
+
+def test_a_changed_skeleton_reads_its_takes_again(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    bring_in(store, source)
+    (source / "x.asf").write_text((source / "x.asf").read_text().replace("length 7.0", "length 7.5"))
+    assert bring_in(store, source)["read"] == 3
+
+
+def test_a_file_that_is_gone_stays_until_pruned(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    bring_in(store, source)
+    (source / "a/x_1.amc").unlink()
+    assert bring_in(store, source)["takes"] == 3
+    assert bring_in(store, source, prune=True)["dropped"] == 1
+    assert open_store(store).takes()["name"].to_list() == ["x_2", "x_3"]
+    assert verify(open_store(store)) == []
+
+
+def break_files(source: Path) -> None:
+    text = (source / "a/x_1.amc").read_text()
+    (source / "bad").mkdir()
+    (source / "bad/x_cut.amc").write_text(text[: len(text) // 2])
+    (source / "bad/x_bone.amc").write_text(text.replace("lfemur", "# lfemur", 1))
+    (source / "bad/x_word.amc").write_text(text.replace("root 0 17", "root 0 l7", 1))
+    (source / "bad/x_empty.amc").write_text("")
+    (source / "bad/y_alone.amc").write_text(text)
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes"])
+def test_broken_files_are_logged_with_file_and_line_and_the_rest_comes_in(tmp_path: Path, executor: str) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    break_files(source)
+    summary = ingest.run(context(store, executor=executor), ingest.Params(source=str(source)))
+    assert (summary["takes"], summary["left_out"]) == (3, 5)
+    opened = open_store(store)
+    log = {row["source"]: row for row in opened.result("ingest_log").to_pylist()}
+    assert set(log) == {f"bad/{name}.amc" for name in ("x_cut", "x_bone", "x_word", "x_empty", "y_alone")}
+    assert log["bad/x_word.amc"]["line"] == 4
+    assert "not a number: 'l7'" in log["bad/x_word.amc"]["message"]
+    assert "lacks bone 'lfemur'" in log["bad/x_bone.amc"]["message"]
+    assert "empty" in log["bad/x_empty.amc"]["message"]
+    assert "no ASF skeleton whose name begins like 'y_alone'" in log["bad/y_alone.amc"]["message"]
+    assert log["bad/x_cut.amc"]["line"] > 4
+    assert all(str(source) in row["file"] for row in log.values())
+    assert verify(opened) == []
+
+
+def test_a_mended_file_comes_in_and_leaves_the_log(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    break_files(source)
+    bring_in(store, source)
+    (source / "bad/x_cut.amc").write_text(human_amc(20, seed=7))
+    summary = bring_in(store, source)
+    assert (summary["takes"], summary["read"], summary["left_out"]) == (4, 1, 4)
+    assert "bad/x_cut.amc" not in open_store(store).result("ingest_log").column("source").to_pylist()
+
+
+def test_two_takes_of_one_name_are_both_left_out_unless_named_by_path(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", {"a/x_1.amc": 9, "b/x_1.amc": 13, "x_2.amc": 5}), tmp_path / "s"
+    assert bring_in(store, source)["left_out"] == 2
+    assert "a/x_1.amc" in open_store(store).result("ingest_log").to_pylist()[1]["message"]
+    summary = bring_in(tmp_path / "by-path", source, name="path")
+    assert (summary["takes"], summary["left_out"]) == (3, 0)
+    assert "a/x_1" in open_store(tmp_path / "by-path").takes()["name"].to_list()
+
+
+def test_a_stranger_of_the_same_name_does_not_replace_a_take(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    bring_in(store, write_archive(tmp_path / "one", {"x_1.amc": 9}))
+    summary = bring_in(store, write_archive(tmp_path / "two", {"x_1.amc": 13}, first_seed=5))
+    assert summary["left_out"] == 1
+    assert open_store(store).takes()["frames"].to_list() == [3]
+
+
+def test_a_source_without_motions_and_a_pattern_that_is_none_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(KinedexError, match="no motion files"):
+        bring_in(tmp_path / "store", tmp_path / "empty")
+    with pytest.raises(ValueError, match="is no regular expression"):
+        ingest.Params(source="x", patterns=["(?P<actor"])
+    with pytest.raises(ConfigError, match="did you mean 'acclaim'"):
+        bring_in(tmp_path / "store", write_archive(tmp_path / "source", TAKES), skeleton="aclaim")
+
+
+def test_what_a_path_says_becomes_columns(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", {"kick/x_bd_01.amc": 5, "x_odd.amc": 5}), tmp_path / "store"
+    bring_in(store, source, patterns=[r"(?P<class>[^/]+)/x_(?P<actor>\w+)_(?P<clip>\d+)"])
+    rows = open_store(store).takes().select("name", "actor", "class", "clip", "warnings").rows()
+    assert rows[0] == ("x_bd_01", "bd", "kick", "01", [])
+    assert rows[1] == ("x_odd", None, None, None, ["its path matches no pattern of the config"])
+
+
+INGEST = """
+import sys
+from pathlib import Path
+from pipelines.stages import ingest
+from tests.pipelines.archives import context
+ingest.MEGABYTE = 1 << 12
+ingest.run(context(Path(sys.argv[1])), ingest.Params(source=sys.argv[2], batch_mb=4))
+"""
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_the_takes_it_should_have(tmp_path: Path) -> None:
+    takes = {f"x_{number:02}.amc": 20 + number for number in range(24)}
+    source, store = write_archive(tmp_path / "source", takes), tmp_path / "store"
+    command = [sys.executable, "-c", INGEST, str(store), str(source)]
+    moments = random.Random(1)
+    begin = time.monotonic()
+    subprocess.run([*command[:3], str(tmp_path / "whole"), str(source)], check=True)
+    whole = time.monotonic() - begin
+    for _ in range(6):
+        process = subprocess.Popen(command)
+        time.sleep(moments.uniform(0.3, 1.0) * whole)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        if (store / "manifest").is_dir() and any((store / "manifest").glob("*.json")):
+            assert verify(open_store(store)) == []
+    subprocess.run(command, check=True)
+    done, expected = open_store(store), open_store(tmp_path / "whole")
+    assert done.takes()["name"].to_list() == sorted(Path(name).stem for name in takes)
+    assert done.takes()["frames"].to_list() == expected.takes()["frames"].to_list()
+    names = dict(done.takes().select("take_id", "name").rows())
+    for take_id, name in names.items():
+        other = expected.takes(f"name = '{name}'")["take_id"][0]
+        np.testing.assert_array_equal(done.words([take_id]).words, expected.words([other]).words)
+    assert verify(done) == []
