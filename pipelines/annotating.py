@@ -1,0 +1,271 @@
+"""Annotating takes in batches: curves, preselection by keyframes, labels; and the tables of results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+import pyarrow as pa
+
+from catalog.classes import Classes
+from catalog.features import FeatureSet
+from catalog.queries import KeyframeQuery
+from ops.annotation import Segment, annotate, local_minima, spread_minima
+from ops.dtw import distance_curves, start_frames
+from ops.errors import KinedexError, did_you_mean
+from ops.templates import QuantisedTemplate, quantise
+from ops.words import TakeWords
+from pipelines.executors import Executor
+from pipelines.learning import SubclassTemplate
+from pipelines.search import preselect, template_ranges
+from storage.schemas import result_schema
+from storage.store import open_store
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+BATCH_FRAMES = 50_000
+"""Analysis frames (28 minutes) whose curves are held at once, 400 kB a subclass."""
+
+
+@dataclass(frozen=True)
+class Annotator:
+    """All that is needed to annotate words.
+
+    classes: names of the P classes. subclasses: names of the S templates; class_index: int64 (S,), their classes.
+    queries: for each template the keyframe queries that preselect frames for it, none for all frames.
+    """
+
+    feature_set: FeatureSet
+    classes: tuple[str, ...]
+    subclasses: tuple[str, ...]
+    class_index: I64
+    templates: tuple[QuantisedTemplate, ...]
+    queries: tuple[tuple[KeyframeQuery, ...], ...]
+    tau: float
+
+    @property
+    def method(self) -> str:
+        """How annotations of this annotator are found, for the results."""
+        return "templates within keyframe hits" if any(self.queries) else "templates"
+
+
+@dataclass(frozen=True)
+class TakeAnnotation:
+    """What was found in one take. curves: float32 (S, L), or None where they are not kept; preselected: float64 (S,),
+    the share of the take's frames that each template was matched in."""
+
+    take_id: int
+    segments: tuple[Segment, ...]
+    preselected: F64
+    curves: F32 | None
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Takes that one worker annotates."""
+
+    store: Path
+    annotator: Annotator
+    take_ids: tuple[int, ...]
+    keep_curves: bool
+
+
+def make_annotator(
+    feature_set: FeatureSet,
+    templates: Sequence[SubclassTemplate],
+    classes: Classes,
+    delta: float,
+    tau: float,
+    queries: Sequence[KeyframeQuery] = (),
+) -> Annotator:
+    """Quantise templates and sort them and the queries into classes.
+
+    Parameters
+    ----------
+    templates: those of subclasses without a class are left out.
+    queries: a query whose target is a subclass preselects for it, one whose target is a class for those of its
+        subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
+
+    Raises
+    ------
+    KinedexError: no template belongs to any class.
+    """
+    of_subclass = classes.of_subclass()
+    used = [one for one in templates if one.subclass in of_subclass]
+    if not used:
+        names = ", ".join(one.subclass for one in templates[:8])
+        raise KinedexError(f"none of the classes {', '.join(classes.names)} has a template; there are: {names}")
+    by_target: dict[str, list[KeyframeQuery]] = {}
+    for query in queries:
+        by_target.setdefault(query.target, []).append(query)
+    return Annotator(
+        feature_set,
+        classes.names,
+        tuple(one.subclass for one in used),
+        np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64),
+        tuple(quantise(one.learned.template, delta) for one in used),
+        tuple(tuple(by_target.get(one.subclass) or by_target.get(of_subclass[one.subclass]) or ()) for one in used),
+        tau,
+    )
+
+
+def targets_unknown(queries: Sequence[KeyframeQuery], classes: Classes) -> list[str]:
+    """The queries' targets that are neither a class nor a subclass.
+
+    Raises
+    ------
+    KinedexError: all of them; the message names the nearest label.
+    """
+    unknown = sorted({query.target for query in queries if classes.class_of(query.target) is None})
+    if queries and all(query.target in unknown for query in queries):
+        labels = {*classes.names, *classes.of_subclass()}
+        raise KinedexError(
+            f"no keyframe query is for a class of this archive; the first is for '{queries[0].target}'"
+            f"{did_you_mean(queries[0].target, labels)}"
+        )
+    return unknown
+
+
+def annotate_takes(
+    store: Path, annotator: Annotator, takes: pl.DataFrame, executor: Executor, keep_curves: bool
+) -> Iterator[list[TakeAnnotation]]:
+    """Annotate takes batch by batch; each batch in order of take_id."""
+    batches = [
+        Batch(store, annotator, take_ids, keep_curves)
+        for take_ids in split_takes(takes["take_id"].to_list(), takes["frames"].to_list())
+    ]
+    yield from executor.map(annotate_batch, batches)
+
+
+def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[int, ...]]:
+    """Divide takes into batches of about `BATCH_FRAMES`, a longer take on its own."""
+    batches: list[list[int]] = []
+    room = 0
+    for take_id, length in sorted(zip(take_ids, frames, strict=True)):
+        if not batches or length > room:
+            batches.append([])
+            room = BATCH_FRAMES
+        batches[-1].append(take_id)
+        room -= length
+    return [tuple(batch) for batch in batches]
+
+
+def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
+    """Read the words of a batch and annotate them (runs in a worker)."""
+    words = open_store(batch.store).words(batch.take_ids)
+    return annotate_words(batch.annotator, words, batch.keep_curves)
+
+
+def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = False) -> list[TakeAnnotation]:
+    """Annotate takes, all templates against all words at once."""
+    ranges = _ranges(annotator, words)
+    curves = _curves(annotator, words, ranges)
+    modified = np.full_like(curves, np.inf)
+    for subclass, template in enumerate(annotator.templates):
+        minima = [
+            local_minima(curves[subclass, start:stop], annotator.tau) + start
+            for start, stop in zip(words.offsets[:-1], words.offsets[1:], strict=True)
+        ]
+        ends = np.concatenate([np.empty(0, np.int64), *minima])
+        starts = start_frames(template, words.words, ends, ranges[subclass])
+        modified[subclass] = spread_minima(curves[subclass], starts, ends)
+    found = []
+    for index, take_id in enumerate(words.take_ids.tolist()):
+        piece = slice(int(words.offsets[index]), int(words.offsets[index + 1]))
+        kept = np.array([_frames_within(one, piece) for one in ranges], np.float64)
+        found.append(
+            TakeAnnotation(
+                take_id,
+                tuple(annotate(modified[:, piece], annotator.class_index)),
+                kept / max(piece.stop - piece.start, 1),
+                curves[:, piece].astype(np.float32) if keep_curves else None,
+            )
+        )
+    return found
+
+
+def _ranges(annotator: Annotator, words: TakeWords) -> list[I64]:
+    """The frames of each template, on the words laid end to end: whole takes, or the extended hits of its queries."""
+    whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+    every = {query.name: query for queries in annotator.queries for query in queries}
+    hits = preselect(words, annotator.feature_set, list(every.values()))
+    ranges = []
+    for template, queries in zip(annotator.templates, annotator.queries, strict=True):
+        if not queries:
+            ranges.append(whole)
+            continue
+        columns = template.values(len(annotator.feature_set.features))
+        found = template_ranges(hits, queries, columns, annotator.feature_set, words.frames)
+        shift = np.repeat(words.offsets[:-1], np.diff(found.offsets))
+        ranges.append(np.stack([found.starts + shift, found.stops + shift], axis=1))
+    return ranges
+
+
+def _curves(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F64:
+    """All curves; the templates that are matched everywhere in one pass."""
+    curves = np.empty((len(annotator.templates), len(words.words)))
+    everywhere = [index for index, queries in enumerate(annotator.queries) if not queries]
+    if everywhere:
+        chosen = [annotator.templates[index] for index in everywhere]
+        curves[everywhere] = distance_curves(chosen, words.words, ranges[everywhere[0]])
+    for index, queries in enumerate(annotator.queries):
+        if queries:
+            curves[index] = distance_curves([annotator.templates[index]], words.words, ranges[index])[0]
+    return curves
+
+
+def _frames_within(ranges: I64, piece: slice) -> int:
+    clipped = np.clip(ranges, piece.start, piece.stop)
+    return int((clipped[:, 1] - clipped[:, 0]).sum())
+
+
+def annotations_table(
+    found: Iterable[TakeAnnotation], annotator: Annotator, names: dict[int, str], rate_hz: float, run: str
+) -> pa.Table:
+    """Lay segments out as results of the kind `annotations`, by take name and start."""
+    rows = [
+        {
+            "run": run,
+            "take_id": one.take_id,
+            "take": names[one.take_id],
+            "class": annotator.classes[segment.class_index],
+            "subclass": annotator.subclasses[segment.subclass],
+            "start": segment.start,
+            "stop": segment.stop,
+            "start_seconds": segment.start / rate_hz,
+            "stop_seconds": segment.stop / rate_hz,
+            "cost": segment.cost,
+            "method": annotator.method,
+        }
+        for one in sorted(found, key=lambda one: names[one.take_id])
+        for segment in one.segments
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("annotations"))
+
+
+def curves_table(found: Iterable[TakeAnnotation], annotator: Annotator, names: dict[int, str], run: str) -> pa.Table:
+    """Lay distance curves out as results of the kind `distance_curves`, one row per take and subclass."""
+    schema = result_schema("distance_curves")
+    tables = []
+    for one in sorted(found, key=lambda one: names[one.take_id]):
+        if one.curves is None:
+            continue
+        count, length = one.curves.shape
+        offsets = pa.array(np.arange(count + 1, dtype=np.int32) * length, pa.int32())
+        columns = {
+            "run": pa.repeat(run, count),
+            "take_id": pa.repeat(one.take_id, count),
+            "take": pa.repeat(names[one.take_id], count),
+            "class": pa.array([annotator.classes[index] for index in annotator.class_index], pa.string()),
+            "subclass": pa.array(annotator.subclasses, pa.string()),
+            "costs": pa.ListArray.from_arrays(offsets, pa.array(one.curves.ravel(), pa.float32())),
+            "preselected": one.preselected,
+        }
+        tables.append(pa.table(columns, schema=schema))
+    return pa.concat_tables([schema.empty_table(), *tables])

@@ -1,0 +1,162 @@
+"""Stage annotate: distance curves and labelled segments of takes, with preselection by keyframes where asked for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.classes import OWN, Classes, load_classes
+from catalog.configs import config_path
+from catalog.queries import KeyframeQuery
+from catalog.queryfiles import read_queries
+from ops.errors import KinedexError
+from pipelines.annotating import (
+    Annotator,
+    TakeAnnotation,
+    annotate_takes,
+    annotations_table,
+    curves_table,
+    make_annotator,
+    targets_unknown,
+)
+from pipelines.context import StageContext
+from pipelines.learning import Kind, SubclassTemplate, read_templates
+from storage.store import Store
+
+
+class Params(BaseModel):
+    """What the stage `annotate` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    where: str = Field("class IS NULL", description="takes to annotate: a SQL filter over the columns of takes")
+    templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
+    delta: float = Field(
+        0.05, ge=0, lt=0.5, description="template values within delta of 0 or 1 count, the rest are wildcards"
+    )
+    tau: float = Field(0.13, gt=0, le=1, description="distances below tau make an annotation")
+    classes: str = Field(
+        OWN, description="'own': every subclass is a class; or a class file, by its shipped name or its path"
+    )
+    queries: list[str] | str | None = Field(
+        None, description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames"
+    )
+    store_curves: bool = Field(True, description="keep the distance curves, which the report draws")
+
+    @property
+    def query_files(self) -> list[str]:
+        """The query files as a list."""
+        return [self.queries] if isinstance(self.queries, str) else list(self.queries or ())
+
+
+def external_digest(params: Params) -> str:
+    """What the stage depends on outside the store: the text of its class and query files."""
+    hasher = hashlib.sha256()
+    files = [config_path("queries", name) for name in params.query_files]
+    if params.classes != OWN:
+        files.append(config_path("classes", params.classes))
+    for file in files:
+        hasher.update(file.read_bytes() + b"\0")
+    return hasher.hexdigest()[:16]
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Annotate and store the results."""
+    store = context.open()
+    takes = takes_to_annotate(store, params)
+    templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+    classes = classes_of(store, params, templates)
+    queries = queries_of(store, params)
+    annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries)
+    _say_what_is_left_out(context, classes, annotator, queries)
+    found: list[TakeAnnotation] = []
+    with context.progress("takes", takes.height) as progress:
+        for batch in annotate_takes(context.store_path, annotator, takes, context.executor, params.store_curves):
+            found += batch
+            progress.advance(len(batch))
+    names = dict(takes.select("take_id", "name").iter_rows())
+    segments = annotations_table(found, annotator, names, store.rate_hz, context.run)
+    curves = curves_table(found, annotator, names, context.run)
+    with context.writer() as writer:
+        writer.put_results("annotations", segments, stage=context.key(), run=context.run)
+        writer.put_results("distance_curves", curves, stage=context.key(), run=context.run)
+        writer.commit()
+    searched = _share_searched(found, takes)
+    context.say(
+        f"{segments.num_rows} segments in {takes.height} takes"
+        + (f"; templates were matched in {searched:.1%} of the frames" if any(annotator.queries) else "")
+    )
+    return {
+        "takes": takes.height,
+        "frames": int(takes["frames"].sum()),
+        "classes": len(annotator.classes),
+        "templates": len(annotator.templates),
+        "segments": segments.num_rows,
+        "searched": round(searched, 6),
+        "delta": params.delta,
+        "tau": params.tau,
+    }
+
+
+def takes_to_annotate(store: Store, params: Params) -> pl.DataFrame:
+    """The takes that the filter selects, sorted by name; a KinedexError where there are none."""
+    takes = store.takes(params.where)
+    if not takes.height:
+        every = store.takes()
+        raise KinedexError(
+            f"no take to annotate: the filter `{params.where}` selects none of {every.height} takes, "
+            f"{every.filter(pl.col('class').is_null()).height} of which have no class"
+        )
+    return takes
+
+
+def classes_of(store: Store, params: Params, templates: Sequence[SubclassTemplate]) -> Classes:
+    """The classes of the class file, or with "own" those that have templates.
+
+    A class file may name every subclass that the archive has, also those that are not learned from.
+    """
+    learned = {one.subclass for one in templates}
+    labelled = set(store.takes()["class"].drop_nulls().unique())
+    return load_classes(params.classes, learned if params.classes == OWN else learned | labelled)
+
+
+def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:
+    """All queries of the query files."""
+    queries: dict[str, KeyframeQuery] = {}
+    for name in params.query_files:
+        for query in read_queries(name, store.feature_set, store.rate_hz):
+            if query.name in queries:
+                raise KinedexError(f"two keyframe queries are named '{query.name}' (the second one in {name})")
+            queries[query.name] = query
+    return list(queries.values())
+
+
+def _say_what_is_left_out(
+    context: StageContext, classes: Classes, annotator: Annotator, queries: Sequence[KeyframeQuery]
+) -> None:
+    if classes.without_class:
+        context.say(f"in no class and not annotated: {_few(classes.without_class)}")
+    empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]
+    if empty:
+        context.say(f"classes without a template, which nothing can be labelled with: {_few(empty)}")
+    unknown = targets_unknown(queries, classes)
+    if unknown:
+        context.say(f"keyframe queries for other classes, left out: {_few(unknown)}")
+    without = [name for name, own in zip(annotator.subclasses, annotator.queries, strict=True) if not own]
+    if queries and without:
+        context.say(f"without a keyframe query, matched in all frames: {_few(without)}")
+
+
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+def _share_searched(found: Sequence[TakeAnnotation], takes: pl.DataFrame) -> float:
+    """The share of all frames, over all templates, that curves were computed in."""
+    frames = dict(takes.select("take_id", "frames").iter_rows())
+    total = sum(frames.values())
+    kept = sum(float(one.preselected.mean()) * frames[one.take_id] for one in found)
+    return kept / total if total else 0.0

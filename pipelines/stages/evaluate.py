@@ -1,0 +1,121 @@
+"""Stage evaluate: the annotations against ground truth, on the level of frames and of segments."""
+
+from __future__ import annotations
+
+import hashlib
+
+import polars as pl
+import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.classes import Classes
+from pipelines.context import StageContext
+from pipelines.evaluating import (
+    SCOPES,
+    GroundTruth,
+    UnknownLabels,
+    evaluate,
+    ground_truth_of_classes,
+    ground_truth_rows,
+    metrics_rows,
+    metrics_table,
+    place_ground_truth,
+    write_metrics,
+)
+from pipelines.learning import read_templates, run_of
+from pipelines.stages import annotate
+from storage.ground_truth import ground_truth_files, read_ground_truth
+from storage.store import Store
+
+NONE, OWN_CLASS = "none", "class"
+MOST_TAKES_SHOWN = 20
+"""With more takes the table on the terminal leaves out the line per take."""
+
+
+class Params(BaseModel):
+    """What the stage `evaluate` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: str = Field(
+        "**/ground_truth.csv",
+        description="CSV files with take, class, start, stop in source frames: a glob below the takes' source folders, "
+        "or an absolute path; 'class': each take's own class for all of it; 'none': there is none",
+    )
+    source: str | None = Field(
+        None, description="the folder that ground_truth is relative to; by default the takes' source folders"
+    )
+    unknown_labels: UnknownLabels = Field(
+        "error",
+        description="a label that is neither a class nor a subclass: 'error'; 'miss' counts it as not found; 'ignore' "
+        "leaves it out, and says so",
+    )
+
+
+def external_digest(params: Params) -> str:
+    """What the stage depends on outside the store: the ground truth, where its folder is known beforehand."""
+    if params.ground_truth in (NONE, OWN_CLASS) or (params.source is None and not params.ground_truth.startswith("/")):
+        return ""
+    hasher = hashlib.sha256()
+    for file in ground_truth_files(params.ground_truth, [params.source] if params.source else []):
+        hasher.update(file.read_bytes() + b"\0")
+    return hasher.hexdigest()[:16]
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Evaluate, store the metrics, and print them."""
+    report = context.report_dir / "metrics.json"
+    if params.ground_truth == NONE:
+        report.unlink(missing_ok=True)
+        with context.writer() as writer:
+            for kind in ("metrics", "ground_truth"):
+                writer.put_results(kind, pa.table({}), stage=context.key(), run=context.run)
+            writer.commit()
+        context.say("no ground truth, nothing to evaluate")
+        return {"evaluated_takes": 0}
+    store = context.open()
+    annotated = annotate_params(context)
+    takes = annotate.takes_to_annotate(store, annotated)
+    classes = classes_of(context, store)
+    truth = ground_truth(store, params, takes, classes)
+    annotations = store.result("annotations", run=run_of(store, context.key(context.inputs["annotations"])))
+    evaluation = evaluate("annotate", annotations, truth, classes.names)
+    with context.writer() as writer:
+        writer.put_results("metrics", metrics_rows(evaluation, context.run), stage=context.key(), run=context.run)
+        writer.put_results("ground_truth", ground_truth_rows(truth, context.run), stage=context.key(), run=context.run)
+        writer.commit()
+    about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": truth.remarks}
+    write_metrics(report, evaluation, context.run, **about)
+    for remark in truth.remarks:
+        context.say(remark)
+    few = len(truth.takes) <= MOST_TAKES_SHOWN
+    scopes = SCOPES if few else SCOPES[:-1]
+    context.terminal.show(metrics_table(evaluation, f"{len(truth.takes)} takes against ground truth", scopes))
+    context.say(f"metrics{'' if few else ', take by take as well'}: {report}")
+    counts = evaluation.pooled
+    return {"evaluated_takes": len(truth.takes), "segments": len(truth.segments), "f1": counts.f1, "f2": counts.f2}
+
+
+def annotate_params(context: StageContext) -> annotate.Params:
+    """The parameters of the stage whose annotations are evaluated."""
+    params = context.params[context.inputs["annotations"]]
+    assert isinstance(params, annotate.Params)
+    return params
+
+
+def classes_of(context: StageContext, store: Store) -> Classes:
+    """The classes that the annotations were made with."""
+    params = annotate_params(context)
+    record = store.manifest.stages[context.key(context.inputs["annotations"])]
+    templates = read_templates(store, context.key(record.summary["inputs"]["templates"]), params.templates)
+    return annotate.classes_of(store, params, templates)
+
+
+def ground_truth(store: Store, params: Params, takes: pl.DataFrame, classes: Classes) -> GroundTruth:
+    """Find and place the ground truth of these takes."""
+    if params.ground_truth == OWN_CLASS:
+        return ground_truth_of_classes(takes, classes)
+    roots = [params.source] if params.source else sorted(takes["source_root"].unique())
+    files = ground_truth_files(params.ground_truth, roots)
+    segments = [segment for file in files for segment in read_ground_truth(file)]
+    return place_ground_truth(segments, takes, store.takes()["name"], classes, params.unknown_labels)

@@ -1,0 +1,183 @@
+"""Stage leave_one_out: the same annotation and evaluation for each actor, with templates of the others only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import polars as pl
+import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.classes import Classes
+from catalog.queries import KeyframeQuery
+from ops.errors import KinedexError, did_you_mean
+from pipelines.annotating import annotate_takes, annotations_table, make_annotator
+from pipelines.context import StageContext
+from pipelines.evaluating import (
+    SCOPES,
+    Evaluation,
+    GroundTruth,
+    evaluate,
+    metrics_rows,
+    metrics_table,
+    pool_folds,
+    write_metrics,
+)
+from pipelines.learning import (
+    SubclassTemplate,
+    TrainingClips,
+    learn_templates,
+    read_templates,
+    training_clips,
+    training_takes,
+)
+from pipelines.stages import annotate
+from pipelines.stages import evaluate as evaluating
+from pipelines.stages import learn_templates as learning
+from storage.store import Store
+
+
+class Params(BaseModel):
+    """What the stage `leave_one_out` takes; all else is as in the stages that it repeats."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    column: str = Field(
+        "actor", description="column of takes; each value that annotated takes have is left out of the training once"
+    )
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One value that is left out: the takes to annotate, their ground truth, and the clips that remain."""
+
+    value: str
+    takes: pl.DataFrame
+    truth: GroundTruth
+    clips: tuple[TrainingClips, ...]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all folds share: the store, the classes, the queries, and how to annotate."""
+
+    store: Store
+    params: annotate.Params
+    classes: Classes
+    queries: Sequence[KeyframeQuery]
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Annotate and evaluate every fold, store the pooled metrics, and print them."""
+    report = context.report_dir / "leave_one_out.json"
+    report.unlink(missing_ok=True)
+    name = f"leave one {params.column} out"
+    folds = _evaluate_folds(context, params, name)
+    evaluation = pool_folds(name, folds)
+    rows = metrics_rows(evaluation, context.run) if folds else pa.table({})
+    with context.writer() as writer:
+        writer.put_results("metrics", rows, stage=context.key(), run=context.run)
+        writer.commit()
+    if not folds:
+        context.say(f"nothing to evaluate: {name} has no fold")
+        return {"folds": 0}
+    write_metrics(report, evaluation, context.run, pipeline=context.pipeline, column=params.column)
+    context.terminal.show(metrics_table(evaluation, name, SCOPES[:2]))
+    context.say(f"metrics, by class and take as well: {report}")
+    return {"folds": len(folds), "f1": evaluation.pooled.f1, "f2": evaluation.pooled.f2}
+
+
+def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tuple[str, Evaluation]]:
+    evaluated = context.params[context.inputs["evaluation"]]
+    learned = context.params[context.inputs["templates"]]
+    assert isinstance(evaluated, evaluating.Params)
+    assert isinstance(learned, learning.Params)
+    if evaluated.ground_truth == evaluating.NONE:
+        return []
+    annotated = evaluating.annotate_params(context)
+    store = context.open()
+    takes = annotate.takes_to_annotate(store, annotated)
+    if params.column not in takes.columns:
+        raise KinedexError(f"takes have no column '{params.column}'{did_you_mean(params.column, takes.columns)}")
+    classes = evaluating.classes_of(context, store)
+    truth = evaluating.ground_truth(store, evaluated, takes, classes)
+    training = training_takes(store, learned.where)
+    folds = _folds(context, params.column, takes, truth, training, training_clips(store, training))
+    plain = read_templates(store, context.key(context.inputs["templates"]), annotated.templates)
+    templates = _templates(context, folds, plain, annotated)
+    setting = Setting(store, annotated, classes, annotate.queries_of(store, annotated))
+    results = []
+    with context.progress("folds", len(folds)) as progress:
+        for fold in folds:
+            own = [templates[one.subclass, one.names] for one in fold.clips]
+            results.append((fold.value, _evaluate_fold(context, setting, fold, own, name)))
+            progress.advance()
+    return results
+
+
+def _folds(
+    context: StageContext,
+    column: str,
+    takes: pl.DataFrame,
+    truth: GroundTruth,
+    training: pl.DataFrame,
+    clips: Sequence[TrainingClips],
+) -> list[Fold]:
+    """Make a fold for each value, and say which takes or values make none."""
+    with_truth = takes.filter(pl.col("name").is_in(truth.takes))
+    nameless = with_truth.filter(pl.col(column).is_null()).height
+    if nameless:
+        context.say(f"{nameless} takes have no {column} and are in no fold")
+    folds = []
+    for value in sorted(with_truth[column].drop_nulls().unique().to_list()):
+        left_out = set(training.filter(pl.col(column) == value)["name"].to_list())
+        remaining = tuple(rest for one in clips if (rest := without(one, left_out)).names)
+        if not left_out:
+            context.say(f"{value}: no training clip is of {column} {value}, so the fold equals the plain result")
+        if not remaining:
+            context.say(f"{value}: all training clips are of {column} {value}; there is no fold without them")
+            continue
+        gone = sorted({one.subclass for one in clips} - {one.subclass for one in remaining})
+        if gone:
+            context.say(f"{value}: no clips of others, so no template: {', '.join(gone)}")
+        own = with_truth.filter(pl.col(column) == value)
+        names = set(own["name"].to_list())
+        segments = tuple(segment for segment in truth.segments if segment.take in names)
+        folds.append(Fold(str(value), own, GroundTruth(segments), remaining))
+    return folds
+
+
+def without(clips: TrainingClips, names: set[str]) -> TrainingClips:
+    """The clips of a subclass except those of these names."""
+    kept = [index for index, name in enumerate(clips.names) if name not in names]
+    return TrainingClips(
+        clips.subclass, tuple(clips.names[index] for index in kept), tuple(clips.words[index] for index in kept)
+    )
+
+
+def _templates(
+    context: StageContext, folds: Sequence[Fold], plain: Sequence[SubclassTemplate], params: annotate.Params
+) -> dict[tuple[str, tuple[str, ...]], SubclassTemplate]:
+    """Learn each template that any fold needs once; those of all clips are known already. Key: subclass, clips."""
+    known = {(one.subclass, one.clips): one for one in plain}
+    wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
+    missing = [clips for key, clips in wanted.items() if key not in known]
+    features = len(context.feature_set.features)
+    with context.progress("templates", len(missing)) as progress:
+        for learned in learn_templates(missing, [params.templates], features, context.executor):
+            known |= {(one.subclass, one.clips): one for one in learned}
+            progress.advance(len(learned))
+    return known
+
+
+def _evaluate_fold(
+    context: StageContext, setting: Setting, fold: Fold, templates: Sequence[SubclassTemplate], name: str
+) -> Evaluation:
+    store, params = setting.store, setting.params
+    annotator = make_annotator(store.feature_set, templates, setting.classes, params.delta, params.tau, setting.queries)
+    batches = annotate_takes(context.store_path, annotator, fold.takes, context.executor, keep_curves=False)
+    found = [one for batch in batches for one in batch]
+    names = dict(fold.takes.select("take_id", "name").iter_rows())
+    table = annotations_table(found, annotator, names, store.rate_hz, context.run)
+    return evaluate(name, table, fold.truth, setting.classes.names)
