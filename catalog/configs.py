@@ -99,7 +99,8 @@ class Located:
             raise self._translate(model, fault, key) from None
 
     def _translate(self, model: type[BaseModel], fault: ValidationError, key: Key) -> ConfigError:
-        first = fault.errors(include_url=False)[0]
+        # A misspelt key also makes the right one missing: the misspelling is what to say.
+        first = min(fault.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
         at = (*key, *first["loc"])
         if first["type"] == "extra_forbidden":
             known = _fields_at(model, first["loc"][:-1])
