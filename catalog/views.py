@@ -110,6 +110,17 @@ VIEWS = (
             Column("frames", "BIGINT", "its frames in all takes"),
         ),
     ),
+    View(
+        "help",
+        "index",
+        "This list: every view and macro with what it is for.",
+        (
+            Column("name", "VARCHAR", "name of the view or macro"),
+            Column("call", "VARCHAR", "how it stands in a query"),
+            Column("summary", "VARCHAR", "what it is for"),
+            Column("example", "VARCHAR", "a query that runs"),
+        ),
+    ),
     View("frames", "parts", "One row per analysis frame: 24 joints (rwrist.y), root_orientation, and the whole word."),
     View("templates", "results", "Motion templates, soft and hard, per subclass."),
     View("distance_curves", "results", "The distance curve of a subclass over a take, one cost per frame."),
@@ -247,3 +258,17 @@ ORDER BY f.frame""",
         needs="frames",
     ),
 )
+
+
+def help_rows(*, index_only: bool = False) -> list[tuple[str, str, str, str]]:
+    """The rows of the view `help`: (name, call, summary, example); `index_only`: of what the index itself holds."""
+    rows = [
+        (view.name, f"FROM {view.name}", view.summary, f"SELECT * FROM {view.name} LIMIT 10")
+        for view in VIEWS
+        if view.origin == "index" or not index_only
+    ]
+    for macro in MACROS:
+        if macro.needs == "index" or not index_only:
+            call = f"FROM {macro.signature}" if macro.table else macro.signature
+            rows.append((macro.name, call, macro.summary, macro.example))
+    return rows

@@ -96,6 +96,16 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
     return "\nUNION ALL ".join(branches)
 
 
+def literal_rows(table: pa.Table) -> str:
+    """The SELECT that gives the rows of a small table of texts and numbers."""
+    rows = [
+        ", ".join(quote(value) if isinstance(value, str) else f"{value}::{sql_type(kind)}" for value, kind in cells)
+        for cells in (zip(row.values(), table.schema.types, strict=True) for row in table.to_pylist())
+    ]
+    names = ", ".join(map(name, table.column_names))
+    return f"SELECT * FROM (VALUES {', '.join(f'({row})' for row in rows)}) AS given({names})"
+
+
 def filtered(table: pa.Table, called: str, where: str) -> pa.Table:
     """The rows of a table for which a SQL condition holds; a wrong condition is an `Error` of DuckDB's.
 

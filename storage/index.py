@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from catalog.views import MACROS, VIEWS
+from catalog.views import MACROS, VIEWS, help_rows
 from ops.errors import StoreError
 from ops.runs import feature_runs, word_runs
 from ops.words import TakeWords, cut
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 INDEX_VERSION = 1
 """Version of the index's tables and macros; an index of another version is stale."""
 
-BUILD = "run the stage `index` of a pipeline (`kinedex run`), or `storage.index.build(store)` from Python"
+BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
 
 _BUILDING = ".building-"
 
@@ -136,6 +136,7 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
                 columns = ", ".join(f"{column.name} {column.type} NOT NULL" for column in view.columns)
                 connection.execute(f"CREATE TABLE {view.name} ({columns})")
         _insert(connection, "features", features_table(store), "SELECT * FROM source ORDER BY number")
+        _insert(connection, "help", help_table(index_only=True), "SELECT * FROM source")
         takes = store.takes().to_arrow()
         connection.register("source", takes)
         connection.execute("CREATE TABLE takes AS SELECT * FROM source ORDER BY name")
@@ -186,7 +187,16 @@ def features_table(store: Store) -> pa.Table:
                 "bit": feature.number - home.first,
             }
         )
-    return pa.Table.from_pylist(rows)
+    small = {"number": pa.uint8(), "bit": pa.uint8()}
+    fields = [(name, small.get(name, pa.string())) for name in ("number", "name", "description", "feature_set", "bit")]
+    return pa.Table.from_pylist(rows, schema=pa.schema(fields))
+
+
+def help_table(*, index_only: bool = False) -> pa.Table:
+    """The rows of the view `help`."""
+    columns = ("name", "call", "summary", "example")
+    rows = help_rows(index_only=index_only)
+    return pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows])
 
 
 def _insert_runs(connection: duck.Connection, store: Store) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """Everything that a query can ask for by name."""
 
-INDEXED = frozenset(view.name for view in VIEWS if view.columns and view.name != "features")
+INDEXED = frozenset(view.name for view in VIEWS if view.columns and view.name not in ("features", "help"))
 """The views that exist only with an index."""
 
 
@@ -34,6 +34,7 @@ def connect(store: Store, threads: int | None = None, memory_mb: int | None = No
         connection.execute("USE idx")
     else:
         _without_index(connection, store)
+    _view(connection, "help", duck.literal_rows(index.help_table()))
     frames = frames_schema(store.feature_set, store.rate_hz)
     files = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
     _view(connection, "frames", duck.parquet_rows(frames, files))
@@ -67,14 +68,7 @@ def _reads_index(macro: Macro) -> bool:
 def _without_index(connection: duck.Connection, store: Store) -> None:
     takes = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.takes]
     _view(connection, "takes", duck.parquet_rows(takes_schema(), takes))
-    features = index.features_table(store).to_pylist()
-    rows = ", ".join(
-        f"({row['number']}::UTINYINT, {duck.quote(row['name'])}, {duck.quote(row['description'])}, "
-        f"{duck.quote(row['feature_set'])}, {row['bit']}::UTINYINT)"
-        for row in features
-    )
-    columns = "number, name, description, feature_set, bit"
-    _view(connection, "features", f"SELECT * FROM (VALUES {rows}) AS features({columns})")
+    _view(connection, "features", duck.literal_rows(index.features_table(store)))
 
 
 def _view(connection: duck.Connection, name: str, query: str) -> None:

@@ -48,6 +48,13 @@ def test_a_view_stands_and_has_its_columns(store: Store, view) -> None:
         assert [(row["column_name"], row["column_type"]) for row in found] == [(c.name, c.type) for c in view.columns]
 
 
+def test_help_lists_what_there_is(store: Store) -> None:
+    listed = [row[0] for row in rows(store, "SELECT name FROM help")]
+    assert listed == [view.name for view in VIEWS] + [macro.name for macro in MACROS]
+    for example in rows(store, "SELECT example FROM help"):
+        store.sql(str(example[0]))
+
+
 def test_has_reads_a_whole_word(store: Store) -> None:
     for feature in (3, "'rhand_above_neck'", "'F3'"):
         found = store.sql(f"SELECT count(*) AS n FROM frames WHERE has(word, {feature})").column(0)[0].as_py()
