@@ -92,15 +92,12 @@ def gather(
     pairs = reader.frame("distance_curves", ["take", "class", "subclass", "preselected"])
     annotations = reader.frame("annotations")
     truth = reader.frame("ground_truth")
-    subclasses = {
-        str(label): tuple(sorted(group["subclass"].unique()))
-        for (label,), group in pairs.group_by("class", maintain_order=True)
-    }
-    annotated = set(pairs["take"]) | set(annotations["take"]) | set(truth["take"])
+    annotate = reader.record("annotations")
+    subclasses = _subclasses(pairs, annotations)
+    annotated = set(pairs["take"]) | set(annotations["take"]) | set(truth["take"]) | _selected(store, annotate)
     rows = _takes(takes.filter(pl.col("name").is_in(list(annotated))))
     chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
     records = tuple(record for record in reader.records() if record.stage != own_stage)
-    annotate = reader.record("annotations")
     kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
     drawn, others = _templates(reader, kind, {sub: label for label, subs in subclasses.items() for sub in subs})
     roots = tuple(sorted(takes["source_root"].drop_nulls().unique()))
@@ -120,10 +117,11 @@ def gather(
         delta=_number(annotate, "delta"),
         tau=_number(annotate, "tau"),
         method=_methods(annotations),
-        searched_share=_searched_share(pairs, rows),
+        searched_share=_number(annotate, "searched"),
         scores=(*own, *held),
         evaluation=main,
         held_out=held[0].evaluation if held else None,
+        held_out_column=_held_out_column(reader),
         subclasses=subclasses,
         templates=drawn,
         other_templates=others,
@@ -178,10 +176,18 @@ class Reader:
         return frame
 
     def records(self) -> tuple[StageRow, ...]:
-        """The pipeline's stages in the order in which they finished."""
+        """The pipeline's stages, each after those that it builds on, otherwise in the order in which they finished."""
         stages = self._store.manifest.stages
         own = [record for key, record in stages.items() if key.startswith(f"{self._pipeline}/")]
-        return tuple(_stage_row(record) for record in sorted(own, key=lambda r: (r.finished, r.stage)))
+        waiting = sorted(own, key=lambda record: (record.finished, record.run, record.stage))
+        rows: list[StageRow] = []
+        while waiting:
+            open_names = {_stage_name(record) for record in waiting}
+            ready = (r for r in waiting if open_names.isdisjoint((r.summary.get("inputs") or {}).values()))
+            first = next(ready, waiting[0])
+            waiting.remove(first)
+            rows.append(_stage_row(first))
+        return tuple(rows)
 
     def record(self, role: str) -> StageRow | None:
         """The record of the stage of a role."""
@@ -202,6 +208,19 @@ def feature_names(features: FeatureSet) -> FeatureNames:
 def _scores(reader: Reader, role: str) -> tuple[Score, ...]:
     rows = reader.table("metrics", role=role).to_pylist()
     return tuple(Score(**{key: value for key, value in row.items() if key != "run"}) for row in rows)
+
+
+def _subclasses(pairs: pl.DataFrame, annotations: pl.DataFrame) -> dict[str, tuple[str, ...]]:
+    """The subclasses that were searched for each class; those that were found, where the curves are not stored."""
+    columns = ["class", "subclass"]
+    both = pl.concat([pairs.select(columns), annotations.select(columns)]).drop_nulls().unique().sort(columns)
+    return {str(label): tuple(group["subclass"]) for (label,), group in both.group_by("class", maintain_order=True)}
+
+
+def _selected(store: Store, annotate: StageRow | None) -> set[str]:
+    """The takes that the annotating stage's filter selects: also those in which nothing was found."""
+    where = annotate.params.get("where") if annotate else None
+    return set(store.takes(where)["name"]) if isinstance(where, str) else set()
 
 
 def _takes(takes: pl.DataFrame) -> tuple[TakeRow, ...]:
@@ -266,13 +285,9 @@ def _templates(reader: Reader, kind: str, labels: Mapping[str, str]) -> tuple[tu
     return tuple(sorted(templates, key=lambda template: template.subclass)), len(rows) - len(templates)
 
 
-def _searched_share(pairs: pl.DataFrame, rows: Sequence[TakeRow]) -> float | None:
-    frames = {row.name: row.frames for row in rows}
-    weights = [frames.get(take, 0) for take in pairs["take"]]
-    total = sum(weights)
-    if not total:
-        return None
-    return float(np.dot(weights, pairs["preselected"].fill_null(1.0).to_numpy()) / total)
+def _held_out_column(reader: Reader) -> str:
+    record = reader.record("leave_one_out")
+    return str(record.params.get("column", "actor")) if record else "actor"
 
 
 def _methods(annotations: pl.DataFrame) -> str | None:
@@ -298,15 +313,18 @@ def _failures(store: Store) -> tuple[Failure, ...]:
     return tuple(sorted(failures, key=lambda failure: (failure.source, failure.line or 0, failure.message)))
 
 
+def _stage_name(record: StageRecord) -> str:
+    return record.stage.split("/", 1)[-1]
+
+
 def _stage_row(record: StageRecord) -> StageRow:
-    name = record.stage.split("/", 1)[-1]
     params = record.summary.get("params") or {}
     said = {key: value for key, value in record.summary.items() if key not in BOOKKEEPING}
-    return StageRow(name, record.run, record.finished, record.seconds, record.fingerprint, params, said)
+    return StageRow(_stage_name(record), record.run, record.finished, record.seconds, record.fingerprint, params, said)
 
 
 def _number(record: StageRow | None, key: str) -> float | None:
-    value = record.params.get(key) if record else None
+    value = (record.params.get(key, record.summary.get(key))) if record else None
     return float(value) if isinstance(value, int | float) else None
 
 

@@ -518,7 +518,12 @@ def store(tmp_path: Path) -> Path:
              "logged_at": MOMENT}
         ])  # fmt: skip
         for name in ("ingest", "learn_templates", "annotate", "evaluate", "report"):
-            summary = {"uses": name, "params": {"delta": 0.04, "tau": 0.11, "templates": "soft"}, "takes": 2}
+            summary = {
+                "uses": name,
+                "params": {"delta": 0.04, "tau": 0.11, "templates": "soft"},
+                "searched": 0.5,
+                "inputs": {"takes": "ingest"} if name == "annotate" else {},
+            }
             writer.record_stage(StageRecord(f"study/{name}", f"print-{name}", f"run-{name}", "2026", 1.0, summary))
         writer.commit()
     return path
@@ -563,8 +568,8 @@ def test_a_store_gives_everything_that_a_report_shows(store: Path) -> None:
     assert data.curves[0].costs[40] == pytest.approx(0.01)
     assert data.warnings == (("long_1", "odd header"),)
     assert data.failures == (Failure("bad.amc", "ingest", "SourceError", "frame 9 is cut", 99),)
-    assert [row.stage for row in data.stages] == ["annotate", "evaluate", "ingest", "learn_templates"]
-    assert data.stages[0].summary == {"takes": 2}
+    assert [row.stage for row in data.stages] == ["evaluate", "ingest", "annotate", "learn_templates"]
+    assert data.stages[2].summary == {"searched": 0.5}
 
 
 def test_only_stages_that_play_a_role_are_reported(store: Path) -> None:
