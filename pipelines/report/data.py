@@ -142,7 +142,7 @@ class ReportData:
 
     `takes` are the annotated takes sorted by name; `archive_takes` and `archive_seconds` count the whole store.
     `evaluation` and `held_out` name the evaluations of `scores` that are the main one and leave one actor out (or one
-    of another column of takes, `held_out_column`).
+    of another column of takes, `held_out_column`); `learned_from` holds that column's values among the example clips.
     `subclasses` maps a class to the subclasses that were searched for it; empty where that is not stored.
     `curves` belong to the take `curves_take`.
     """
@@ -167,6 +167,7 @@ class ReportData:
     evaluation: str | None = None
     held_out: str | None = None
     held_out_column: str = "actor"
+    learned_from: tuple[str, ...] = ()
     subclasses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     templates: tuple[Template, ...] = ()
     other_templates: int = 0

@@ -100,6 +100,7 @@ def gather(
     records = tuple(record for record in reader.records() if record.stage != own_stage)
     kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
     drawn, others = _templates(reader, kind, {sub: label for label, subs in subclasses.items() for sub in subs})
+    column = _held_out_column(reader)
     roots = tuple(sorted(takes["source_root"].drop_nulls().unique()))
     return ReportData(
         title=title or _title(roots),
@@ -121,7 +122,8 @@ def gather(
         scores=(*own, *held),
         evaluation=main,
         held_out=held[0].evaluation if held else None,
-        held_out_column=_held_out_column(reader),
+        held_out_column=column,
+        learned_from=_learned_from(takes, drawn, column),
         subclasses=subclasses,
         templates=drawn,
         other_templates=others,
@@ -288,6 +290,14 @@ def _templates(reader: Reader, kind: str, labels: Mapping[str, str]) -> tuple[tu
 def _held_out_column(reader: Reader) -> str:
     record = reader.record("leave_one_out")
     return str(record.params.get("column", "actor")) if record else "actor"
+
+
+def _learned_from(takes: pl.DataFrame, templates: Sequence[Template], column: str) -> tuple[str, ...]:
+    clips = {clip for template in templates for clip in template.clips}
+    if column not in takes.columns:
+        return ()
+    values = takes.filter(pl.col("name").is_in(list(clips)))[column].drop_nulls().unique()
+    return tuple(sorted(str(value) for value in values))
 
 
 def _methods(annotations: pl.DataFrame) -> str | None:

@@ -70,6 +70,7 @@ def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: i
             slots=slots,
             by_class=data.scores_of(data.evaluation, "class"),
             by_take=lowest(data.scores_of(data.evaluation, "take"), ROWS),
+            unseen=unseen(data),
             takes_scored=len(data.scores_of(data.evaluation, "take")),
             rows_shown=ROWS,
             cards_open=CARDS,
@@ -140,6 +141,13 @@ def lowest(scores: Sequence[Score], count: int) -> list[Score]:
     ranked = sorted(scores, key=lambda score: (score.f1 is None, score.f1, score.name))[:count]
     kept = set(ranked)
     return [score for score in scores if score in kept]
+
+
+def unseen(data: ReportData) -> list[str]:
+    """Return the folds that no example clip belongs to: leaving them out changes nothing."""
+    if not data.learned_from:
+        return []
+    return [score.name for score in data.scores_of(data.held_out, "fold") if score.name not in data.learned_from]
 
 
 def gaps(data: ReportData) -> Gaps:

@@ -220,6 +220,7 @@ def test_the_same_data_give_the_same_page_and_the_moment_is_given() -> None:
         ({"tau": None}, "The threshold τ is not stored, so minima are not marked"),
         ({"delta": None}, "The store does not say which δ annotation used"),
         ({"stages": ()}, "manifest records no stage of this pipeline"),
+        ({"learned_from": ("bob",)}, "No example clip is of ann, so this result equals the plain one"),
         ({"searched_share": 0.15}, "narrowed the search to 15% of the frames"),
         ({"other_templates": 3}, "3 templates of another kind"),
     ],
@@ -564,6 +565,7 @@ def test_a_store_gives_everything_that_a_report_shows(store: Path) -> None:
     assert (main.f1, held.f1) == (0.91, 0.61)
     assert [(t.subclass, t.label, t.values.shape) for t in data.templates] == [("squat1Reps", "squat", (2, 40))]
     assert data.other_templates == 1
+    assert data.learned_from == ("ann",)
     assert data.curves_take == "long_1"
     assert data.curves[0].costs[40] == pytest.approx(0.01)
     assert data.warnings == (("long_1", "odd header"),)
