@@ -38,7 +38,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     """Write `report.html` into the pipeline's report folder.
 
     Inputs: the stages whose templates, annotations, evaluation and leave_one_out are reported; a missing one is a
-    sentence on the page. Returns the page's path relative to the store, its size, and whose curves it shows.
+    sentence on the page. Returns the files that must stay (the page, relative to the store), its size, and whose curves
+    it shows.
 
     Raises
     ------
@@ -57,7 +58,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     size = write_page(render(data, takes=params.takes, max_takes=params.max_takes), path)
     context.say(f"report: {path.resolve()}")
     return {
-        "report": path.relative_to(context.store_path).as_posix(),
+        "files": [path.relative_to(context.store_path).as_posix()],
         "bytes": size,
         "takes": len(data.takes),
         "curves_take": data.curves_take,
