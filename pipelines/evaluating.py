@@ -285,9 +285,16 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
 
     Classes that are neither annotated nor there are left out, and so are lines of other scopes than these.
     """
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    table = Table(
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        header_style="bold",
+    )
     table.add_column("", overflow="fold")
-    for name in ("F1", "P1", "R1", "F2", "P2", "R2", "automatic", "manual"):
+    for name in ("F1", "P1", "R1", "F2", "P2", "R2", "auto", "manual"):
         table.add_column(name, justify="right", no_wrap=True)
     for scope in scopes:
         table.add_section()
@@ -299,11 +306,11 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
             table.add_row(
                 row.name.replace("[", r"\["),
                 *("–" if math.isnan(value) else f"{value:.2f}" for value in values),
-                f"{counts.segments_automatic_hit} of {counts.segments_automatic}",
-                f"{counts.segments_manual_hit} of {counts.segments_manual}",
+                f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
+                f"{counts.segments_manual_hit}/{counts.segments_manual}",
                 style="bold" if scope == "pooled" else None,
             )
-    table.caption = "1: frames, 2: segments; automatic, manual: segments that overlap one of the other side"
+    table.caption = "1: frames, 2: segments; auto, manual: how many segments overlap one of the other side"
     return table
 
 

@@ -51,7 +51,8 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
     if not found:
         raise KinedexError(
             f"ground truth: no file '{pattern}' below {', '.join(map(str, folders)) or 'any source folder'}. "
-            f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open)"
+            f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open); where there "
+            "is none, say `ground_truth: none`"
         )
     return found
 

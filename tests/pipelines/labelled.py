@@ -1,0 +1,104 @@
+"""A made-up archive of labelled clips and long takes, written into a store as words: no motion files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel
+from rich.console import Console
+
+from pipelines.context import StageContext
+from pipelines.executors import make_executor
+from pipelines.terminal import Terminal
+from storage.manifest import StageRecord
+from storage.parts import FramesWriter
+from storage.writer import StoreWriter
+from tests.storage.made_up import BODY, take_row, takes_table
+
+_random = np.random.default_rng(2012)
+POSES = {
+    name: _random.integers(0, 1 << 40, poses, dtype=np.uint64)
+    for name, poses in {"walk": 4, "kick": 5, "wave": 4, "rest": 1}.items()
+}
+"""Subclass → the words that its motions run through; any two differ in about half of the features."""
+
+
+def motion(subclass: str, frames_a_pose: int = 5) -> np.ndarray:
+    return np.repeat(POSES[subclass], frames_a_pose)
+
+
+def clip(subclass: str, actor: str, number: int, frames_a_pose: int = 5) -> dict[str, object]:
+    name = f"{actor}_{subclass}_{number:03d}"
+    return {"name": name, "actor": actor, "class": subclass, "words": motion(subclass, frames_a_pose)}
+
+
+def long_take(name: str, actor: str, *subclasses: str, frames_a_pose: int = 5) -> dict[str, object]:
+    words = np.concatenate([motion(subclass, frames_a_pose) for subclass in subclasses])
+    return {"name": name, "actor": actor, "class": None, "words": words}
+
+
+def write_store(path: Path, takes: list[dict[str, object]], source_root: Path | None = None) -> Path:
+    """Write takes as they stand: rows of takes whose `words` are their frames; source frames are at 120 Hz."""
+    with StoreWriter.open(path, BODY) as writer:
+        ids = writer.assign_take_ids([str(take["name"]) for take in takes])
+        rows = []
+        with FramesWriter(path, BODY) as frames:
+            for take in sorted(takes, key=lambda take: ids[str(take["name"])]):
+                words = np.asarray(take["words"], np.uint64)
+                positions = np.zeros((len(BODY.joints), 3, len(words)))
+                frames.add(ids[str(take["name"])], positions, np.zeros((4, len(words))), words)
+                columns = {key: value for key, value in take.items() if key not in ("name", "words")}
+                name = str(take["name"])
+                rows.append(
+                    take_row(ids[name], name, len(words), **columns, source_root=str(source_root or "/archive"))
+                )
+            part = frames.close()
+        writer.add_takes(takes_table(rows), part)
+        writer.commit()
+    return path
+
+
+class Line:
+    """A pipeline for tests: runs stages on a store one after the other, each under its module's name."""
+
+    INPUTS: ClassVar[dict[str, dict[str, str]]] = {
+        "learn_templates": {},
+        "annotate": {"templates": "learn_templates"},
+        "evaluate": {"annotations": "annotate"},
+        "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
+    }
+
+    def __init__(self, store: Path, executor: str = "serial") -> None:
+        self.store = store
+        self.executor = make_executor(executor, 2)
+        self.params: dict[str, BaseModel] = {}
+        self.said = io.StringIO()
+
+    def context(self, stage: str) -> StageContext:
+        return StageContext(
+            self.store,
+            BODY,
+            "test",
+            stage,
+            f"run-{stage}",
+            self.executor,
+            Terminal(Console(file=self.said, soft_wrap=True, width=120)),
+            dict(self.INPUTS[stage]),
+            dict(self.params),
+        )
+
+    def run(self, module: ModuleType, **params: object) -> Mapping[str, object]:
+        stage = module.__name__.rsplit(".", 1)[-1]
+        self.params[stage] = module.Params(**params)
+        context = self.context(stage)
+        summary: dict[str, object] = module.run(context, self.params[stage])
+        record = StageRecord(f"test/{stage}", "", context.run, "now", 0.0, {**summary, "inputs": self.INPUTS[stage]})
+        with StoreWriter.open(self.store, BODY) as writer:
+            writer.record_stage(record)
+            writer.commit()
+        return summary

@@ -1,0 +1,121 @@
+"""Annotating in batches: takes do not influence each other, and keyframes narrow the search."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from catalog.classes import Classes, MotionClass, load_classes
+from catalog.queries import Gap, Keyframe, KeyframeQuery
+from ops.errors import KinedexError
+from ops.templates import learn_soft
+from ops.words import TakeWords
+from pipelines import annotating
+from pipelines.annotating import Annotator, annotate_words, make_annotator, split_takes, targets_unknown
+from pipelines.learning import SubclassTemplate
+from tests.pipelines.labelled import BODY, POSES, motion
+
+
+def template(subclass: str, frames_a_pose: int = 5) -> SubclassTemplate:
+    return SubclassTemplate(subclass, "soft", learn_soft([motion(subclass, frames_a_pose)], 40), ("clip",))
+
+
+def annotator(*subclasses: str, queries: tuple[KeyframeQuery, ...] = (), tau: float = 0.13) -> Annotator:
+    templates = [template(subclass) for subclass in subclasses]
+    return make_annotator(BODY, templates, load_classes("own", subclasses), 0.05, tau, queries)
+
+
+def laid_out(takes: list[np.ndarray]) -> TakeWords:
+    offsets = np.concatenate([[0], np.cumsum([len(take) for take in takes])]).astype(np.int64)
+    return TakeWords(np.arange(len(takes)), offsets, np.concatenate([*takes, np.empty(0, np.uint64)]))
+
+
+KICK = KeyframeQuery(
+    "my kick",
+    "kick",
+    tuple(Keyframe("upper", 0x3FFF, int(word) & 0x3FFF) for word in POSES["kick"][[0, 2, 4]]),
+    (Gap(1, 20), Gap(1, 20)),
+)
+
+
+def test_motions_are_found_where_they_are():
+    take = np.concatenate([motion(name) for name in ("rest", "walk", "rest", "kick", "kick", "rest")])
+    (found,) = annotate_words(annotator("kick", "walk", "rest"), laid_out([take]), keep_curves=True)
+    labels = [("kick", "rest", "walk")[s.class_index] for s in found.segments if s.cost == 0]
+    assert labels == ["rest", "walk", "rest", "kick", "rest"]  # two kicks in a row are one stretch of kicking
+    kick = next(s for s in found.segments if s.class_index == 0)
+    assert (kick.start, kick.stop) == (30, 80)
+    assert found.curves is not None
+    assert found.curves.shape == (3, len(take))
+    assert found.preselected.tolist() == [1, 1, 1]
+
+
+words_of_takes = st.lists(
+    st.lists(st.sampled_from(sorted(POSES)), max_size=5).map(
+        lambda names: np.concatenate([np.empty(0, np.uint64), *(motion(name, 3) for name in names)])
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+@settings(max_examples=40)
+@given(words_of_takes, st.booleans())
+def test_takes_do_not_influence_each_other(takes: list[np.ndarray], with_keyframes: bool):
+    queries = (KICK,) if with_keyframes else ()
+    templates = [template("kick", 3), template("walk", 3), template("rest", 1)]  # the last has a single column
+    classes = load_classes("own", [one.subclass for one in templates])
+    one = make_annotator(BODY, templates, classes, 0.05, 0.13, queries)
+    together = annotate_words(one, laid_out(takes), keep_curves=True)
+    for found, take in zip(together, takes, strict=True):
+        (alone,) = annotate_words(one, laid_out([take]), keep_curves=True)
+        assert found.segments == alone.segments
+        np.testing.assert_array_equal(found.curves, alone.curves)
+        np.testing.assert_array_equal(found.preselected, alone.preselected)
+
+
+def test_keyframes_narrow_the_search_but_not_the_result():
+    take = np.concatenate([motion(name) for name in ("walk", "rest", "walk", "kick", "walk", "rest", "walk")])
+    words = laid_out([take])
+    (everywhere,) = annotate_words(annotator("kick", "walk"), words)
+    (narrowed,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, keep_curves=True)
+    assert narrowed.preselected[0] < 0.6
+    assert narrowed.preselected[1] == 1
+    assert narrowed.curves is not None
+    assert np.isinf(narrowed.curves[0, :20]).all()
+    best = [
+        min((s for s in found.segments if s.class_index == 0), key=lambda s: s.cost) for found in (everywhere, narrowed)
+    ]
+    assert best[0] == best[1]
+
+
+def test_a_query_for_a_class_serves_the_subclasses_that_have_none_of_their_own():
+    classes = Classes((MotionClass("legs", "", ("kick", "walk")), MotionClass("arms", "", ("wave",))))
+    for_legs = KeyframeQuery("legs", "legs", (Keyframe("upper", 1, 1),), ())
+    made = make_annotator(
+        BODY, [template("kick"), template("walk"), template("wave")], classes, 0.05, 0.13, (for_legs, KICK)
+    )
+    assert made.queries == ((KICK,), (for_legs,), ())
+    assert made.method == "templates within keyframe hits"
+    assert made.class_index.tolist() == [0, 0, 1]
+
+
+def test_queries_that_fit_no_class_are_named_and_all_of_them_an_error():
+    classes = load_classes("own", ["kick", "walk"])
+    other = KeyframeQuery("x", "kik", KICK.keyframes, KICK.gaps)
+    assert targets_unknown([KICK, other], classes) == ["kik"]
+    with pytest.raises(KinedexError, match="the first is for 'kik'; did you mean 'kick'"):
+        targets_unknown([other], classes)
+
+
+def test_classes_without_any_template_are_an_error():
+    with pytest.raises(KinedexError, match="none of the classes dance has a template; there are: kick"):
+        make_annotator(BODY, [template("kick")], Classes((MotionClass("dance", "", ()),)), 0.05, 0.13)
+
+
+def test_takes_are_divided_into_batches_and_none_is_lost(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(annotating, "BATCH_FRAMES", 100)
+    assert split_takes([3, 1, 2, 4, 5], [10, 60, 50, 300, 1]) == [(1,), (2, 3), (4,), (5,)]
+    assert split_takes([], []) == []

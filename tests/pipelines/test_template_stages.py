@@ -1,0 +1,215 @@
+"""The stages learn_templates, annotate, evaluate and leave_one_out on made-up and on real words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ops.errors import ConfigError, KinedexError, SourceError
+from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from storage.store import open_store
+from tests.pipelines.labelled import Line, clip, long_take, write_store
+
+CLIPS = [
+    clip(subclass, actor, number, pace)
+    for subclass in ("walk", "kick", "wave")
+    for actor, number, pace in (("ann", 1, 4), ("ann", 2, 5), ("bob", 3, 6))
+]
+TAKES = [
+    long_take("cat_take01", "cat", "rest", "walk", "rest", "kick", "rest"),
+    long_take("bob_take01", "bob", "wave", "rest", "kick", frames_a_pose=6),
+]
+TRUTH = """take,class,start,stop
+cat_take01,walk,20,100
+cat_take01,kick,120,220
+bob_take01,wave,0,96
+bob_take01,kick,120,240
+"""
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Line:
+    archive = tmp_path / "archive"
+    archive.mkdir()
+    (archive / "ground_truth.csv").write_text(TRUTH)
+    return Line(write_store(tmp_path / "store", CLIPS + TAKES, archive))
+
+
+def test_every_subclass_gets_a_soft_and_a_hard_template_with_its_clips(line: Line):
+    summary = line.run(learn_templates)
+    assert (summary["subclasses"], summary["templates"], summary["clips"]) == (3, 6, 9)
+    rows = open_store(line.store).result("templates").to_pylist()
+    assert [(row["subclass"], row["kind"]) for row in rows[:2]] == [("kick", "soft"), ("kick", "hard")]
+    assert rows[0]["clips"] == ["ann_kick_001", "ann_kick_002", "bob_kick_003"]
+    assert len(rows[0]["values"]) == rows[0]["columns"] * 40
+    assert len(rows[0]["costs"]) == rows[0]["rounds"] + 1
+    assert rows[0]["take_filter"] == "class IS NOT NULL"
+
+
+def test_templates_do_not_depend_on_the_executor(line: Line, monkeypatch: pytest.MonkeyPatch):
+    line.run(learn_templates)
+    alone = open_store(line.store).result("templates").drop_columns(["run"])
+    monkeypatch.setattr("pipelines.learning._TASK_CELLS", 1)
+    spread = Line(line.store, "processes")
+    spread.run(learn_templates)
+    spread.executor.close()
+    assert open_store(line.store).result("templates").drop_columns(["run"]).equals(alone)
+
+
+def test_a_single_clip_is_used_and_said_and_no_clip_at_all_is_explained(line: Line):
+    line.run(learn_templates, where="name LIKE '%003'", methods=["soft"])
+    assert "one clip only, which then is the template: kick, walk, wave" in line.said.getvalue()
+    with pytest.raises(KinedexError, match=r"`actor = 'eve'` selects none of the 11 takes, 9 of which have a class"):
+        line.run(learn_templates, where="actor = 'eve'")
+    with pytest.raises(KinedexError, match=r"2 takes to learn from that have no class, such as bob_take01"):
+        line.run(learn_templates, where="true")
+
+
+def test_takes_are_annotated_and_agree_with_the_ground_truth(line: Line):
+    line.run(learn_templates)
+    assert line.run(annotate)["takes"] == 2
+    store = open_store(line.store)
+    found = store.result("annotations").to_pylist()
+    assert [(row["take"], row["class"]) for row in found if row["cost"] < 0.01] == [
+        ("bob_take01", "wave"),
+        ("bob_take01", "kick"),
+        ("cat_take01", "walk"),
+        ("cat_take01", "kick"),
+    ]
+    assert all(row["start_seconds"] == row["start"] / 30 and row["method"] == "templates" for row in found)
+    curves = store.result("distance_curves").to_pylist()
+    assert len(curves) == 2 * 3
+    assert [len(row["costs"]) for row in curves if row["take"] == "cat_take01"] == [60] * 3
+    summary = line.run(evaluate)
+    assert summary["f2"] == 1
+    written = json.loads((line.store / "results/reports/test/metrics.json").read_text())
+    assert written["pooled"]["f1"] == pytest.approx(summary["f1"])
+    metrics = open_store(line.store).result("metrics")
+    assert metrics.column("scope").to_pylist() == ["pooled"] + ["class"] * 3 + ["take"] * 2
+    assert open_store(line.store).result("ground_truth").num_rows == 4
+    assert "2 takes against ground truth" in line.said.getvalue()
+
+
+def test_hard_templates_and_classes_of_a_file_are_a_matter_of_parameters(line: Line, tmp_path: Path):
+    (tmp_path / "mine.yaml").write_text("legs: [walk, kick]\n")
+    line.run(learn_templates, methods=["hard"])
+    line.run(annotate, templates="hard", classes=str(tmp_path / "mine.yaml"), store_curves=False)
+    store = open_store(line.store)
+    assert set(store.result("annotations").column("class").to_pylist()) == {"legs"}
+    assert set(store.result("annotations").column("subclass").to_pylist()) == {"walk", "kick"}
+    assert store.result("distance_curves").num_rows == 0
+    assert "in no class and not annotated: wave" in line.said.getvalue()
+    with pytest.raises(SourceError, match=r"ground_truth.csv:4: 'wave' is neither a class nor a subclass"):
+        line.run(evaluate)
+    line.run(evaluate, unknown_labels="ignore")
+    assert "labels of no class, left out: wave" in line.said.getvalue()
+
+
+def test_what_cannot_be_annotated_is_explained(line: Line, tmp_path: Path):
+    line.run(learn_templates, methods=["hard"])
+    with pytest.raises(KinedexError, match=r"learned no soft templates \(it has: hard\)"):
+        line.run(annotate)
+    with pytest.raises(KinedexError, match=r"`actor = 'eve'` selects none of 11 takes, 2 of which have no class"):
+        line.run(annotate, where="actor = 'eve'", templates="hard")
+    (tmp_path / "mine.yaml").write_text("legs: [wolk]\n")
+    with pytest.raises(ConfigError, match=r"mine.yaml:1: .*'wolk'; did you mean 'walk'"):
+        line.run(annotate, templates="hard", classes=str(tmp_path / "mine.yaml"))
+
+
+def test_keyframe_queries_preselect_and_their_file_belongs_to_the_fingerprint(line: Line, tmp_path: Path):
+    queries = tmp_path / "mine.json"
+    queries.write_text("queries:\n  my kick:\n    class: kick\n    keyframes:\n      - {upper: '****111*******'}\n")
+    params = annotate.Params(queries=[str(queries)])
+    before = annotate.external_digest(params)
+    queries.write_text(queries.read_text() + "\n# other words\n")
+    assert annotate.external_digest(params) != before
+    assert annotate.external_digest(annotate.Params()) == annotate.external_digest(annotate.Params(tau=0.2))
+
+
+def test_a_takes_own_class_can_be_the_ground_truth_and_there_can_be_none(line: Line):
+    line.run(learn_templates)
+    line.run(annotate, where="class IS NOT NULL")
+    assert line.run(evaluate, ground_truth="class")["f2"] == 1
+    assert line.run(evaluate, ground_truth="none") == {"evaluated_takes": 0}
+    assert open_store(line.store).result("metrics").num_rows == 0
+    assert not (line.store / "results/reports/test/metrics.json").exists()
+    assert line.run(leave_one_out) == {"folds": 0}
+
+
+def test_ground_truth_that_changes_makes_the_evaluation_run_again(line: Line, tmp_path: Path):
+    params = evaluate.Params(source=str(tmp_path / "archive"))
+    before = evaluate.external_digest(params)
+    (tmp_path / "archive" / "ground_truth.csv").write_text(TRUTH + "bob_take01,walk,96,120\n")
+    assert evaluate.external_digest(params) != before
+
+
+def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: Line):
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate)
+    plain = line.run(evaluate)
+    summary = line.run(leave_one_out)
+    assert summary["folds"] == 2
+    said = line.said.getvalue()
+    assert "cat: no training clip is of actor cat, so the fold equals the plain result" in said
+    rows = {(row["scope"], row["name"]): row for row in open_store(line.store).result("metrics").to_pylist()[6:]}
+    assert rows["pooled", "all"]["evaluation"] == "leave one actor out"
+    assert rows["fold", "bob"]["frames_manual"] + rows["fold", "cat"]["frames_manual"] == 24 + 30 + 20 + 25
+    written = json.loads((line.store / "results/reports/test/leave_one_out.json").read_text())
+    assert list(written["folds"]) == ["bob", "cat"]
+    assert written["pooled"]["f2"] == summary["f2"]
+    assert plain["f2"] == 1
+
+
+def test_left_out_values_that_leave_nothing_to_learn_from_are_said(line: Line):
+    line.run(learn_templates, where="class IS NOT NULL AND actor = 'bob'", methods=["soft"])
+    line.run(annotate)
+    line.run(evaluate)
+    assert line.run(leave_one_out)["folds"] == 1
+    assert "bob: all training clips are of actor bob; there is no fold without them" in line.said.getvalue()
+    with pytest.raises(KinedexError, match="takes have no column 'actr'; did you mean 'actor'"):
+        line.run(leave_one_out, column="actr")
+
+
+@pytest.fixture(scope="module")
+def hdm05(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Line:
+    """The HDM05 clips and takes as a store of reference words."""
+    words = pl.read_parquet(shared / "reference" / "feature_words.parquet").with_columns(pl.col("take").cast(pl.String))
+    words = words.filter(pl.col("take").str.starts_with("HDM_")).sort("take", "source_frame")
+    takes = []
+    for (name,), frames in words.group_by("take", maintain_order=True):
+        parts = str(name).split("_")
+        subclass = parts[2] if len(parts) == 5 else None
+        sampled = frames.filter(pl.col("source_frame") % 4 == 0)["word"].to_numpy()
+        takes.append(
+            {"name": name, "actor": parts[1], "class": subclass, "words": sampled, "source_frames": frames.height}
+        )
+    store = write_store(tmp_path_factory.mktemp("hdm05") / "store", takes, shared / "data" / "hdm05")
+    line = Line(store)
+    line.run(learn_templates, methods=["soft"])
+    return line
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("tau", "f1", "f2"), [(0.13, 0.82, 0.87), (0.06, 0.83, 0.90)])
+def test_an_actor_whom_no_template_has_seen_is_annotated_as_well_as_by_the_reference(
+    hdm05: Line, tau: float, f1: float, f2: float
+):
+    hdm05.run(annotate, tau=tau)
+    summary = hdm05.run(evaluate)
+    assert float(str(summary["f1"])) >= f1
+    assert float(str(summary["f2"])) >= f2
+
+
+@pytest.mark.shared
+def test_the_authors_queries_leave_a_seventh_of_the_frames_and_better_annotations(hdm05: Line, shared: Path):
+    queries = str(shared / "reference" / "keyframe_queries.json")
+    summary = hdm05.run(annotate, queries=queries, classes="hdm05-11")
+    assert 0.12 <= float(str(summary["searched"])) <= 0.16
+    scores = hdm05.run(evaluate)
+    assert float(str(scores["f1"])) >= 0.84
+    assert float(str(scores["f2"])) >= 0.91
+    assert np.isfinite(float(str(scores["f1"])))
