@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from ops.errors import KinedexError, did_you_mean
+from pipelines.terminal import make_console
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from rich.console import Console
 
     from pipelines.runner import Outcome
 
@@ -59,7 +60,7 @@ def demo(
     """Run the main job, from motion files to a report, on a synthetic archive or on your own."""
     from pipelines.demo import run_demo
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = make_console()
     outcome = run_demo(store, data, minutes, executor, workers, console)
     _finish(outcome, store, console)
 
@@ -84,7 +85,7 @@ def run(
         workers=workers,
         force=frozenset(force or ()),
     )
-    _finish(outcome, store, Console(highlight=False, soft_wrap=True))
+    _finish(outcome, store, make_console())
 
 
 @app.command()
@@ -112,7 +113,7 @@ def plan(
         last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
         inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
         table.add_row(step.stage.name, inputs, step.reason or "– (nothing to do)", last)
-    Console(highlight=False).print(table)
+    make_console().print(table)
 
 
 @app.command()
@@ -128,7 +129,7 @@ def ingest(
 
     assignments = {"source": _yaml_text(str(source)), **_assignments(assign)}
     outcome = run_pipeline("ingest", store, assignments=assignments, executor=executor, workers=workers)
-    _finish(outcome, store, Console(highlight=False, soft_wrap=True))
+    _finish(outcome, store, make_console())
 
 
 @app.command()
@@ -193,7 +194,7 @@ def takes(
             raise KinedexError(f"--columns: takes have no column '{column}'{did_you_mean(column, frame.columns)}")
     _show(frame.select(wanted).to_arrow(), form, output)
     if form == "table" and output is None:
-        Console(highlight=False).print(f"{len(frame)} takes, {frame['seconds'].sum() / 60:.1f} minutes")
+        make_console().print(f"{len(frame)} takes, {frame['seconds'].sum() / 60:.1f} minutes")
 
 
 @app.command()
@@ -205,10 +206,11 @@ def verify(store: StorePath) -> None:
     opened = open_store(store)
     findings = check(opened)
     for finding in findings:
-        print(f"✗ {finding}")
+        print(f"{'✗' if finding.fault else '·'} {finding}")
     parts = len(opened.manifest.parts)
-    if findings:
-        raise KinedexError(f"{len(findings)} findings in {parts} parts of {store}")
+    faults = sum(finding.fault for finding in findings)
+    if faults:
+        raise KinedexError(f"{store}: {faults} of {parts} parts or files are damaged")
     print(
         f"{store}: version {opened.manifest.version}, {len(opened.manifest.live_takes)} takes, {parts} parts: all sound"
     )
@@ -225,7 +227,7 @@ def synth(
     """Make a synthetic archive: ASF/AMC files of example clips and long takes, with ground truth."""
     from pipelines.demo import make_archive
 
-    make_archive(directory, minutes, actors, seed, workers, Console(highlight=False, soft_wrap=True))
+    make_archive(directory, minutes, actors, seed, workers, make_console())
 
 
 @app.command()
@@ -258,7 +260,7 @@ def _show(table: pa.Table, form: str, output: Path | None) -> None:
     if output is not None and form == "table":
         form = {".csv": "csv", ".json": "json", ".parquet": "parquet"}.get(output.suffix, "csv")
     if form == "table":
-        Console(highlight=False).print(rich_table(table))
+        make_console().print(rich_table(table))
         return
     data = encode(table, form)
     if output is not None:

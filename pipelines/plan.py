@@ -53,6 +53,8 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
         fingerprints[stage.name] = fingerprint
         record = store.manifest.stages.get(f"{pipeline.name}/{stage.name}") if store else None
         reason = "--force" if stage.name in force else _reason(record, fingerprint, parts)
+        if reason is None and store is not None and record is not None:
+            reason = _gone(stage, store, record)
         upstream = next((name for name in stage.inputs.values() if name in running), None)
         if reason is None and upstream is not None and running[upstream] == "--force":
             reason = f"{upstream} runs again"
@@ -97,6 +99,15 @@ def _reason(record: StageRecord | None, fingerprint: str, parts: dict[str, str])
     return (
         "; ".join(said.get(name, name.removeprefix("input ") + " changed") for name in changed) or "its inputs changed"
     )
+
+
+def _gone(stage: Stage, store: Store, record: StageRecord) -> str | None:
+    """What a stage left and is no longer there: files that its summary names, or what the stage itself misses."""
+    stands = getattr(stage.module, "stands", None)
+    if stands is not None and not stands(store):
+        return "what it made is gone or stale"
+    missing = [name for name in record.summary.get("files", ()) if not (store.path / name).is_file()]
+    return f"{missing[0]} is gone" if missing else None
 
 
 def _hash(value: object) -> str:

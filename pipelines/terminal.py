@@ -8,6 +8,14 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
+WIDE = 160  # columns of a table that goes to a file or a pipe: wide enough that cells stay whole
+
+
+def make_console() -> Console:
+    """The console that kinedex prints on."""
+    console = Console(highlight=False, soft_wrap=True)
+    return console if console.is_terminal else Console(highlight=False, soft_wrap=True, width=WIDE)
+
 
 class Progress:
     """One progress bar; a context manager. Where the output is no terminal it prints nothing."""
@@ -42,7 +50,7 @@ class Terminal:
     """Where stages speak."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(highlight=False, soft_wrap=True)
+        self.console = console or make_console()
 
     def say(self, text: str) -> None:
         """Print one indented line as it is (no markup)."""

@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipelines.context import StageContext
 from storage import index
+from storage.store import Store
 
 
 class Params(BaseModel):
@@ -17,6 +18,11 @@ class Params(BaseModel):
     memory_mb: int | None = Field(
         None, ge=64, description="memory that DuckDB may use, in MB; 80 % of the machine's when left out"
     )
+
+
+def stands(store: Store) -> bool:
+    """Whether the index that the store needs is there."""
+    return index.current(store.path, store.manifest) is not None
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:

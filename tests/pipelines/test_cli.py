@@ -1,0 +1,136 @@
+"""The command line: what it prints, how it exits, and what a stranger reads when something is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from tests.pipelines.archives import write_archive
+
+COMMANDS = ["demo", "run", "plan", "ingest", "search", "sql", "takes", "verify", "synth", "version"]
+
+
+def kinedex(*words: str | Path, stdin: str | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pipelines.cli", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, input=stdin, check=False)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    takes = {"clips/wave/x_aa_wave_001_120.amc": 60, "clips/bow/x_bb_bow_001_120.amc": 80, "takes/x_aa_take01.amc": 200}
+    return write_archive(tmp_path_factory.mktemp("archive") / "it's here", takes)
+
+
+@pytest.fixture(scope="module")
+def store(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "store"
+    done = kinedex("ingest", path, source, "--executor", "serial")
+    assert done.returncode == 0, done.stderr
+    assert "3 to read, 0 unchanged" in done.stdout
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_what_a_command_does(command: str) -> None:
+    done = kinedex(command, "--help")
+    assert done.returncode == 0
+    assert "Usage:" in done.stdout
+    assert "--help" in done.stdout
+
+
+def test_a_second_ingest_does_nothing_and_says_so(store: Path, source: Path) -> None:
+    done = kinedex("ingest", store, source, "--executor", "serial")
+    assert done.returncode == 0
+    assert "everything was done already" in done.stdout
+
+
+def test_takes_are_listed_filtered_and_written(store: Path, tmp_path: Path) -> None:
+    done = kinedex("takes", store, "--where", "actor = 'aa'", "--format", "json", "--columns", "name,class,frames")
+    assert json.loads(done.stdout) == [
+        {"name": "x_aa_take01", "class": None, "frames": 50},
+        {"name": "x_aa_wave_001_120", "class": "wave", "frames": 15},
+    ]
+    assert kinedex("takes", store, "-o", tmp_path / "takes.parquet").returncode == 0
+    assert pq.read_table(tmp_path / "takes.parquet").num_rows == 3
+    assert "3 takes" in kinedex("takes", store).stdout
+
+
+def test_sql_answers_from_an_argument_a_file_and_standard_input(store: Path, tmp_path: Path) -> None:
+    query = "SELECT count(*) AS takes FROM takes"
+    (tmp_path / "q.sql").write_text(query)
+    expected = "takes\n3\n"
+    assert kinedex("sql", store, query, "--format", "csv").stdout == expected
+    assert kinedex("sql", store, "-f", tmp_path / "q.sql", "--format", "csv").stdout == expected
+    assert kinedex("sql", store, "--format", "csv", stdin=query).stdout == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["takes", "STORE", "--columns", "nam"], "did you mean 'name'?"),
+        (["takes", "STORE", "--where", "acter = 'aa'"], "actor"),
+        (["takes", "/no/such/store"], "does not exist"),
+        (["sql", "STORE", "DROP TABLE takes"], "only"),
+        (["sql", "STORE", "SELECT * FROM taks"], "takes"),
+        (["sql", "STORE", "SELECT 1", "--format", "tsv"], "no output format 'tsv'"),
+        (["sql", "STORE", "SELECT 1", "-f", "x.sql"], "not both"),
+        (["run", "anotate", "--store", "STORE"], "did you mean 'annotate'?"),
+        (["run", "annotate", "--store", "STORE"], "--set source="),
+        (["run", "annotate", "--store", "STORE", "--set", "tau"], "expected NAME=VALUE"),
+        (["run", "annotate", "--store", "STORE", "--set", "annotate.taw=1"], "did you mean 'tau'?"),
+        (["search", "STORE", "exampel"], "did you mean 'example'?"),
+        (["search", "STORE", "example", "-q", "sqat"], "did you mean 'squat'?"),
+        (["ingest", "STORE", "/no/such/folder"], "is not a folder"),
+    ],
+)
+def test_what_goes_wrong_is_said_in_one_message_with_a_way_out(store: Path, words: list[str], message: str) -> None:
+    done = kinedex(*(str(store) if word == "STORE" else word for word in words))
+    assert done.returncode == 1
+    assert done.stderr.startswith("kinedex: ")
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_failed_stage_says_how_to_go_on(store: Path, source: Path) -> None:
+    done = kinedex("run", "annotate", "--store", store, "--set", f"source='{source}'".replace("it's", "it''s"),
+                   "--set", "train=actor = 'nobody'", "--executor", "serial")  # fmt: skip
+    assert done.returncode == 1
+    assert "stage learn_templates:" in done.stderr
+    assert "go on with:\n    kinedex run annotate --store" in done.stderr
+
+
+def test_files_left_out_show_in_the_exit_code_every_time(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 20})
+    (source / "x_2.amc").write_text("1\nroot 0 0 zero 0 0 0\n")
+    for _ in range(2):
+        done = kinedex("ingest", tmp_path / "store", source, "--executor", "serial")
+        assert done.returncode == 3
+        assert "1 source files were left out" in done.stdout
+    log = kinedex("sql", tmp_path / "store", "SELECT source, line FROM ingest_log", "--format", "csv")
+    assert log.stdout == "source,line\nx_2.amc,2\n"
+
+
+def test_search_prints_hits_and_explains(store: Path) -> None:
+    hits = kinedex("search", store, "example", "--format", "csv")
+    assert hits.returncode == 0, hits.stderr
+    assert hits.stdout.startswith("query,take,") or "query" in hits.stdout.splitlines()[0]
+    assert "surviving" in kinedex("search", store, "example", "--explain").stdout
+
+
+def test_verify_finds_a_damaged_part(store: Path, tmp_path: Path) -> None:
+    assert kinedex("verify", store).returncode == 0
+    import shutil
+
+    copy = Path(shutil.copytree(store, tmp_path / "copy"))
+    part = next((copy / "frames").glob("part-*.parquet"))
+    data = bytearray(part.read_bytes())
+    data[len(data) // 2] ^= 1
+    part.write_bytes(data)
+    done = kinedex("verify", copy)
+    assert done.returncode == 1
+    assert part.name in done.stdout

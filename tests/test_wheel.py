@@ -1,0 +1,74 @@
+"""A wheel built from the checkout works outside it, with its configuration files."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+from tests.pipelines.archives import write_archive
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.slow
+def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(tmp_path: Path) -> None:
+    build = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        str(ROOT),
+        "--no-deps",
+        "--no-build-isolation",
+        "-q",
+        "-w",
+        str(tmp_path),
+    ]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("kinedex-*.whl")
+    target = tmp_path / "installed"
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        str(target),
+        str(wheel),
+    ]
+    subprocess.run(install, check=True, capture_output=True)
+    # The libraries come from this environment, kinedex itself from the wheel alone: a PYTHONPATH entry does not
+    # follow the link that an editable install leaves in its folder.
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(target), sysconfig.get_paths()["purelib"]])}
+    source = write_archive(tmp_path / "source", {"x_aa_1.amc": 40})
+
+    def run(*words: str) -> str:
+        command = [sys.executable, "-S", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    where = run(
+        "-c", "import catalog.configs, pipelines; print(catalog.configs.shipped_configs()); print(pipelines.__file__)"
+    )
+    assert all(line.startswith(str(target)) for line in where.splitlines())
+    assert "everything" not in run("-m", "pipelines.cli", "ingest", "store", str(source), "--executor", "serial")
+    assert run("-m", "pipelines.cli", "sql", "store", "SELECT name FROM takes", "--format", "csv") == "name\nx_aa_1\n"
+    assert "learn_templates" in run(
+        "-m", "pipelines.cli", "plan", "annotate", "--store", "store", "--set", f"source={source}"
+    )
+    assert "squat" in run("-m", "pipelines.cli", "search", "store", "example", "--explain")
+    for package in ("ops", "catalog", "storage", "pipelines"):
+        shipped = {
+            p.relative_to(ROOT) for p in (ROOT / package).rglob("*") if p.is_file() and "__pycache__" not in p.parts
+        }
+        assert {p for p in shipped if not (target / p).is_file()} == set()
+    assert not (target / "tests").exists()
