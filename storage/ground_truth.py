@@ -52,7 +52,7 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
         raise KinedexError(
             f"ground truth: no file '{pattern}' below {', '.join(map(str, folders)) or 'any source folder'}. "
             f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open); where there "
-            "is none, say `ground_truth: none`"
+            "is none: `--set evaluate.ground_truth=none`"
         )
     return found
 

@@ -17,6 +17,7 @@ from pipelines.evaluating import (
     evaluate,
     ground_truth_of_classes,
     ground_truth_rows,
+    measures,
     metrics_rows,
     metrics_table,
     place_ground_truth,
@@ -93,7 +94,12 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     context.terminal.show(metrics_table(evaluation, f"{len(truth.takes)} takes against ground truth", scopes))
     context.say(f"metrics{'' if few else ', take by take as well'}: {report}")
     counts = evaluation.pooled
-    return {"evaluated_takes": len(truth.takes), "segments": len(truth.segments), "f1": counts.f1, "f2": counts.f2}
+    return {
+        "evaluated_takes": len(truth.takes),
+        "segments": len(truth.segments),
+        "files": [report.relative_to(context.store_path).as_posix()],
+        **measures(counts),
+    }
 
 
 def annotate_params(context: StageContext) -> annotate.Params:

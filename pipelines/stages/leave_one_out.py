@@ -19,6 +19,7 @@ from pipelines.evaluating import (
     Evaluation,
     GroundTruth,
     evaluate,
+    measures,
     metrics_rows,
     metrics_table,
     pool_folds,
@@ -85,7 +86,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     write_metrics(report, evaluation, context.run, pipeline=context.pipeline, column=params.column)
     context.terminal.show(metrics_table(evaluation, name, SCOPES[:2]))
     context.say(f"metrics, by class and take as well: {report}")
-    return {"folds": len(folds), "f1": evaluation.pooled.f1, "f2": evaluation.pooled.f2}
+    files = [report.relative_to(context.store_path).as_posix()]
+    return {"folds": len(folds), "files": files, **measures(evaluation.pooled)}
 
 
 def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tuple[str, Evaluation]]:
