@@ -1,0 +1,21 @@
+"""`python -m benchmarks`: all benchmarks, a table on the terminal, and JSON in build/bench."""
+
+from __future__ import annotations
+
+from benchmarks import ranking, reading, searching
+from benchmarks.archive import BUILD, store
+from benchmarks.harness import calibrate, show, write
+from pipelines.terminal import make_console
+
+
+def main() -> None:
+    """Run everything on one core, with a calibration before and after."""
+    opened = store()
+    figures = [calibrate(), *reading.figures(), *searching.figures(opened), *ranking.figures(opened), calibrate()]
+    console = make_console()
+    console.print(show(figures))
+    console.print(f"written to {write(figures, BUILD)}", markup=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""How benchmarks are timed, printed and written: medians of several runs, beside something else in the same run."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from pipelines.terminal import Terminal
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One benchmark: how much work of what unit was done in how many seconds, and how long the other way took.
+
+    seconds, other_seconds: medians. other: what it is compared with, done on the same work in the same run.
+    """
+
+    name: str
+    amount: float
+    unit: str
+    seconds: float
+    other: str = ""
+    other_seconds: float | None = None
+
+    @property
+    def rate(self) -> float:
+        """Units a second."""
+        return self.amount / self.seconds
+
+    @property
+    def ratio(self) -> float | None:
+        """How many times as fast as the other way."""
+        return None if self.other_seconds is None else self.other_seconds / self.seconds
+
+
+def seconds(work: Callable[[], object], runs: int = 5) -> float:
+    """The median time of some runs, after one that does not count (it compiles, and fills the caches)."""
+    work()
+    times = []
+    for _ in range(runs):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def silent() -> Terminal:
+    """A terminal that nobody sees."""
+    return Terminal(Console(file=io.StringIO()))
+
+
+def calibrate() -> Figure:
+    """What the machine is worth this minute: sorting random numbers, which no part of kinedex does."""
+    numbers = np.random.default_rng(0).random(2_000_000)
+    return Figure("calibration: numpy sort", 2.0, "M numbers", seconds(lambda: np.sort(numbers)))
+
+
+def show(figures: list[Figure]) -> Table:
+    """The figures as a table for the terminal."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("benchmark", "rate", "seconds", "beside it, in the same run", "times as fast"):
+        table.add_column(column, justify="left" if column[:2] == "be" else "right", no_wrap=True)
+    for figure in figures:
+        table.add_row(
+            figure.name,
+            f"{figure.rate:,.4g} {figure.unit}/s",
+            f"{figure.seconds:.4f}",
+            figure.other or "–",
+            f"{figure.ratio:,.1f}" if figure.ratio is not None else "–",
+        )
+    return table
+
+
+def write(figures: list[Figure], folder: Path) -> Path:
+    """Write the figures as JSON, named after the moment."""
+    folder.mkdir(parents=True, exist_ok=True)
+    moment = datetime.now(UTC)
+    path = folder / f"{moment:%Y%m%d-%H%M%S}.json"
+    content = {
+        "moment": moment.isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "figures": [asdict(figure) | {"rate": figure.rate, "ratio": figure.ratio} for figure in figures],
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return path
