@@ -94,7 +94,7 @@ def test_a_subclass_in_two_classes_is_named_with_both_lines(tmp_path: Path):
 def test_wrong_entries_and_missing_files_are_explained(tmp_path: Path):
     with pytest.raises(ConfigError, match="no such key; did you mean 'subclasses'"):
         load_classes(written(tmp_path, "legs:\n  subclases: [kick]\n"), ["kick"])
-    with pytest.raises(ConfigError, match="mine.yaml:1: legs: a class needs `subclasses`"):
+    with pytest.raises(ConfigError, match=r"mine\.yaml:1: legs: a class needs `subclasses`"):
         load_classes(written(tmp_path, "legs:\n  description: nothing in it\n"), ["kick"])
     with pytest.raises(ConfigError, match=r"did you mean 'thesis-15'.*or say 'own'"):
         load_classes("thesis15", ["kick"])

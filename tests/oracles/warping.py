@@ -26,9 +26,7 @@ def align(
     return total[rows - 1, columns - 1], path[::-1]
 
 
-def cheapest_by_enumeration(
-    cost: list[list[float]], first_weights: list[float], second_weights: list[float]
-) -> float:
+def cheapest_by_enumeration(cost: list[list[float]], first_weights: list[float], second_weights: list[float]) -> float:
     """Return the cost of the cheapest of all warping paths, by walking every one of them."""
 
     def rest(k: int, m: int) -> float:
