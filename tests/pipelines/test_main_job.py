@@ -1,0 +1,74 @@
+"""The main job, from motion files to the report: on the synthetic archive of the demo, and on real motion capture."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from pipelines.demo import run_demo
+from pipelines.runner import Outcome
+from storage.store import open_store
+from storage.verify import verify
+
+pytestmark = pytest.mark.slow
+
+
+def demo(store: Path, data: Path | None, minutes: float = 30.0) -> tuple[Outcome, str]:
+    said = io.StringIO()
+    outcome = run_demo(store, data, minutes, "processes", None, Console(file=said, width=160))
+    return outcome, said.getvalue()
+
+
+def metrics(store: Path, name: str = "metrics") -> dict[str, Any]:
+    path = store / "results" / "reports" / "annotate" / f"{name}.json"
+    loaded: dict[str, Any] = json.loads(path.read_text())
+    return loaded
+
+
+@pytest.fixture(scope="module")
+def synthetic(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome, str]:
+    store = tmp_path_factory.mktemp("demo") / "store"
+    return store, *demo(store, None)
+
+
+def test_the_demo_annotates_what_it_has_not_seen(synthetic: tuple[Path, Outcome, str]) -> None:
+    store, outcome, said = synthetic
+    assert outcome.left_out == 0
+    assert metrics(store)["pooled"]["f1"] >= 0.85
+    assert "leave one actor out" in said
+    assert metrics(store, "leave_one_out")["pooled"]["f1"] >= 0.5
+    assert verify(open_store(store)) == []
+
+
+def test_the_demo_ends_with_one_page_that_needs_nothing_else(synthetic: tuple[Path, Outcome, str]) -> None:
+    _, outcome, _ = synthetic
+    assert outcome.report is not None
+    page = outcome.report.read_text(encoding="utf-8")
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "https://" not in page
+    assert len(page) < 20_000_000
+
+
+def test_a_second_demo_does_nothing(synthetic: tuple[Path, Outcome, str]) -> None:
+    store, first, _ = synthetic
+    outcome, said = demo(store, None)
+    assert outcome.ran == ()
+    assert outcome.skipped == first.ran
+    assert said.count("nothing to do") == len(first.ran)
+    assert "made before" in said
+
+
+@pytest.mark.shared
+def test_real_takes_are_annotated_as_well_as_the_plain_implementation_does(shared: Path, tmp_path: Path) -> None:
+    outcome, _ = demo(tmp_path / "store", shared / "data" / "hdm05")
+    assert outcome.left_out == 0
+    pooled = metrics(tmp_path / "store")["pooled"]
+    assert pooled["f1"] >= 0.82
+    assert pooled["f2"] >= 0.87
+    actors = open_store(tmp_path / "store").takes("class IS NOT NULL")["actor"].unique().sort().to_list()
+    assert actors == ["bd", "bk", "dg"]

@@ -1,0 +1,47 @@
+"""The README's commands: every SQL statement runs, and every command that it names exists."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pipelines.cli import app
+from pipelines.stages import index, ingest
+from storage.store import Store, open_store
+from tests.pipelines.archives import context, write_archive
+
+README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+STATEMENTS = re.findall(r'kinedex sql build/demo-store "([^"]+)"', README)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    folder = tmp_path_factory.mktemp("readme")
+    source = write_archive(folder / "source", {"x_1.amc": 60, "x_2.amc": 90})
+    ingest.run(context(folder / "store"), ingest.Params(source=str(source)))
+    index.run(context(folder / "store", "index"), index.Params())
+    return open_store(folder / "store")
+
+
+@pytest.mark.parametrize("statement", STATEMENTS, ids=lambda text: text.split("FROM")[0].strip()[:40])
+def test_every_statement_of_the_readme_runs(store: Store, statement: str) -> None:
+    assert store.sql(statement).num_columns > 0
+
+
+def test_the_readme_has_its_five_minutes_of_sql() -> None:
+    assert len(STATEMENTS) >= 8
+
+
+def test_the_readme_names_the_commands_that_there_are() -> None:
+    (line,) = re.findall(r"`kinedex (demo \| [^`]+)`", README)
+    assert set(line.split(" | ")) == {
+        command.callback.__name__ for command in app.registered_commands if command.callback
+    }
+
+
+def test_files_that_the_readme_links_to_exist() -> None:
+    root = Path(__file__).resolve().parents[1]
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (root / target).is_file(), target
