@@ -39,7 +39,11 @@ SetOption = Annotated[
 ]
 Format = Annotated[str, typer.Option("--format", help="table, csv, json or parquet")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="write to this file instead of the terminal")]
-ExecutorOption = Annotated[str, typer.Option(help="serial or processes")]
+ExecutorOption = Annotated[str, typer.Option(help="serial, processes or dask")]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="a running Dask scheduler, e.g. tcp://host:8786; with --executor dask"),
+]
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="worker processes; all cores unless given")]
 ForceOption = Annotated[
     list[str] | None, typer.Option(metavar="STAGE", help="run this stage even where nothing changed; may be repeated")
@@ -72,6 +76,7 @@ def run(
     assign: SetOption = None,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     force: ForceOption = None,
 ) -> None:
     """Run a pipeline: every stage whose code, parameters or inputs changed since it last ran."""
@@ -83,6 +88,7 @@ def run(
         assignments=_assignments(assign),
         executor=executor,
         workers=workers,
+        scheduler=scheduler,
         force=frozenset(force or ()),
     )
     _finish(outcome, store, make_console())
@@ -123,12 +129,15 @@ def ingest(
     assign: SetOption = None,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Bring motion files into a store and index them (the pipeline `ingest`)."""
     from pipelines.runner import run_pipeline
 
     assignments = {"source": _yaml_text(str(source)), **_assignments(assign)}
-    outcome = run_pipeline("ingest", store, assignments=assignments, executor=executor, workers=workers)
+    outcome = run_pipeline(
+        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
+    )
     _finish(outcome, store, make_console())
 
 

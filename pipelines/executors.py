@@ -1,21 +1,32 @@
-"""Executors: how the independent tasks of a stage are spread over cores."""
+"""Executors: how the independent tasks of a stage are spread over cores, or over the machines of a Dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import secrets
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from itertools import chain, islice
-from typing import Protocol, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from ops.errors import ParameterError
+from ops.errors import KinedexError, ParameterError
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-KINDS = ("serial", "processes")
+KINDS = ("serial", "processes", "dask")
+
+TRIES = 3
+"""How often a task is started before its workers' deaths are taken to be its own doing."""
+
+THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class Executor(Protocol):
@@ -24,7 +35,11 @@ class Executor(Protocol):
     workers: int
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Apply a function to every item; functions and items must be picklable."""
+        """Apply a function to every item; functions and items must be picklable, and a task may run twice."""
+        ...
+
+    def check(self, store: Path) -> None:
+        """Refuse, before any work is done, workers that cannot see the store."""
         ...
 
     def close(self) -> None:
@@ -41,12 +56,19 @@ class SerialExecutor:
         """Apply a function to every item, lazily."""
         return map(function, items)
 
+    def check(self, store: Path) -> None:
+        """This process sees the store."""
+
     def close(self) -> None:
         """Nothing to let go."""
 
 
 class ProcessExecutor:
-    """Tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight."""
+    """Tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight.
+
+    A worker that dies (killed, out of memory) costs the tasks in flight another try, one at a time, so that a task that
+    kills its worker is found out; after `TRIES` it is refused by name.
+    """
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
@@ -59,18 +81,49 @@ class ProcessExecutor:
         if len(first) < 2:
             yield from map(function, first)
             return
-        pool = self._start()
-        waiting: deque[Future[Result]] = deque()
+        waiting: deque[tuple[Item, Future[Result]]] = deque()
         try:
             for item in chain(first, source):
-                waiting.append(pool.submit(function, item))
+                waiting.append((item, self._start().submit(function, item)))
                 if len(waiting) >= 2 * self.workers:
-                    yield waiting.popleft().result()
+                    yield from self._next(function, waiting)
             while waiting:
-                yield waiting.popleft().result()
+                yield from self._next(function, waiting)
         finally:
-            for future in waiting:
+            for _, future in waiting:
                 future.cancel()
+
+    def _next(
+        self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
+    ) -> Iterator[Result]:
+        """The first waiting result; after a worker's death, all that were waiting."""
+        try:
+            result = waiting[0][1].result()
+        except BrokenProcessPool:
+            self.close()
+            while waiting:
+                item, future = waiting[0]
+                done = future.done() and not future.cancelled() and future.exception() is None
+                result = future.result() if done else self._alone(function, item)
+                waiting.popleft()
+                yield result
+            return
+        waiting.popleft()
+        yield result
+
+    def _alone(self, function: Callable[[Item], Result], item: Item) -> Result:
+        for _ in range(TRIES - 1):
+            try:
+                return self._start().submit(function, item).result()
+            except BrokenProcessPool:
+                self.close()
+        raise KinedexError(
+            f"a worker process died {TRIES} times on the same task ({_shown(item)}); is there enough memory for it? "
+            "--executor serial shows what happens"
+        )
+
+    def check(self, store: Path) -> None:
+        """Workers of this machine see the store."""
 
     def close(self) -> None:
         """Wait for what is running and let the workers go."""
@@ -86,9 +139,81 @@ class ProcessExecutor:
         return self._pool
 
 
+class DaskExecutor:
+    """Tasks on a Dask cluster: one made on this machine, or a running one by its scheduler's address.
+
+    Dask itself tries a task again whose worker died.
+    """
+
+    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+        from distributed import Client, LocalCluster
+
+        self._cluster: LocalCluster | None = None
+        if scheduler is None:
+            # Workers of the cluster inherit this process's environment.
+            _single_thread()
+            self._cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+        try:
+            self._client: Client = Client(self._cluster or scheduler, timeout="10s")
+        except (OSError, ValueError) as fault:
+            raise KinedexError(f"--scheduler {scheduler}: no Dask scheduler answers there ({fault})") from None
+        self.workers = max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Apply a function to every item; results come in the items' order, two tasks a worker in flight."""
+        from distributed import KilledWorker
+
+        waiting: deque[Future[Result]] = deque()
+        source = iter(items)
+        try:
+            while True:
+                for item in islice(source, 2 * self.workers - len(waiting)):
+                    waiting.append(self._client.submit(function, item, pure=False, retries=0))
+                if not waiting:
+                    return
+                try:
+                    result = waiting.popleft().result()
+                except KilledWorker as fault:
+                    raise KinedexError(f"Dask workers died again and again on one task: {fault}") from None
+                yield result
+        finally:
+            for future in waiting:
+                future.cancel()
+
+    def check(self, store: Path) -> None:
+        """Let every worker look for a file that was just written into the store."""
+        store.mkdir(parents=True, exist_ok=True)
+        token = store / f".tmp-shared-{secrets.token_hex(4)}"
+        token.touch()
+        try:
+            blind = [worker for worker, sees in self._client.run(_sees, str(token.resolve())).items() if not sees]
+        finally:
+            token.unlink()
+        if blind:
+            raise KinedexError(
+                f"the Dask workers {', '.join(blind[:3])} do not see {store.resolve()}: store and source must lie on a "
+                "file system that all of them share, under the same path"
+            )
+
+    def close(self) -> None:
+        """Leave the cluster, and end it where it is our own."""
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+
+def _sees(path: str) -> bool:
+    return Path(path).is_file()
+
+
+def _shown(item: object) -> str:
+    text = repr(item)
+    return text if len(text) <= 200 else f"{text[:200]}…"
+
+
 def _single_thread() -> None:
     """One thread a worker, in every library that would take all cores: the processes are the parallelism."""
-    for name in ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    for name in THREADS_OF_LIBRARIES:
         os.environ[name] = "1"
 
 
@@ -97,16 +222,25 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def make_executor(kind: str, workers: int | None = None) -> Executor:
-    """An executor by name: "serial", or "processes" with as many workers as there are cores unless told.
+def make_executor(kind: str, workers: int | None = None, scheduler: str | None = None) -> Executor:
+    """An executor by name.
+
+    Parameters
+    ----------
+    kind: "serial", "processes", or "dask". workers: all cores unless told.
+    scheduler: address of a running Dask scheduler, for "dask" only.
 
     Raises
     ------
-    ParameterError: an unknown kind, or fewer than one worker.
+    ParameterError: an unknown kind, fewer than one worker, or a scheduler without Dask.
     """
     if kind not in KINDS:
         raise ParameterError("executor", f"one of {', '.join(KINDS)}", kind)
     count = cores() if workers is None else workers
     if count < 1:
         raise ParameterError("workers", "at least 1", count)
+    if scheduler is not None and kind != "dask":
+        raise ParameterError("executor", "dask where a scheduler is given", kind)
+    if kind == "dask":
+        return DaskExecutor(count, scheduler)
     return SerialExecutor() if kind == "serial" or count == 1 else ProcessExecutor(count)

@@ -44,6 +44,7 @@ def run_pipeline(
     assignments: Mapping[str, str] | None = None,
     executor: str = "processes",
     workers: int | None = None,
+    scheduler: str | None = None,
     force: frozenset[str] = frozenset(),
     terminal: Terminal | None = None,
 ) -> Outcome:
@@ -57,8 +58,9 @@ def run_pipeline(
     terminal = terminal or Terminal()
     pipeline = load_pipeline(name_or_path, assignments)
     plan = make_plan(pipeline, store_path, force)
-    pool = make_executor(executor, workers)
+    pool = make_executor(executor, workers, scheduler)
     try:
+        pool.check(store_path)
         for number, step in enumerate(plan, 1):
             terminal.heading(f"[{number}/{len(plan)}] {step.stage.name}: {_saying(step)}")
             if step.reason is not None:

@@ -133,7 +133,7 @@ def test_classes_without_segments_and_minima_are_put_aside() -> None:
 
 
 def test_a_template_is_black_where_off_white_where_on_and_coloured_between() -> None:
-    from PIL import Image  # comes with matplotlib
+    from PIL import Image
 
     values = np.array([[0.0, 1.0, 0.5], [0.04, 0.96, 1.0 - 1e-12]])
     soft = decoded(Image, soft_image(values))

@@ -1,0 +1,109 @@
+"""Executors: order kept, a bounded number of tasks in flight, and workers that die."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ops.errors import KinedexError, ParameterError
+from pipelines.executors import DaskExecutor, ProcessExecutor, SerialExecutor, make_executor
+
+
+def square(number: int) -> int:
+    time.sleep(0.02 * (number % 3))
+    return number * number
+
+
+def die_once(task: tuple[str, int]) -> int:
+    folder, number = task
+    mark = Path(folder) / f"died-{number}"
+    if number == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number * number
+
+
+def always_die(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[ProcessExecutor]:
+    executor = ProcessExecutor(2)
+    yield executor
+    executor.close()
+
+
+def test_results_come_in_the_order_of_the_items(pool: ProcessExecutor) -> None:
+    expected = [number * number for number in range(12)]
+    assert list(SerialExecutor().map(square, range(12))) == expected
+    assert list(pool.map(square, range(12))) == expected
+    assert list(pool.map(square, [5])) == [25]
+    assert list(pool.map(square, [])) == []
+
+
+def test_only_two_tasks_a_worker_are_taken_ahead(pool: ProcessExecutor) -> None:
+    taken = []
+
+    def items() -> Iterator[int]:
+        for number in range(40):
+            taken.append(number)
+            yield number
+
+    results = pool.map(square, items())
+    next(results)
+    assert len(taken) <= 2 * pool.workers + 1
+    assert list(results) == [number * number for number in range(1, 40)]
+
+
+def test_a_workers_death_costs_its_tasks_another_try(tmp_path: Path) -> None:
+    executor = ProcessExecutor(2)
+    tasks = [(str(tmp_path), number) for number in range(10)]
+    assert list(executor.map(die_once, tasks)) == [number * number for number in range(10)]
+    executor.close()
+
+
+def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
+    executor = ProcessExecutor(2)
+    done: list[int] = []
+    with pytest.raises(KinedexError, match=r"died 3 times on the same task \(2\)"):
+        done.extend(executor.map(always_die, range(6)))
+    assert done == [0, 1]
+    executor.close()
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_does_the_same_and_must_see_the_store(tmp_path: Path) -> None:
+    executor = DaskExecutor(2)
+    try:
+        executor.check(tmp_path / "store")
+        assert list((tmp_path / "store").iterdir()) == []
+        assert list(executor.map(square, range(9))) == [number * number for number in range(9)]
+    finally:
+        executor.close()
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_does_not_answer_is_refused() -> None:
+    with pytest.raises(KinedexError, match="no Dask scheduler answers there"):
+        DaskExecutor(1, "tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize(
+    ("kind", "workers", "scheduler", "message"),
+    [
+        ("threads", 1, None, "executor must be one of"),
+        ("serial", 0, None, "workers must be"),
+        ("serial", 1, "x", "dask"),
+    ],
+)
+def test_wrong_executors_are_refused(kind: str, workers: int, scheduler: str | None, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        make_executor(kind, workers, scheduler)
