@@ -1,0 +1,205 @@
+"""The synthetic body: bones as an Acclaim skeleton has them, in the proportions of one actor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+
+PARENTS: dict[str, str] = {
+    "lhipjoint": "root",
+    "lfemur": "lhipjoint",
+    "ltibia": "lfemur",
+    "lfoot": "ltibia",
+    "ltoes": "lfoot",
+    "rhipjoint": "root",
+    "rfemur": "rhipjoint",
+    "rtibia": "rfemur",
+    "rfoot": "rtibia",
+    "rtoes": "rfoot",
+    "lowerback": "root",
+    "upperback": "lowerback",
+    "thorax": "upperback",
+    "lowerneck": "thorax",
+    "upperneck": "lowerneck",
+    "head": "upperneck",
+    "lclavicle": "thorax",
+    "lhumerus": "lclavicle",
+    "lradius": "lhumerus",
+    "lwrist": "lradius",
+    "lhand": "lwrist",
+    "lfingers": "lhand",
+    "lthumb": "lwrist",
+    "rclavicle": "thorax",
+    "rhumerus": "rclavicle",
+    "rradius": "rhumerus",
+    "rwrist": "rradius",
+    "rhand": "rwrist",
+    "rfingers": "rhand",
+    "rthumb": "rwrist",
+}
+"""Parent of every bone, in the order in which the bones are numbered; parents come first."""
+
+_DOFS = {
+    "femur": "rx ry rz",
+    "tibia": "rx",
+    "foot": "rx rz",
+    "toes": "rx",
+    "clavicle": "ry rz",
+    "humerus": "rx ry rz",
+    "radius": "rx",
+    "wrist": "ry",
+    "hand": "rx rz",
+    "fingers": "rx",
+    "thumb": "rx rz",
+}
+SPINE = ("lowerback", "upperback", "thorax")
+NECK = ("lowerneck", "upperneck", "head")
+
+# Limb lengths in metres of an actor of size 1; hip is the way from the root to a hip joint.
+_LENGTHS = {
+    "hipjoint": 0.150,
+    "femur": 0.412,
+    "tibia": 0.392,
+    "foot": 0.136,
+    "toes": 0.064,
+    "lowerback": 0.142,
+    "upperback": 0.148,
+    "thorax": 0.150,
+    "lowerneck": 0.080,
+    "upperneck": 0.082,
+    "head": 0.085,
+    "clavicle": 0.205,
+    "humerus": 0.286,
+    "radius": 0.172,
+    "wrist": 0.086,
+    "hand": 0.062,
+    "fingers": 0.050,
+    "thumb": 0.072,
+}
+_GROUPS = {
+    "leg": ("femur", "tibia"),
+    "foot": ("foot", "toes"),
+    "spine": (*SPINE, *NECK),
+    "arm": ("humerus", "radius", "wrist", "hand", "fingers", "thumb"),
+    "shoulder": ("clavicle",),
+    "hip": ("hipjoint",),
+}
+
+BALL_HEIGHT = 0.028
+"""Height of the ball of a flat foot above the floor, metres."""
+FOOT_SLOPE = math.radians(37.0)
+"""How far the foot bone of a flat foot, ankle to ball, slopes down."""
+
+
+@dataclass(frozen=True)
+class Bone:
+    """One bone: rest direction (unit) and length in metres, axis angles in degrees (XYZ), free rotations."""
+
+    name: str
+    parent: str
+    direction: tuple[float, float, float]
+    length: float
+    axis: tuple[float, float, float]
+    dofs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The skeleton of one actor."""
+
+    bones: tuple[Bone, ...]
+
+    def bone(self, name: str) -> Bone:
+        """Return the bone of this name."""
+        return next(bone for bone in self.bones if bone.name == name)
+
+    def length(self, *names: str) -> float:
+        """Return the summed length of these bones, metres."""
+        return sum(self.bone(name).length for name in names)
+
+    @property
+    def leg(self) -> float:
+        """Hip to ankle of the shorter leg, metres: the unit of everything that happens on the floor."""
+        return min(self.length("lfemur", "ltibia"), self.length("rfemur", "rtibia"))
+
+    @property
+    def ankle_height(self) -> float:
+        """Height of the ankle of a flat foot above the floor, metres."""
+        return BALL_HEIGHT + math.sin(FOOT_SLOPE) * self.bone("lfoot").length
+
+    @property
+    def standing_root_height(self) -> float:
+        """Height of the root above the floor with straight legs, metres."""
+        hip = self.bone("lhipjoint")
+        return self.leg + self.ankle_height - hip.direction[1] * hip.length
+
+
+def _rest(name: str, splay: float, palm: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return rest direction and axis angles of a bone; the left side has +X, the body faces +Z."""
+    side = {"l": 1.0, "r": -1.0}[name[0]]
+    part = name[1:]
+    slant = math.radians(splay)
+    down = (side * math.sin(slant), -math.cos(slant), 0.0)
+    if part == "hipjoint":
+        return (side * 0.71, -0.655, 0.26), (0.0, 0.0, 0.0)
+    if part in ("femur", "tibia"):
+        return down, (0.0, 0.0, side * splay)
+    if part == "foot":
+        fall = math.sin(FOOT_SLOPE)
+        return (down[0] * fall, down[1] * fall, math.cos(FOOT_SLOPE)), (-90.0, 0.0, side * splay)
+    if part == "toes":
+        return (0.0, 0.0, 1.0), (-90.0, 0.0, side * splay)
+    if part == "clavicle":
+        return (side * 0.985, 0.160, -0.060), (0.0, 0.0, 0.0)
+    if part in ("humerus", "radius"):
+        return (side, 0.0, 0.0), (180.0, -side * palm, -side * 90.0)
+    if part == "thumb":
+        return (side * math.sqrt(0.5), 0.0, math.sqrt(0.5)), (-90.0, side * 45.0, 0.0)
+    return (side, 0.0, 0.0), (0.0, side * 90.0, side * 90.0)
+
+
+_TRUNK = {
+    "lowerback": (0.0, 0.955, -0.297),
+    "upperback": (0.0, 0.999, -0.030),
+    "thorax": (0.0, 0.996, 0.085),
+    "lowerneck": (0.0, 0.990, 0.130),
+    "upperneck": (0.0, 0.990, -0.125),
+    "head": (0.0, 0.998, -0.055),
+}
+
+
+def build_body(scale: dict[str, float], *, splay: float = 20.0, palm: float = 30.0, asymmetry: float = 0.0) -> Body:
+    """Build a body in the proportions of one actor.
+
+    Parameters
+    ----------
+    scale: factor on the limb lengths of each group: leg, foot, spine, arm, shoulder, hip.
+    splay: how far the legs are spread in the rest position, degrees.
+    palm: how far the elbow's axis is turned in the rest position, degrees.
+    asymmetry: relative difference in length between the left and the right limbs.
+
+    Returns
+    -------
+    The body; its root is the origin of the rest position, Y up, facing +Z.
+    """
+    factor = {part: scale[group] for group, parts in _GROUPS.items() for part in parts}
+    bones = []
+    for name, parent in PARENTS.items():
+        if name in _TRUNK:
+            length, direction, axis = _LENGTHS[name] * factor[name], _TRUNK[name], (0.0, 0.0, 0.0)
+            dofs: tuple[str, ...] = ("rx", "ry", "rz")
+        else:
+            part = name[1:]
+            uneven = 1.0 + (asymmetry if name[0] == "l" else -asymmetry) / 2
+            length = _LENGTHS[part] * factor[part] * uneven
+            direction, axis = _rest(name, splay, palm)
+            dofs = tuple(_DOFS[part].split()) if part in _DOFS else ()
+        norm = math.sqrt(sum(value * value for value in direction))
+        unit = (direction[0] / norm, direction[1] / norm, direction[2] / norm)
+        bones.append(Bone(name, parent, unit, length, axis, dofs))
+    return Body(tuple(bones))

@@ -1,0 +1,178 @@
+"""Gymnastics: squats, jumping jacks, arm circles, cartwheels."""
+
+from __future__ import annotations
+
+import math
+
+from ops.synth.score import Score
+
+
+def squat(score: Score) -> None:
+    """Bend the knees deeply once and come up again."""
+    score.begin("squat")
+    actor = score.actor
+    down, hold, up = score.beat(0.85), score.beat(0.10), score.beat(0.80)
+    deep = min(score.vary(actor.habit("squat.depth", 0.68, 0.84), 0.05), 0.86)
+    arms = actor.likes("squat.arms", "ahead", "ahead", "ahead", "head", steady=0.95, rng=score.rng)
+    heel = actor.habit("squat.heel", -10.0, 30.0)
+    back = 0.10 + 0.10 * deep
+    lean = score.vary(actor.habit("squat.lean", 14.0, 30.0))
+    goal = {"ahead": (0.0, score.about(0.28, 0.05), 0.86), "head": (-0.22, 0.40, 0.02)}[arms]
+    knees = actor.habit("squat.knees", 6.0, 26.0)
+    score.pelvis(0.0, down, 0.0, -back if heel < 8 else 0.02, 0.0, py=-deep, pitch=lean, lknee=knees, rknee=knees)
+    score.move(0.0, down, bend=score.vary(lean), nod=-0.6 * lean)
+    score.hands(-0.1, 0.5 * down, *goal)
+    if heel > 8:
+        score.move(0.1 * down, 0.8 * down, lpitch=heel, rpitch=heel)
+        score.move(down + hold + 0.2 * up, down + hold + 0.9 * up, lpitch=0.0, rpitch=0.0)
+    score.stand(down + hold, down + hold + up)
+    score.after(down + hold + up)
+
+
+def elbow_to_knee(score: Score, first: str = "l") -> None:
+    """With the hands at the head, bring each elbow once to the knee of the other side."""
+    score.begin("elbow")
+    actor = score.actor
+    raise_hands, down = score.beat(0.45), score.beat(0.45)
+    high = score.vary(actor.habit("elbow.high", 0.50, 0.66), 0.06)
+    width = actor.stance
+    score.hands(0.0, raise_hands, -0.22, 0.38, 0.06)
+    score.move(0.0, raise_hands, nod=6.0)
+    t = raise_hands
+    for side in (first, "r" if first == "l" else "l"):
+        sign = 1.0 if side == "l" else -1.0
+        up, back = score.beat(0.42), score.beat(0.40)
+        x, z = score.room(0.35 * sign * width, 0.30)
+        knee = {"x": x, "z": z, "y": high, "free": 1.0, "pitch": 25.0, "knee": -8.0}
+        score.pelvis(t - 0.1, t + up, -0.8 * sign * width, 0.0, -8.0 * sign, py=-0.03, pitch=6.0)
+        score.move(t, t + up, **{side + name: value for name, value in knee.items()})
+        score.move(t, t + up, bend=score.vary(34.0, 0.1), twist=score.vary(42.0, 0.1) * sign, side=4.0 * sign)
+        t += up
+        x, z = score.room(sign * width + score.about(0.0, 0.02), score.about(0.0, 0.03))
+        foot = {"x": x, "z": z, "y": 0.0, "free": 0.0, "pitch": 0.0, "knee": 4.0}
+        score.move(t, t + back, **{side + name: value for name, value in foot.items()})
+        score.move(t, t + back, bend=actor.stoop, twist=0.0, side=0.0)
+        t += back
+    score.stand(t - 0.1, t + down)
+    score.after(t + down)
+
+
+def jumping_jack(score: Score) -> None:
+    """Jump with the legs apart and the arms up, and back again."""
+    score.begin("jack")
+    actor = score.actor
+    dip, out, back, rest = score.beat(0.18), score.beat(0.42), score.beat(0.44), score.beat(0.12)
+    wide = score.vary(actor.habit("jack.wide", 0.48, 0.62), 0.08)
+    top = score.vary(actor.habit("jack.top", 0.78, 1.0), 0.07)
+    high = score.vary(0.10, 0.15)
+    score.move(0.0, dip, py=-0.09, bend=score.about(8.0, 2.0))
+    t = dip
+    score.move(t, t + 0.55 * out, py=high, bend=2.0)
+    score.move(t + 0.55 * out, t + out + 0.06, py=-0.07)
+    score.hands(t - 0.08, t + 0.55 * out, 0.92, score.about(0.0, 0.1), 0.1)
+    score.hands(t + 0.55 * out, t + out, max(-0.1, 0.62 - 0.8 * top), min(0.93, top), 0.10)
+    score.move(t, t + out, nod=-6.0)
+    _jump_sideways(score, t, out, wide, high)
+    t += out + 0.08
+    score.move(t, t + 0.5 * back, py=high)
+    score.move(t + 0.5 * back, t + back, py=-0.06)
+    score.hands(t, t + 0.5 * back, 0.92, score.about(0.0, 0.1), 0.1)
+    score.hands(t + 0.5 * back, t + back, actor.hang_out, -actor.hang_down, 0.05)
+    _jump_sideways(score, t, back, actor.stance, high)
+    score.stand(t + back, t + back + rest)
+    score.after(t + back + rest)
+
+
+def _jump_sideways(score: Score, start: float, span: float, width: float, high: float) -> None:
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        late = score.about(0.0, 0.012)
+        x, z = score.room(sign * width, score.about(0.0, 0.015))
+        lift, land = start + 0.12 * span + late, start + span + late
+        score.move(start - 0.05, lift + 0.05, **{side + "pitch": 35.0})
+        score.move(lift, land, **{side + "x": x, side + "z": z})
+        score.move(lift, (lift + land) / 2, **{side + "y": high + 0.02})
+        score.move((lift + land) / 2, land, **{side + "y": 0.0, side + "pitch": 4.0})
+        score.move(land, land + 0.08, **{side + "pitch": 0.0})
+
+
+def arm_circles(score: Score) -> None:
+    """Turn both stretched arms once backwards: up in front, and down behind."""
+    score.begin("circles")
+    actor = score.actor
+    span = score.beat(1.25)
+    out = actor.habit("circles.out", 0.25, 0.5)
+    radius = score.vary(actor.habit("circles.radius", 0.78, 0.90), 0.04)
+    uneven = score.about(0.0, 0.06)
+    points = 8
+    for i in range(1, points + 1):
+        angle = 2 * math.pi * i / points
+        for side, sign in (("l", 1.0), ("r", -1.0)):
+            shifted = angle + sign * uneven * math.sin(angle / 2)
+            ahead = math.sin(shifted) * radius
+            height = -math.cos(shifted) * radius
+            # Behind the body the arms pass further out than in front of it.
+            wide = out + (0.35 if ahead < 0 else 0.0) * abs(math.sin(shifted))
+            score.hand(
+                side, (i - 1) / points * span, i / points * span, wide, height, ahead * (0.62 if ahead < 0 else 1.0)
+            )
+    sway = score.vary(7.0)
+    score.move(0.0, 0.5 * span, bend=actor.stoop - sway, py=-0.01)
+    score.move(0.5 * span, span, bend=actor.stoop + 0.5 * sway, py=-0.03)
+    score.after(span)
+
+
+def cartwheel(score: Score) -> None:
+    """Turn a wheel to the left over the hands."""
+    score.begin("wheel")
+    actor = score.actor
+    prepare, span, end = score.beat(0.55), score.beat(1.25), score.beat(0.5)
+    width = actor.stance
+    far = score.vary(actor.habit("wheel.far", 1.7, 2.3), 0.06)
+    straddle = score.vary(actor.habit("wheel.straddle", 34.0, 58.0), 0.07)
+    bent = actor.habit("wheel.bent", 0.80, 0.97)
+    score.hands(0.0, prepare, 0.22, 0.9, 0.1)
+    score.move(0.0, prepare, bend=0.0, side=0.0, twist=0.0, nod=-10.0)
+    score.step("l", 0.3 * prepare, prepare, width + 0.42, 0.02, yaw=40.0, lift=0.2)
+    score.pelvis(0.2 * prepare, prepare, 0.2, 0.0, 0.0, py=-0.06)
+    points = 18
+    for i in range(1, points + 1):
+        u = i / points
+        _wheel_point(score, prepare + (i - 1) / points * span, prepare + u * span, u, far, straddle, bent)
+    t = prepare + span
+    score.hands(prepare + 0.55 * span, t, 0.3, 0.85, 0.05)
+    score.wound -= 360.0
+    score.anchor = (*score.room(0.2 + far, 0.0), score.anchor[2])
+    score.step("r", t, t + 0.6 * end, -width, 0.0, lift=0.08)
+    score.step("l", t + 0.4 * end, t + end, width, 0.0, lift=0.06)
+    score.stand(t, t + end)
+    score.after(t + end)
+
+
+def _wheel_point(score: Score, start: float, stop: float, u: float, far: float, straddle: float, bent: float) -> None:
+    """Write one moment of the turning body: the pelvis on its arc, free legs straddled in its frame."""
+    turned = 360.0 * (u - math.sin(2 * math.pi * u) / (2 * math.pi) * 0.35)
+    over = math.radians(turned)
+    # Upside down the pelvis stands on trunk and arms instead of legs.
+    height = -0.06 - 0.14 * math.sin(over) ** 2 + 0.30 * (1 - math.cos(over)) / 2
+    x = 0.2 + far * u
+    score.pelvis(start, stop, x, 0.0, 0.0, roll=-turned, py=height)
+    pelvis = (x, 1.0 + height + 0.10)
+    for side, sign, leaves, lands in (("r", -1.0, 0.10, 0.80), ("l", 1.0, 0.26, 0.93)):
+        if leaves < u < lands:
+            spread = math.radians(straddle) * min(1.0, 2.5 * math.sin(math.pi * u))
+            angle = over - sign * spread
+            x_room, z_room = score.room(pelvis[0] - bent * math.sin(angle), 0.0)
+            ankle = {
+                "x": x_room,
+                "z": z_room,
+                "y": max(pelvis[1] - bent * math.cos(angle), 0.2),
+                "free": 1.0,
+                "pitch": 30.0,
+            }
+            score.move(start, stop, **{side + name: value for name, value in ankle.items()})
+        elif u >= lands and score.value(side + "free") > 0:
+            x_room, z_room = score.room(0.2 + far + sign * 0.30, 0.0)
+            ball = {"x": x_room, "z": z_room, "y": 0.0, "free": 0.0, "pitch": 0.0}
+            score.move(start, stop, **{side + name: value for name, value in ball.items()})
+    # The hands stay above the head; on the floor they stay where they are.
+    score.hands(start, stop, 0.2, 0.93, 0.1 * math.sin(over))

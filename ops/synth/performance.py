@@ -1,0 +1,169 @@
+"""Performances: one actor, one clip or one long take, as the angle table of an AMC file."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from ops.errors import ParameterError
+from ops.synth import floor
+from ops.synth.actors import Actor
+from ops.synth.body import F64
+from ops.synth.filler import fill
+from ops.synth.motions import MOTIONS, Motion
+from ops.synth.noise import capture, sway
+from ops.synth.score import Score, curves
+from ops.synth.solve import solve
+
+RATE_HZ = 120.0
+
+FILLED = 0.22
+"""How often something unasked happens between two labelled motions of a long take."""
+INTERRUPTED = 0.6
+"""How often the performer of a clip comes out of some other movement instead of standing."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """Source frames [start, stop) in which a class is performed."""
+
+    label: str
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Performance:
+    """An angle table (see ops.synth.solve.columns), metres and degrees, and what is performed in it."""
+
+    angles: F64
+    labels: tuple[Label, ...]
+
+
+def motion(name: str) -> Motion:
+    """Return the motion of this subclass."""
+    for known in MOTIONS:
+        if known.name == name:
+            return known
+    raise ParameterError("motion", "one of " + ", ".join(m.name for m in MOTIONS), name)
+
+
+def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance:
+    """Perform one motion once, cut out as an editor would.
+
+    Parameters
+    ----------
+    actor: who. name: the subclass. number: which repetition. seed: of the archive; the same four give the same
+    performance.
+
+    Returns
+    -------
+    A performance that is labelled from its first to its last frame.
+    """
+    rng = np.random.default_rng([seed, 11, actor.seed % 1000, zlib.crc32(name.encode()), number])
+    what = motion(name)
+    score = Score(actor, rng)
+    _prepare(score, what.before)
+    begin, end = what.example(score)
+    score.after(0.5)
+    table = _captured(score, rng)
+    start, stop = _as_cut(rng, begin, end, len(table))
+    return Performance(table[start:stop], (Label(what.label, 0, stop - start),))
+
+
+def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Performance:
+    """Perform motions one after the other until the time is over, with something else in between.
+
+    Parameters
+    ----------
+    actor: who. seconds: how long at least. number: which take. seed: of the archive.
+
+    Returns
+    -------
+    A performance; its labels are sorted and do not overlap.
+    """
+    if not seconds > 0:
+        raise ParameterError("seconds", "above 0", seconds)
+    rng = np.random.default_rng([seed, 13, actor.seed % 1000, number])
+    score = Score(actor, rng)
+    _wait(score, 0.2)
+    pool: list[Motion] = []
+    spans: list[tuple[Motion, float, float]] = []
+    while score.now < seconds:
+        if not pool:
+            # Every motion has its turn before one comes again, in an order of its own.
+            pool = [MOTIONS[i] for i in rng.permutation(len(MOTIONS)) if MOTIONS[i].before == "stand"]
+        _between(score)
+        what = pool.pop()
+        spans.append((what, *what.scene(score)))
+        _afterwards(score, what, spans)
+    _wait(score, 0.3)
+    table = _captured(score, rng)
+    return Performance(table, _labels(rng, spans, len(table)))
+
+
+def _prepare(score: Score, before: str) -> None:
+    if before == "sit":
+        floor.sit_down(score)
+        floor.sit(score, float(score.rng.uniform(0.3, 0.9)))
+    elif before == "lie":
+        floor.lie_down(score)
+        score.after(float(score.rng.uniform(0.2, 0.8)))
+    elif score.rng.random() < INTERRUPTED:
+        fill(score)
+    else:
+        _wait(score, 0.35)
+
+
+def _wait(score: Score, seconds: float) -> None:
+    score.begin()
+    span = seconds * math.exp(float(score.rng.normal(0.0, 0.3)))
+    score.stand(0.0, span)
+    score.after(span)
+
+
+def _between(score: Score) -> None:
+    """Fill the time until the next labelled motion."""
+    while score.rng.random() < FILLED:
+        fill(score)
+    if score.rng.random() < 0.2:
+        _wait(score, 0.25)
+
+
+def _afterwards(score: Score, what: Motion, spans: list[tuple[Motion, float, float]]) -> None:
+    """Come back to standing from a motion that ends elsewhere."""
+    if what.after == "sit":
+        floor.sit(score, float(score.rng.uniform(0.02, 0.1)))
+        up = motion("standUp")
+        spans.append((up, *up.scene(score)))
+    elif what.after == "lie":
+        score.after(float(score.rng.uniform(0.0, 0.25)))
+        up = motion("getUp")
+        spans.append((up, *up.scene(score)))
+
+
+def _captured(score: Score, rng: np.random.Generator) -> F64:
+    actor = score.actor
+    channels = sway(rng, curves(score, RATE_HZ, score.now), RATE_HZ, actor.restless)
+    return capture(rng, solve(actor.body, channels), RATE_HZ, actor.restless)
+
+
+def _as_cut(rng: np.random.Generator, begin: float, end: float, frames: int) -> tuple[int, int]:
+    """Return the frames an editor takes from begin to end: a little early or late."""
+    start = round((begin + float(rng.normal(0.0, 0.05))) * RATE_HZ)
+    stop = round((end + float(rng.normal(0.0, 0.06))) * RATE_HZ)
+    start = min(max(start, 0), frames - 1)
+    return start, min(max(stop, start + 1), frames)
+
+
+def _labels(rng: np.random.Generator, spans: list[tuple[Motion, float, float]], frames: int) -> tuple[Label, ...]:
+    labels: list[Label] = []
+    for what, begin, end in spans:
+        start, stop = _as_cut(rng, begin, end, frames)
+        start = max(start, labels[-1].stop if labels else 0)
+        if stop > start:
+            labels.append(Label(what.label, start, stop))
+    return tuple(labels)

@@ -1,0 +1,249 @@
+"""A score: what a performer is to do, as keys on channels, and the curves that come of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ops.synth.actors import Actor
+from ops.synth.body import F64
+from ops.synth.channels import CHANNELS, GROUP, INDEX
+
+_SHORTEST = 0.035
+"""Keys of one channel that come closer than this, in seconds, would ask for more speed than muscles have."""
+
+# How far trunk, head and hands are off in a repetition: spreads in the channels' own units.
+_OFF = {
+    "bend": 4.0, "side": 2.5, "twist": 5.0, "nod": 6.0, "look": 8.0, "tilt": 2.5, "pitch": 2.5, "roll": 1.2,
+    "lhx": 0.04, "lhy": 0.03, "lhz": 0.05, "lswivel": 10.0, "lhroll": 15.0,
+    "rhx": 0.04, "rhy": 0.03, "rhz": 0.05, "rswivel": 10.0, "rhroll": 15.0,
+}  # fmt: skip
+
+
+class Score:
+    """Keys on channels, written from left to right by the motions of one performer.
+
+    `now` is where the next motion begins, in seconds. Motions are written relative to an anchor: the place
+    between the feet and the way they point when the motion begins; so a performance goes on wherever the last
+    motion ended.
+    """
+
+    def __init__(self, actor: Actor, rng: np.random.Generator) -> None:
+        self.actor = actor
+        self.rng = rng
+        self.now = 0.0
+        self.pace = 1.0
+        self.size = 1.0
+        self.keys: list[list[tuple[float, float]]] = [[(0.0, 0.0)] for _ in CHANNELS]
+        self.late: dict[str, float] = {}
+        self.manner: dict[str, float] = {}
+        self.wound = 0.0  # full turns of the roll so far, degrees: who turned a wheel stands upright at 360
+        self.anchor = (0.0, 0.0, 0.0)
+        width = actor.stance
+        self.place(lx=width, rx=-width, lyaw=actor.toes_out, ryaw=-actor.toes_out, lknee=4.0, rknee=4.0)
+        self.place(pz=actor.over_toes, py=-0.012, **self.rest("l"), **self.rest("r"), **self.rest_trunk())
+
+    # ---- variation ----------------------------------------------------------------------------------------
+    def begin(self, what: str = "") -> None:
+        """Begin a motion: put the anchor where the performer stands, draw how this repetition is done.
+
+        Parameters
+        ----------
+        what: the motion's name; a performer keeps part of the manner from one repetition to the next.
+        """
+        self.anchor = self.standing()
+        actor = self.actor
+        self.pace = actor.tempo * math.exp(self.rng.normal(0.0, actor.unsteady))
+        self.size = actor.range * math.exp(self.rng.normal(0.0, 0.8 * actor.unsteady))
+        self.late = {group: float(self.rng.normal(0.0, actor.loose)) for group in sorted(set(GROUP.values()))}
+        self.late["lfoot"] = self.late["rfoot"] = self.late["pelvis"] = 0.0
+        self.manner = {name: self._manner(what, name) for name in _OFF}
+
+    def _manner(self, what: str, name: str) -> float:
+        """Return how far a channel is off in this repetition: half of it habit, half of it chance."""
+        spread = _OFF[name] * self.actor.manner
+        lasting = self.actor.habit(f"{what}.{name}", -1.7, 1.7) if what else 0.0
+        return spread * (0.7 * lasting + 0.7 * float(self.rng.normal()))
+
+    def beat(self, seconds: float) -> float:
+        """Return how long this performer takes for what takes others so many seconds."""
+        return seconds / self.pace * math.exp(self.rng.normal(0.0, 0.6 * self.actor.unsteady))
+
+    def vary(self, value: float, spread: float = 0.12) -> float:
+        """Return a value as it comes out in this repetition."""
+        return value * self.size * (1.0 + self.rng.normal(0.0, spread))
+
+    def about(self, value: float, spread: float) -> float:
+        """Return a value that is off by some amount, in its own unit."""
+        return value + float(self.rng.normal(0.0, spread))
+
+    # ---- keys ---------------------------------------------------------------------------------------------
+    def value(self, name: str) -> float:
+        """Return the last value that was written for a channel."""
+        return self.keys[INDEX[name]][-1][1]
+
+    def place(self, **targets: float) -> None:
+        """Set channels at the current time, without a movement."""
+        for name, value in targets.items():
+            self._put(name, self.now, value)
+
+    def move(self, start: float, stop: float, **targets: float) -> None:
+        """Move channels to their targets between two times, seconds from `now`; what flows on does not stop."""
+        for name, target in targets.items():
+            value = target + self.manner.get(name, 0.0) + (self.wound if name == "roll" else 0.0)
+            late = self.late.get(GROUP[name], 0.0)
+            begin = self.now + start + late
+            last, held = self.keys[INDEX[name]][-1]
+            if begin > last + 0.06:
+                self._put(name, begin, held)
+            self._put(name, self.now + stop + late, value)
+
+    def _put(self, name: str, time: float, value: float) -> None:
+        keys = self.keys[INDEX[name]]
+        if time <= keys[-1][0] + _SHORTEST:
+            if len(keys) == 1 or time <= keys[-1][0]:
+                keys[-1] = (keys[-1][0], value)
+            else:
+                keys[-1] = (time, value)
+            return
+        keys.append((time, value))
+
+    # ---- places -------------------------------------------------------------------------------------------
+    def standing(self) -> tuple[float, float, float]:
+        """Return the middle between the feet and the way they point: x, z in leg lengths, yaw in degrees."""
+        x = (self.value("lx") + self.value("rx")) / 2
+        z = (self.value("lz") + self.value("rz")) / 2
+        yaw = (self.value("lyaw") + self.value("ryaw")) / 2
+        return x, z, yaw
+
+    def room(self, x: float, z: float) -> tuple[float, float]:
+        """Turn a place to the left of and in front of the anchor into a place in the room."""
+        ox, oz, yaw = self.anchor
+        s, c = math.sin(math.radians(yaw)), math.cos(math.radians(yaw))
+        return ox + x * c + z * s, oz - x * s + z * c
+
+    def pelvis(self, start: float, stop: float, x: float, z: float, yaw: float | None = None, **others: float) -> None:
+        """Move the pelvis over a place given from the anchor; yaw counts from the anchor too."""
+        px, pz = self.room(x, z + self.actor.over_toes)
+        if yaw is not None:
+            others["yaw"] = self.anchor[2] + yaw
+        self.move(start, stop, px=px, pz=pz, **others)
+
+    def step(
+        self, side: str, start: float, stop: float, x: float, z: float, yaw: float = 0.0, lift: float = 0.08,
+        heel: float = 30.0, strike: float = -12.0,
+    ) -> None:  # fmt: skip
+        """Lift a foot and put it down at a place given from the anchor: heel first where `strike` is negative."""
+        fx, fz = self.room(x, z)
+        out = self.actor.toes_out if side == "l" else -self.actor.toes_out
+        span = stop - start
+        lift = lift * math.exp(self.rng.normal(0.0, 0.15))
+        self.move(start, stop, **{side + "x": fx, side + "z": fz, side + "yaw": self.anchor[2] + yaw + out})
+        self.move(start - 0.25 * span, start + 0.12 * span, **{side + "pitch": heel})
+        self.move(start, start + 0.4 * span, **{side + "y": lift, side + "free": 0.0})
+        self.move(start + 0.4 * span, stop, **{side + "y": 0.0})
+        self.move(start + 0.25 * span, stop - 0.1 * span, **{side + "pitch": strike})
+        self.move(stop, stop + 0.3 * span, **{side + "pitch": 0.0})
+
+    # ---- poses --------------------------------------------------------------------------------------------
+    def rest(self, side: str) -> dict[str, float]:
+        """Return where the hand of one side hangs when it has nothing to do, a little different each time."""
+        actor = self.actor
+        place = {
+            "hx": self.about(actor.hang_out, 0.03), "hy": self.about(-actor.hang_down, 0.015),
+            "hz": self.about(actor.hang_ahead, 0.05), "swivel": self.about(10.0, 8.0),
+            "wrist": self.about(8.0, 6.0), "hroll": self.about(0.0, 12.0),
+        }  # fmt: skip
+        return {side + name: value for name, value in place.items()}
+
+    def rest_trunk(self) -> dict[str, float]:
+        """Return how the trunk and the head are held in standing."""
+        actor = self.actor
+        return {
+            "bend": self.about(actor.stoop, 2.0), "side": self.about(actor.lean, 1.0), "twist": self.about(0.0, 2.0),
+            "nod": self.about(actor.nod, 4.0), "look": self.about(0.0, 6.0), "tilt": self.about(0.0, 2.0),
+        }  # fmt: skip
+
+    def relax(self, start: float, stop: float, *parts: str) -> None:
+        """Let arms ("l", "r"), trunk ("trunk") or all of them go back to standing."""
+        for part in parts or ("l", "r", "trunk"):
+            self.move(start, stop, **(self.rest_trunk() if part == "trunk" else self.rest(part)))
+
+    def hand(self, side: str, start: float, stop: float, x: float, y: float, z: float, **others: float) -> None:
+        """Move a hand to a place seen from its shoulder, in arm lengths: outwards, up, forwards."""
+        spread = self.actor.careless
+        targets = {"hx": self.about(x, spread), "hy": self.about(y, spread), "hz": self.about(z, spread)} | others
+        self.move(start, stop, **{side + name: value for name, value in targets.items()})
+
+    def hands(self, start: float, stop: float, x: float, y: float, z: float, **others: float) -> None:
+        """Move both hands to mirrored places."""
+        for side in "lr":
+            self.hand(side, start, stop, x, y, z, **others)
+
+    def stand(self, start: float, stop: float, *parts: str) -> None:
+        """Go back to upright standing over the feet."""
+        x, z, yaw = self.standing()
+        s, c = math.sin(math.radians(yaw)), math.cos(math.radians(yaw))
+        over = self.actor.over_toes
+        self.move(
+            start, stop, px=x + over * s, pz=z + over * c, py=-0.012, yaw=yaw, pitch=self.about(0.0, 1.5),
+            roll=self.about(0.0, 1.0), lknee=self.about(4.0, 2.0), rknee=self.about(4.0, 2.0),
+        )  # fmt: skip
+        self.relax(start, stop, *parts)
+
+    def after(self, seconds: float) -> None:
+        """Let time pass: the next motion begins so many seconds later."""
+        self.now += seconds
+
+
+def curves(score: Score, rate_hz: float, stop: float) -> F64:
+    """Evaluate all keys: monotone cubic curves, rounded off where they meet.
+
+    Parameters
+    ----------
+    score: the keys. rate_hz: frames per second. stop: end of the performance, seconds.
+
+    Returns
+    -------
+    float64 (frames, channels).
+    """
+    times = np.arange(round(stop * rate_hz)) / rate_hz
+    result = np.empty((len(times), len(CHANNELS)))
+    for i, keys in enumerate(score.keys):
+        table = np.array(keys)
+        result[:, i] = _monotone(table[:, 0], table[:, 1], times)
+    return _rounded(result, 0.028 * rate_hz)
+
+
+def _monotone(knots: F64, values: F64, times: F64) -> F64:
+    """Cubic interpolation that never overshoots (Fritsch and Carlson); constant outside the knots."""
+    if len(knots) == 1:
+        return np.full(len(times), values[0])
+    gaps = np.diff(knots)
+    slopes = np.diff(values) / gaps
+    tangents = np.zeros(len(knots))
+    same = slopes[1:] * slopes[:-1] > 0
+    first, second = 2 * gaps[1:] + gaps[:-1], gaps[1:] + 2 * gaps[:-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (first + second) / (first / slopes[:-1] + second / slopes[1:])
+    tangents[1:-1] = np.where(same, mean, 0.0)
+    at = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(gaps) - 1)
+    gap = gaps[at]
+    u = np.clip((times - knots[at]) / gap, 0.0, 1.0)
+    v = 1.0 - u
+    near = values[at] * (1 + 2 * u) * v * v + values[at + 1] * (1 + 2 * v) * u * u
+    curve: F64 = near + gap * u * v * (tangents[at] * v - tangents[at + 1] * u)
+    return curve
+
+
+def _rounded(curves: F64, sigma: float) -> F64:
+    """Smooth curves by a Gaussian of so many frames; values that rest stay where they rest."""
+    width = math.ceil(3 * sigma)
+    weights = np.exp(-0.5 * (np.arange(-width, width + 1) / sigma) ** 2)
+    weights /= weights.sum()
+    padded = np.pad(curves, ((width, width), (0, 0)), mode="edge")
+    result = np.zeros_like(curves)
+    for i, weight in enumerate(weights):
+        result += weight * padded[i : i + len(curves)]
+    return result

@@ -1,0 +1,258 @@
+"""From channels to the angles of an Acclaim skeleton: two-bone chains for legs and arms, the spine as it is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ops.synth.body import BALL_HEIGHT, F64, FOOT_SLOPE, NECK, PARENTS, SPINE, Body
+from ops.synth.channels import INDEX
+from ops.synth.turning import about, apply, apply_inverse, unit, xyz, xyz_angles
+
+_SPINE_SHARES = (0.40, 0.32, 0.28)
+_REACH = 0.995
+_STRETCH = 0.99
+_CLEARANCE = 0.018  # metres that every bone's end stays above the floor
+
+
+def columns(body: Body) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return the columns of an angle table: the root's six numbers, then every movable bone's dofs."""
+    root = ("root", ("tx", "ty", "tz", "rx", "ry", "rz"))
+    return (root, *((bone.name, bone.dofs) for bone in body.bones if bone.dofs))
+
+
+class _Pose:
+    """Global rotations (T, 3, 3) and far ends (T, 3) of the bones solved so far, and their angles."""
+
+    def __init__(self, body: Body, channels: F64) -> None:
+        self.body = body
+        self.channels = channels
+        self.rotation: dict[str, F64] = {}
+        self.end: dict[str, F64] = {}
+        self.angles: dict[str, F64] = {}
+
+    def of(self, name: str) -> F64:
+        return self.channels[:, INDEX[name]]
+
+    def radians(self, name: str) -> F64:
+        return np.radians(self.of(name))
+
+    def point(self, *names: str) -> F64:
+        return np.stack([self.of(name) for name in names], axis=1)
+
+    def follow(self, name: str) -> None:
+        """Hang a bone without angles of its own on its parent."""
+        self._finish(name, self.rotation[PARENTS[name]])
+
+    def turn(self, name: str, angles: F64) -> None:
+        """Turn a bone by the angles of its dofs, radians (T, number of dofs)."""
+        bone = self.body.bone(name)
+        axis = xyz(bone.axis)
+        local = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
+        for column, dof in enumerate(bone.dofs):
+            local = about(dof[1], angles[:, column]) @ local
+        self.angles[name] = angles
+        self._finish(name, self.rotation[PARENTS[name]] @ (axis @ local @ axis.T))
+
+    def point_to(self, name: str, rotation: F64) -> None:
+        """Give a bone with three dofs this global rotation."""
+        axis = xyz(self.body.bone(name).axis)
+        parent = self.rotation[PARENTS[name]]
+        local = axis.T @ (np.swapaxes(parent, 1, 2) @ rotation) @ axis
+        self.angles[name] = xyz_angles(local)
+        self._finish(name, rotation)
+
+    def _finish(self, name: str, rotation: F64) -> None:
+        bone = self.body.bone(name)
+        self.rotation[name] = rotation
+        self.end[name] = self.end[PARENTS[name]] + apply(rotation, np.array(bone.direction) * bone.length)
+
+
+def solve(body: Body, channels: F64) -> F64:
+    """Turn channels into the angle table of an AMC file.
+
+    Parameters
+    ----------
+    body: the actor's skeleton.
+    channels: float64 (T, channels), see ops.synth.channels.
+
+    Returns
+    -------
+    float64 (T, n), one column per root number and dof in the order of `columns`: root position in metres, angles
+    in degrees.
+    """
+    pose = _Pose(body, channels)
+    root = pose.point("px", "py", "pz") * body.leg
+    root[:, 1] += body.standing_root_height
+    turned = about("y", pose.radians("yaw")) @ about("x", pose.radians("pitch")) @ about("z", pose.radians("roll"))
+    root[:, 1] -= _sink(body, pose, root, turned)
+    pose.rotation["root"], pose.end["root"] = turned, root
+    for side in "lr":
+        _leg(pose, side)
+    _trunk(pose)
+    for side in "lr":
+        _arm(pose, side)
+    lowest = np.min([end[:, 1] for end in pose.end.values()], axis=0)
+    root[:, 1] += _calm(np.maximum(_CLEARANCE - lowest, 0.0))
+    parts = [root, np.degrees(xyz_angles(turned))]
+    parts += [np.degrees(pose.angles[name]) for name, _ in columns(body)[1:]]
+    return np.concatenate(parts, axis=1)
+
+
+def _hip_offset(body: Body, side: str) -> F64:
+    bone = body.bone(side + "hipjoint")
+    return np.array(bone.direction) * bone.length
+
+
+def _foot_frame(pose: _Pose, side: str) -> F64:
+    return about("y", pose.radians(side + "yaw")) @ about("x", pose.radians(side + "pitch"))
+
+
+def _ankle(pose: _Pose, side: str) -> F64:
+    """Return where the ankle should be: above the ball of a foot on the floor, at the channel of a free one."""
+    place = pose.point(side + "x", side + "y", side + "z") * pose.body.leg
+    slope = np.array([0.0, -math.sin(FOOT_SLOPE), math.cos(FOOT_SLOPE)]) * pose.body.bone(side + "foot").length
+    free = pose.of(side + "free")[:, None]
+    held = place - apply(_foot_frame(pose, side), slope)
+    held[:, 1] += BALL_HEIGHT
+    return held * (1 - free) + place * free
+
+
+def _sink(body: Body, pose: _Pose, root: F64, turned: F64) -> F64:
+    """Return how far the pelvis must give way so that feet on the floor stay there, metres (T,)."""
+    sink = np.zeros(len(root))
+    for side in "lr":
+        hip = root + apply(turned, _hip_offset(body, side))
+        reach = hip - _ankle(pose, side)
+        leg = body.length(side + "femur", side + "tibia") * _STRETCH
+        level = reach[:, 0] ** 2 + reach[:, 2] ** 2
+        allowed = np.sqrt(np.maximum(leg**2 - level, (0.25 * leg) ** 2))
+        on_floor = np.clip(1.5 - pose.of(side + "y") / 0.04, 0.0, 1.0) * (1 - pose.of(side + "free"))
+        sink = np.maximum(sink, (reach[:, 1] - allowed) * on_floor)
+    return _calm(np.maximum(sink, 0.0))
+
+
+def _calm(values: F64) -> F64:
+    """Smooth an envelope so that it stays above its values."""
+    width = 6
+    padded = np.pad(values, width, mode="edge")
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1).max(axis=1)
+    weights = np.hanning(2 * width + 3)[1:-1]
+    padded = np.pad(highest, width, mode="edge")
+    return np.convolve(padded, weights / weights.sum(), mode="valid")
+
+
+def _two_bones(pose: _Pose, upper: str, lower: float, goal: F64, bend_towards: F64) -> tuple[F64, F64, F64]:
+    """Solve a chain of two bones: the upper bone's direction (T, 3), the hinge's axis (T, 3), the flexion (T,).
+
+    `lower` is the length of the second bone, `goal` the way from the first joint to the end of the chain, and
+    the joint between the bones bends out towards `bend_towards`.
+    """
+    length = pose.body.bone(upper).length
+    distance = np.sqrt((goal * goal).sum(axis=1))
+    reach = _soft_limit(distance, (length + lower) * _REACH)
+    reach = np.maximum(reach, abs(length - lower) + 0.25 * min(length, lower))
+    line = goal / np.maximum(distance, 1e-9)[:, None]
+    outwards = unit(bend_towards - line * (bend_towards * line).sum(axis=1, keepdims=True))
+    cosine = np.clip((length**2 + reach**2 - lower**2) / (2 * length * reach), -1.0, 1.0)
+    direction = line * cosine[:, None] + outwards * np.sqrt(1 - cosine**2)[:, None]
+    inner = np.clip((length**2 + lower**2 - reach**2) / (2 * length * lower), -1.0, 1.0)
+    return direction, np.cross(outwards, line), math.pi - np.arccos(inner)
+
+
+def _soft_limit(values: F64, limit: float) -> F64:
+    """Bend values smoothly below a limit; far below it they stay what they are."""
+    knee = 0.04 * limit
+    over = values - (limit - knee)
+    return np.where(over > 0, limit - knee * np.exp(-np.maximum(over, 0) / knee), values)
+
+
+def _frame(hinge: F64, direction: F64) -> F64:
+    return np.stack([hinge, direction, np.cross(hinge, direction)], axis=-1)
+
+
+def _aim(pose: _Pose, name: str, hinge: F64, direction: F64) -> None:
+    """Turn a bone so that it points along a direction and its x axis lies along the hinge."""
+    bone = pose.body.bone(name)
+    rest = _frame(xyz(bone.axis)[:, 0], np.array(bone.direction))
+    pose.point_to(name, _frame(hinge, direction) @ rest.T)
+
+
+def _leg(pose: _Pose, side: str) -> None:
+    body = pose.body
+    pose.follow(side + "hipjoint")
+    goal = _ankle(pose, side) - pose.end[side + "hipjoint"]
+    outwards = 1.0 if side == "l" else -1.0
+    across = pose.rotation["root"] @ about("y", outwards * pose.radians(side + "knee"))
+    forwards = np.cross(across[:, :, 0], unit(goal)) * -1.0
+    direction, hinge, flexion = _two_bones(pose, side + "femur", body.length(side + "tibia"), goal, forwards)
+    _aim(pose, side + "femur", hinge, direction)
+    pose.turn(side + "tibia", flexion[:, None])
+    _foot(pose, side)
+
+
+def _foot(pose: _Pose, side: str) -> None:
+    """Aim the foot: held in the room or hanging from the shin; the toes stay flat while the ball is on the floor."""
+    bone = pose.body.bone(side + "foot")
+    axis = xyz(bone.axis)
+    free = pose.of(side + "free")[:, None]
+    slope = np.array([0.0, -math.sin(FOOT_SLOPE), math.cos(FOOT_SLOPE)])
+    held = apply_inverse(pose.rotation[side + "tibia"] @ axis, apply(_foot_frame(pose, side), slope))
+    rest = axis.T @ np.array(bone.direction)
+    hanging = apply(about("x", np.clip(pose.radians(side + "pitch"), -0.5, 0.9) + 0.12), rest)
+    wanted = unit(held * (1 - free) + hanging * free)
+    # The foot turns by rx about the ankle's hinge, then by rz about the shin; its rest direction has y < 0.
+    height = np.clip(wanted[:, 2] / math.hypot(rest[1], rest[2]), -1.0, 1.0)
+    pitch = math.pi - np.arcsin(height) - math.atan2(rest[2], rest[1])
+    pitch = (pitch + math.pi) % (2 * math.pi) - math.pi
+    swing = np.arctan2(wanted[:, 0], -wanted[:, 1])
+    pose.turn(side + "foot", np.stack([np.clip(pitch, -1.2, 1.3), np.clip(swing, -1.0, 1.0)], axis=1))
+    on_floor = np.clip(1.5 - pose.of(side + "y") / 0.06, 0.0, 1.0) * (1 - free[:, 0])
+    flat = np.clip(pose.radians(side + "pitch"), -0.3, 1.1) * on_floor
+    pose.turn(side + "toes", -flat[:, None])
+
+
+def _trunk(pose: _Pose) -> None:
+    turn = np.stack([pose.radians("bend"), pose.radians("twist"), pose.radians("side")], axis=1)
+    for name, share in zip(SPINE, _SPINE_SHARES, strict=True):
+        pose.turn(name, turn * share)
+    turn = np.stack([pose.radians("nod"), pose.radians("look"), pose.radians("tilt")], axis=1)
+    for name in NECK:
+        pose.turn(name, turn / len(NECK))
+
+
+def _arm(pose: _Pose, side: str) -> None:
+    body = pose.body
+    outwards = 1.0 if side == "l" else -1.0
+    target = pose.point(side + "hx", side + "hy", side + "hz")
+    # The shoulder follows a raised or far reaching arm.
+    lift = np.clip(target[:, 1], 0.0, 1.0) * 0.20 + 0.01
+    ahead = np.clip(target[:, 2], -0.5, 1.0) * 0.10
+    pose.turn(side + "clavicle", np.stack([-outwards * ahead, outwards * lift], axis=1))
+    chest = pose.rotation["thorax"]
+    shoulder = pose.end[side + "clavicle"]
+    target = target * np.array([outwards, 1.0, 1.0]) * body.length(side + "humerus", side + "radius", side + "wrist")
+    goal = apply(chest, target)
+    goal[:, 1] = np.maximum(goal[:, 1], 0.05 - shoulder[:, 1])
+    inwards = apply_inverse(chest, goal)
+    line = unit(inwards)
+    raised = np.clip(line[:, 1], 0.0, 1.0)
+    elbow = np.stack([outwards * (0.40 + 0.7 * raised), np.full(len(line), -0.75), -0.55 + 0.25 * raised], axis=1)
+    elbow = unit(elbow - line * (elbow * line).sum(axis=1, keepdims=True))
+    swivel = outwards * pose.radians(side + "swivel")[:, None]
+    elbow = elbow * np.cos(swivel) + np.cross(line, elbow) * np.sin(swivel)
+    forearm = body.length(side + "radius", side + "wrist")
+    direction, hinge, flexion = _two_bones(pose, side + "humerus", forearm, goal, apply(chest, elbow))
+    _aim(pose, side + "humerus", hinge, direction)
+    pose.turn(side + "radius", flexion[:, None])
+    _hand(pose, side)
+
+
+def _hand(pose: _Pose, side: str) -> None:
+    roll, wrist = pose.radians(side + "hroll"), pose.radians(side + "wrist")
+    neutral = math.radians(-90.0)
+    pose.turn(side + "wrist", (neutral + roll)[:, None])
+    pose.turn(side + "hand", np.stack([wrist, 0.3 * roll], axis=1))
+    pose.turn(side + "fingers", (0.2 + 0.3 * np.abs(wrist))[:, None])
+    pose.turn(side + "thumb", np.stack([0.2 + 0.1 * wrist, 0.3 * roll], axis=1))
