@@ -166,7 +166,9 @@ def search(
 @app.command()
 def sql(
     store: StorePath,
-    query: Annotated[str | None, typer.Argument(help="one SQL statement; standard input where it is missing")] = None,
+    query: Annotated[
+        str | None, typer.Argument(help="one SQL statement; without it, standard input or a prompt")
+    ] = None,
     file: Annotated[Path | None, typer.Option("--file", "-f", help="read the statement from this file")] = None,
     form: Format = "table",
     output: Output = None,
@@ -180,7 +182,13 @@ def sql(
         if not file.is_file():
             raise KinedexError(f"--file {file}: no such file")
         query = file.read_text(encoding="utf-8")
-    _show(open_store(store).sql(query if query is not None else sys.stdin.read()), form, output)
+    opened = open_store(store)
+    if query is None and sys.stdin.isatty():
+        from pipelines.prompt import run_prompt
+
+        run_prompt(opened, make_console())
+        return
+    _show(opened.sql(query if query is not None else sys.stdin.read()), form, output)
 
 
 @app.command()
