@@ -8,12 +8,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ops.errors import ParameterError
+
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
 OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME = range(9)
-"""What `parse_frames` can find: see `Fault`."""
+"""What `parse_frames` and `parse_rows` can find: see `Fault`."""
 
 _EXACT = 2**53  # integers up to here are exact in a double, and so are the powers of ten up to 22:
 _POWERS = np.array([10.0**i for i in range(23)])  # one multiplication or division of the two rounds correctly
@@ -35,61 +37,63 @@ class Fault:
 @njit(cache=True)
 def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     """Read a number at pos: (value, position after it, 0 good | 1 no number | 2 good, but needs exact conversion)."""
+    begin = pos
     negative = False
     if pos < end and (data[pos] == _MINUS or data[pos] == _PLUS):
         negative = data[pos] == _MINUS
         pos += 1
-    mantissa, digits, exponent, seen = np.int64(0), 0, 0, 0
+    mantissa, fraction, first = np.int64(0), 0, pos
     while pos < end and _ZERO <= data[pos] <= _NINE:
-        if digits < 18:
-            mantissa = mantissa * 10 + (data[pos] - _ZERO)
-            digits += mantissa > 0
-        else:
-            exponent += 1
-            digits += 1
-        seen += 1
+        mantissa = mantissa * 10 + (data[pos] - _ZERO)
         pos += 1
+    digits = pos - first
     if pos < end and data[pos] == _DOT:
         pos += 1
+        first = pos
         while pos < end and _ZERO <= data[pos] <= _NINE:
-            if digits < 18:
-                mantissa = mantissa * 10 + (data[pos] - _ZERO)
-                digits += mantissa > 0
-                exponent -= 1
-            else:
-                digits += 1
-            seen += 1
+            mantissa = mantissa * 10 + (data[pos] - _ZERO)
             pos += 1
-    if seen == 0:
+        fraction = pos - first
+        digits += fraction
+    if digits == 0:
         return 0.0, pos, 1
-    if pos < end and (data[pos] == 101 or data[pos] == 69):
-        pos += 1
-        down = False
-        if pos < end and (data[pos] == _MINUS or data[pos] == _PLUS):
-            down = data[pos] == _MINUS
-            pos += 1
-        power, seen = 0, 0
-        while pos < end and _ZERO <= data[pos] <= _NINE:
-            if power < 100000:
-                power = power * 10 + (data[pos] - _ZERO)
-            seen += 1
-            pos += 1
-        if seen == 0:
-            return 0.0, pos, 1
-        exponent += -power if down else power
+    exponent = -fraction
     if pos < end and data[pos] > _SPACE:
-        return 0.0, pos, 1
+        power, pos = _exponent(data, pos, end)
+        if pos < 0:
+            return 0.0, begin, 1
+        exponent += power
     value = float(mantissa)
     status = 0
-    if mantissa == 0 and digits == 0:
+    if digits > 18 or mantissa > _EXACT or (mantissa > 0 and (exponent < -22 or exponent > 22)):
+        status = 2  # the mantissa of more than 18 digits may have overflowed: only the text itself tells
+    elif mantissa == 0:
         pass
-    elif digits > 18 or mantissa > _EXACT or exponent < -22 or exponent > 22:
-        status = 2
     elif exponent < 0:
         value /= _POWERS[-exponent]
     else:
         value *= _POWERS[exponent]
     return (-value if negative else value), pos, status
+
+
+@njit(cache=True)
+def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
+    """Read "e-05" at pos, up to the end of the token: (power, position after it), position −1 where it is none."""
+    if data[pos] != 101 and data[pos] != 69:
+        return 0, -1
+    pos += 1
+    down = False
+    if pos < end and (data[pos] == _MINUS or data[pos] == _PLUS):
+        down = data[pos] == _MINUS
+        pos += 1
+    power, first = 0, pos
+    while pos < end and _ZERO <= data[pos] <= _NINE:
+        if power < 100000:
+            power = power * 10 + (data[pos] - _ZERO)
+        pos += 1
+    if pos == first or (pos < end and data[pos] > _SPACE):
+        return 0, -1
+    return (-power if down else power), pos
 
 
 @njit(cache=True)
@@ -248,10 +252,97 @@ def parse_frames(
         slow = np.empty((slows, 4), dtype=np.int64)
     if code != OK:
         return out[:0], first, Fault(code, at, a, b)
-    for frame, column, position, where in slow[:slows]:
-        token = data[position : position + 400].split(None, 1)[0]
-        value = float(token)
-        if not np.isfinite(value):
-            return out[:0], first, Fault(BAD_NUMBER, int(where), int(position), int(position) + len(token))
-        out[frame, column] = value
+    fault = _convert_exactly(data, out, slow[:slows])
+    if fault is not None:
+        return out[:0], first, fault
     return out[:frames], first, None
+
+
+@njit(cache=True)
+def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int, int, int, int, int, int]:
+    """Returns (code, line, fault start, fault stop, rows, numbers that need exact conversion)."""
+    end = len(data)
+    columns = out.shape[1]
+    row, slows = 0, 0
+    while pos < end:
+        while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+            pos += 1
+        if pos >= end:
+            break
+        if data[pos] == _NEWLINE or data[pos] == _RETURN or data[pos] == _HASH:
+            pos = _next_line(data, pos, end)
+            line += 1
+            continue
+        for column in range(columns):
+            while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+                pos += 1
+            if pos >= end or data[pos] == _NEWLINE or data[pos] == _RETURN:
+                return TOO_FEW, line, row, column, row, slows
+            value, after, status = _number(data, pos, end)
+            if status == 1:
+                return BAD_NUMBER, line, pos, _token_end(data, pos, end), row, slows
+            if status == 2:
+                if slows < len(slow):
+                    slow[slows, 0], slow[slows, 1] = row, column
+                    slow[slows, 2], slow[slows, 3] = pos, line
+                slows += 1
+            out[row, column] = value
+            pos = after
+        while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+            pos += 1
+        if pos < end and data[pos] != _NEWLINE and data[pos] != _RETURN:
+            return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
+        row += 1
+        pos = _next_line(data, pos, end)
+        line += 1
+    return OK, line, 0, 0, row, slows
+
+
+def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, Fault | None]:
+    """Parse lines of equally many numbers, the body of a BVH file.
+
+    Blank lines and lines that begin with # are passed over.
+
+    Parameters
+    ----------
+    data: the whole file. start: where the rows begin (byte). line: the line number there, from 1.
+    columns: how many numbers a line has, at least one.
+
+    Returns
+    -------
+    values: float64 (rows, columns), every number correctly rounded; none where there is a fault.
+    fault: None, or the first thing that is wrong: BAD_NUMBER and TOO_MANY with the bytes it is about, TOO_FEW with the
+    row (from 0) as `start` and how many numbers it has as `stop`.
+
+    Raises
+    ------
+    ParameterError: `columns` is not positive.
+    """
+    if columns < 1:
+        raise ParameterError("columns", "at least 1", columns)
+    array = np.frombuffer(data, dtype=np.uint8)
+    # A number takes a byte and a space at least, so that no count of lines can ask for more than a few file sizes.
+    rows = min(count_lines(memoryview(data)[start:]), (len(data) - start) // (2 * columns) + 1) + 1
+    out = np.empty((rows, columns))
+    slow = np.empty((1024, 4), dtype=np.int64)
+    while True:
+        code, at, a, b, found, slows = _parse_rows(array, start, line, out, slow)
+        if slows <= len(slow):
+            break
+        slow = np.empty((slows, 4), dtype=np.int64)
+    fault = None if code == OK else Fault(code, at, a, b)
+    if fault is None:
+        fault = _convert_exactly(data, out, slow[:slows])
+    return (out[:0] if fault else out[:found]), fault
+
+
+def _convert_exactly(data: bytes, out: F64, slow: I64) -> Fault | None:
+    """Put the numbers that the kernel could not round itself in their places; a fault where one is beyond all."""
+    for row, column, position, where in slow:
+        # A number of hundreds of digits is one token all the same.
+        stop = _token_end(np.frombuffer(data, dtype=np.uint8), int(position), len(data))
+        value = float(data[position:stop])
+        if not np.isfinite(value):
+            return Fault(BAD_NUMBER, int(where), int(position), stop)
+        out[row, column] = value
+    return None

@@ -1,0 +1,98 @@
+"""Rows of numbers: what is read is what Python reads, and what is wrong is named with its line."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ops import textnumbers as t
+from ops.errors import ParameterError
+
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+def naive(text: bytes, columns: int) -> list[list[float]] | tuple[int, int]:
+    """The rows, or code and line of the first fault."""
+    rows = []
+    for number, line in enumerate(re.split(rb"\r\n|\r|\n", text), 1):
+        tokens = [token for token in re.split(rb"[ \t]+", line) if token]
+        if not tokens or tokens[0].startswith(b"#"):
+            continue
+        for i, token in enumerate(tokens):
+            if i == columns:
+                return t.TOO_MANY, number
+            found = NUMBER.fullmatch(token.decode("latin-1"))
+            if not found:
+                return t.BAD_NUMBER, number
+        if len(tokens) < columns:
+            return t.TOO_FEW, number
+        rows.append([float(token) for token in tokens])
+    huge = next((i for i, row in enumerate(rows) if not np.isfinite(row).all()), None)
+    return rows if huge is None else (t.BAD_NUMBER, -1)
+
+
+@given(
+    st.lists(st.sampled_from([*b"0123456789", *b"  \t\n\r.-+e#x", *b"15 "]), max_size=120).map(bytes),
+    st.integers(1, 3),
+)
+def test_rows_are_what_python_makes_of_the_lines(text: bytes, columns: int) -> None:
+    values, fault = t.parse_rows(text, 0, 1, columns)
+    expected = naive(text, columns)
+    if isinstance(expected, list):
+        assert fault is None
+        np.testing.assert_array_equal(values, np.array(expected).reshape(len(expected), columns))
+    else:
+        assert fault is not None
+        code, line = expected
+        assert fault.code == code
+        assert line in (fault.line, -1)
+        assert len(values) == 0
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=30))
+def test_every_number_is_rounded_as_python_rounds_it(numbers: list[float]) -> None:
+    text = " ".join(repr(number) for number in numbers) + "\r\n" + "\t".join(f"{number:.20e}" for number in numbers)
+    values, fault = t.parse_rows(text.encode(), 0, 1, len(numbers))
+    assert fault is None
+    np.testing.assert_array_equal(values, [numbers, numbers])
+
+
+def test_a_number_of_a_thousand_digits_is_one_number() -> None:
+    values, fault = t.parse_rows(b"0." + b"1" * 1000 + b" 2\n" + b"9" * 300 + b" 3", 0, 1, 2)
+    assert fault is None
+    np.testing.assert_array_equal(values, [[0.1111111111111111, 2.0], [1e300, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line", "about"),
+    [
+        (b"1 2\n\n# 3\n4 x5\n", t.BAD_NUMBER, 4, b"x5"),
+        (b"1 2\r\n3 4 5", t.TOO_MANY, 2, b"5"),
+        (b"1 2\n3 1e999\n", t.BAD_NUMBER, 2, b"1e999"),
+        (b"1 nan\n", t.BAD_NUMBER, 1, b"nan"),
+        (b"1 0x1\n", t.BAD_NUMBER, 1, b"0x1"),
+        (b"1 2,5\n", t.BAD_NUMBER, 1, b"2,5"),
+    ],
+)
+def test_a_fault_has_its_line_and_its_bytes(text: bytes, code: int, line: int, about: bytes) -> None:
+    _, fault = t.parse_rows(text, 0, 1, 2)
+    assert fault is not None
+    assert (fault.code, fault.line, text[fault.start : fault.stop]) == (code, line, about)
+
+
+def test_a_short_line_says_which_row_it_is_and_how_many_numbers_it_has() -> None:
+    _, fault = t.parse_rows(b"header\n1 2 3\n4 5 6\n7 8", 7, 2, 3)
+    assert fault == t.Fault(t.TOO_FEW, 4, 2, 2)
+
+
+def test_memory_is_bounded_by_the_size_of_the_text_and_not_by_its_lines() -> None:
+    values, fault = t.parse_rows(b"\n" * 200_000, 0, 1, 1_000_000)
+    assert fault is None
+    assert values.base is not None
+    assert values.base.nbytes < 32 * 1_000_000
+    with pytest.raises(ParameterError, match="columns must be at least 1"):
+        t.parse_rows(b"", 0, 1, 0)
