@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -80,6 +81,24 @@ class FeatureSet:
         if name not in self.sets:
             raise KinedexError(f"no feature set '{name}'{did_you_mean(name, self.sets)}")
         return self.sets[name]
+
+    def without(self, joints: Iterable[str]) -> tuple[tuple[Feature, ...], tuple[Feature, ...]]:
+        """What becomes of the features where joints are unknown.
+
+        Returns
+        -------
+        off: features that name one of the joints, or are scaled by a length that ends there; they are never on.
+        narrowed: features over several joints of which only the known ones then count, such as the lowest point.
+        """
+        lost = {self.joints.index(joint) for joint in joints if joint in self.joints}
+        off, narrowed = [], []
+        for feature in self.features:
+            fixed, several = feature.rule.joints(range(len(self.joints)))
+            if lost & fixed:
+                off.append(feature)
+            elif lost & several:
+                narrowed.append(feature)
+        return tuple(off), tuple(narrowed)
 
     def set_of(self, number: int) -> WordSet:
         """The word set that a feature belongs to."""

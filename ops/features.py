@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +58,19 @@ class Rule:
     weak: tuple[float, float]
     strong: tuple[float, float]
     length: tuple[tuple[int, int], ...] = ()
+
+    def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
+        """The joints without which the rule is off, and those that it takes where they are known (of all of `body`)."""
+        fixed = {joint for pair in self.length for joint in pair}
+        several: set[int] = set()
+        for term in self.terms:
+            if term.primitive == "extent_xz":
+                several |= set(term.joints)
+            else:
+                fixed |= set(term.joints)
+            if term.primitive in ("height", "extent_y"):
+                several |= set(body) - set(term.without)
+        return fixed, several - fixed
 
 
 def window_samples(window_ms: float, rate_hz: float) -> int:

@@ -65,22 +65,25 @@ def euler(degrees: tuple[float, float, float], order: str) -> F64:
     return matrix
 
 
-def forward(nodes: tuple[Node, ...], channels: F64) -> tuple[F64, F64]:
-    """Positions of all nodes and the orientation of the root.
+def forward(nodes: tuple[Node, ...], channels: F64, oriented: int = 0) -> tuple[F64, F64]:
+    """Positions of all nodes and the orientation of one of them, the root's where nothing else is said.
 
     Parameters
     ----------
     nodes: parents before children.
     channels: float64 (T, C); rotations in radians, moves and stretches in metres.
+    oriented: index of the node whose orientation is wanted.
 
     Returns
     -------
-    positions: float64 (nodes, 3, T), metres. orientation: float64 (9, T), the root's rotation matrix, row by row.
+    positions: float64 (nodes, 3, T), metres. orientation: float64 (9, T), the node's rotation matrix, row by row.
 
     Raises
     ------
-    ParameterError: a parent stands after its child, or a step names a column that is not there.
+    ParameterError: a parent stands after its child, or a step or `oriented` names what is not there.
     """
+    if not 0 <= oriented < len(nodes):
+        raise ParameterError("oriented", f"the index of one of {len(nodes)} nodes", oriented)
     for i, node in enumerate(nodes):
         if not -1 <= node.parent < i:
             raise ParameterError(f"parent of '{node.name}'", "a node before it", node.parent)
@@ -99,7 +102,7 @@ def forward(nodes: tuple[Node, ...], channels: F64) -> tuple[F64, F64]:
     orientation = np.empty((9, channels.shape[0]))
     _forward(
         by_channel, np.sin(by_channel), np.cos(by_channel), parents, counts, kinds, columns,
-        frames, plain, offsets, positions, orientation,
+        frames, plain, offsets, oriented, positions, orientation,
     )  # fmt: skip
     return positions, orientation
 
@@ -107,7 +110,7 @@ def forward(nodes: tuple[Node, ...], channels: F64) -> tuple[F64, F64]:
 @njit(cache=True)
 def _forward(
     channels: F64, sines: F64, cosines: F64, parents: I32, counts: I32, kinds: I32, columns: I32,
-    frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, positions: F64, orientation: F64,
+    frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
 ) -> None:  # fmt: skip
     total = channels.shape[1]
     nodes = len(parents)
@@ -188,7 +191,7 @@ def _forward(
                     out[axis, start + t] += own[3 * axis, t] * x + own[3 * axis + 1, t] * y + own[3 * axis + 2, t] * z
         for k in range(9):
             for t in range(size):
-                orientation[k, start + t] = h[0, k, t]
+                orientation[k, start + t] = h[oriented, k, t]
 
 
 def quaternions(matrices: F64) -> F64:
