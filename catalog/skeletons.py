@@ -4,53 +4,126 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from catalog.configs import Located, config_path, load_yaml
+from catalog.configs import Located, config_names, config_path, load_yaml
 from ops.errors import SourceError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
+Format: TypeAlias = Literal["acclaim", "bvh"]
+Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
-class _Virtual(BaseModel):
+class _Mix(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    virtual: dict[str, float] = Field(min_length=1)
+    virtual: dict[str, float] | None = Field(None, min_length=1)
+    nodes: dict[str, float] | None = Field(None, min_length=1)
+
+    @model_validator(mode="after")
+    def _one(self) -> _Mix:
+        if (self.virtual is None) == (self.nodes is None):
+            raise ValueError("expected `virtual` (weights over named joints) or `nodes` (weights over nodes)")
+        return self
+
+
+class _Root(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    up: Axis
+    facing: Axis
 
 
 class _SkeletonFile(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str
     description: str = ""
-    format: Literal["acclaim"]
-    up: Literal["x", "y", "z"] = "y"
+    format: Format
+    up: Axis = "y"
     handedness: Literal["right", "left"] = "right"
-    facing: Literal["x", "y", "z"] = "z"
-    unit_m: float = Field(gt=0)
-    joints: dict[str, str | _Virtual | None]
+    facing: Axis = "z"
+    root_axes: _Root | None = None
+    unit_m: Any  # a number of metres or `guess`; pydantic's messages about either-or are of no use to anybody
+    strip_prefix: str | None = None
+    bones: dict[str, dict[str, float]] = Field(default_factory=dict)
+    joints: dict[str, Any]  # see `_mix`
+
+
+@dataclass(frozen=True)
+class Mix:
+    """A fixed linear combination of nodes of a skeleton, or (`of_joints`) of other named joints."""
+
+    weights: tuple[tuple[str, float], ...]
+    of_joints: bool = False
+
+    @property
+    def node(self) -> str | None:
+        """The node that this is, where it is just one."""
+        return self.weights[0][0] if len(self.weights) == 1 and not self.of_joints else None
+
+    def __str__(self) -> str:
+        return " ".join(f"{weight:+g} {name}" for name, weight in self.weights)
 
 
 @dataclass(frozen=True)
 class SkeletonMapping:
     """One mapping file.
 
-    joints: named joint → a node of the source's skeleton, or weights over other named joints (a virtual joint), or None
-    where the skeleton has no such joint. axes: (3, 3), turns source coordinates into X, Y up, Z (right-handed).
+    joints: named joint → what it may be, the first that a skeleton can supply counts; None: such a skeleton has none.
+    unit_m: metres of one unit, None where it is to be guessed. axes: (3, 3), turns source coordinates into X, Y up, Z
+    (right-handed). root_axes: (3, 3), the same for the axes of the root node itself.
+    bones: node → weights over the offsets of other nodes, which it is given where the file leaves its own at zero.
     """
 
     name: str
     path: Path
     digest: str
-    unit_m: float
+    format: Format
+    unit_m: float | None
     axes: F64
-    joints: dict[str, str | dict[str, float] | None]
+    root_axes: F64
+    strip_prefix: str | None
+    bones: dict[str, dict[str, float]]
+    joints: dict[str, tuple[Mix | None, ...]]
 
-    def apply(self, source: str, nodes: dict[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
+    def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
+        """Node name → index, by the names that the mapping uses; what a stripped prefix makes ambiguous is left out."""
+        if self.strip_prefix is None:
+            return dict(nodes)
+        short: dict[str, list[int]] = {}
+        for name, index in nodes.items():
+            found = re.match(self.strip_prefix, name)
+            short.setdefault(name[found.end() :] if found else name, []).append(index)
+        return {name: indices[0] for name, indices in short.items() if len(indices) == 1} | dict(nodes)
+
+    def fit(self, nodes: Mapping[str, int]) -> Fit:
+        """Find the named joints in a skeleton, given as node name → index."""
+        places = self.places(nodes)
+        found: dict[str, Mix | None] = {}
+        missing: dict[str, str] = {}
+        # Virtual joints last: what they are made of is never virtual itself.
+        for joint in sorted(self.joints, key=lambda joint: any(mix and mix.of_joints for mix in self.joints[joint])):
+            for mix in self.joints[joint]:
+                there: Mapping[str, object] = found if mix and mix.of_joints else places
+                if mix is None or all(there.get(name) is not None for name, _ in mix.weights):
+                    found[joint] = mix
+                    break
+            else:
+                names = [name for mix in self.joints[joint] if mix and not mix.of_joints for name, _ in mix.weights]
+                missing[f"joint '{joint}'"] = next((name for name in names if name not in places), joint)
+        for bone, weights in self.bones.items():
+            lacking = [name for name in (bone, *weights) if name not in places]
+            if lacking:
+                missing[f"bone '{bone}'"] = lacking[0]
+        return Fit(self, places, found, missing)
+
+    def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
         """Pick and build the named joints.
 
         Parameters
@@ -66,24 +139,135 @@ class SkeletonMapping:
         ------
         SourceError: the skeleton lacks a node that the mapping names.
         """
-        result = np.full((len(joints), 3, positions.shape[2]), np.nan)
-        for i, joint in enumerate(joints):
-            node = self.joints.get(joint)
-            if isinstance(node, str):
-                if node not in nodes:
-                    raise SourceError(
-                        source,
-                        f"the skeleton has no '{node}', which mapping '{self.name}' ({self.path}) takes for joint "
-                        f"'{joint}'{did_you_mean(node, nodes)}",
-                    )
-                result[i] = positions[nodes[node]]
-        for i, joint in enumerate(joints):
-            weights = self.joints.get(joint)
-            if isinstance(weights, dict):
-                result[i] = sum(weight * result[joints.index(other)] for other, weight in weights.items())
-        if not np.array_equal(self.axes, np.eye(3)):
-            result = np.einsum("ab,jbt->jat", self.axes, result)
+        fit = self.fit(nodes)
+        fit.check(source)
+        return fit.apply(positions, joints)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A mapping laid over one skeleton.
+
+    places: node name → index, under the names that the mapping uses. joints: named joint → what it is here.
+    missing: what the mapping cannot make here (a joint, a bone) → the first node that it would need.
+    """
+
+    mapping: SkeletonMapping
+    places: dict[str, int]
+    joints: dict[str, Mix | None]
+    missing: dict[str, str]
+
+    @property
+    def named(self) -> int:
+        """How many joints the skeleton itself supplies."""
+        return sum(mix is not None and not mix.of_joints for mix in self.joints.values())
+
+    @property
+    def root(self) -> int:
+        """The index of the node whose turns are those of the body: that of joint `root`, else the skeleton's first."""
+        mix = self.joints.get("root")
+        return self.places[mix.node] if mix is not None and mix.node is not None else 0
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """The joints that the skeleton does not have."""
+        return tuple(joint for joint, mix in self.joints.items() if mix is None)
+
+    @property
+    def virtual(self) -> dict[str, Mix]:
+        """The joints that are built from others, and how."""
+        return {joint: mix for joint, mix in self.joints.items() if mix is not None and mix.node is None}
+
+    def check(self, source: str | Path) -> None:
+        """Raise a SourceError that names `source` and the first node that is missing, if there is one."""
+        for what, node in self.missing.items():
+            raise SourceError(
+                source,
+                f"the skeleton has no '{node}', which mapping '{self.mapping.name}' ({self.mapping.path}) takes for "
+                f"{what}{did_you_mean(node, self.places)}",
+            )
+
+    def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:
+        """The named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of the skeleton's nodes."""
+        tracks: dict[str, F64] = {}
+        frames = positions.shape[2]
+        for joint, mix in self.joints.items():  # in the order of `fit`: what a virtual joint needs is there before it
+            if mix is None:
+                tracks[joint] = np.full((3, frames), np.nan)
+            elif mix.node is not None:
+                tracks[joint] = positions[self.places[mix.node]]
+            else:
+                of = tracks if mix.of_joints else {name: positions[self.places[name]] for name, _ in mix.weights}
+                tracks[joint] = np.sum([weight * of[name] for name, weight in mix.weights], axis=0)
+        result = np.stack([tracks[joint] for joint in joints])
+        if not np.array_equal(self.mapping.axes, np.eye(3)):
+            result = np.einsum("ab,jbt->jat", self.mapping.axes, result)
         return np.ascontiguousarray(result)
+
+
+@dataclass(frozen=True)
+class Mappings:
+    """The mappings that one archive is read with: one chosen by the user, or all that are shipped, by format."""
+
+    of_format: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
+
+    def digest(self, form: Format) -> str:
+        """A hash of the mappings of one format, which the takes read with them depend on."""
+        return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
+
+    def detect(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit:
+        """The mapping that fits a skeleton: all its nodes occur there, and it supplies the most joints.
+
+        Where there is only one mapping of the format, it is taken, and what it lacks is an error.
+
+        Raises
+        ------
+        SourceError: none fits (the message names the nearest and what it lacks), or two fit equally well.
+        """
+        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
+        if len(fits) == 1:
+            fits[0].check(source)
+            return fits[0]
+        whole = [fit for fit in fits if not fit.missing]
+        best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
+        if len(best) == 1:
+            return best[0]
+        way_out = "give one by `skeleton`, a shipped name or a .yaml file of your own"
+        if best:
+            names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
+            raise SourceError(source, f"mappings {names} fit this skeleton equally well; {way_out}")
+        if not fits:
+            raise SourceError(source, f"no skeleton mapping for {form} files; {way_out}")
+        near = min(fits, key=lambda fit: len(fit.missing))
+        raise SourceError(
+            source,
+            f"no skeleton mapping fits; the nearest, '{near.mapping.name}', finds {len(near.joints)} joints and lacks "
+            f"{_listed([f'{node} (for {what})' for what, node in near.missing.items()])}; the skeleton has "
+            f"{_listed(list(nodes))}; {way_out}",
+        )
+
+
+def _listed(names: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(names[:most])
+    return f"{shown} and {len(names) - most} more" if len(names) > most else shown
+
+
+def load_mappings(choice: str | Path, joints: tuple[str, ...]) -> Mappings:
+    """The mappings of an archive: `auto`, or one by its name or path, which counts for the files of its format.
+
+    Raises
+    ------
+    ConfigError: there is no such mapping, or it is wrong.
+    """
+    chosen = None if choice == "auto" else load_skeleton(choice, joints)
+    of_format: dict[Format, tuple[SkeletonMapping, ...]] = {}
+    for name in config_names("skeletons"):
+        mapping = load_skeleton(name, joints)
+        if chosen is None or mapping.format != chosen.format:
+            of_format[mapping.format] = (*of_format.get(mapping.format, ()), mapping)
+    if chosen is not None:
+        of_format[chosen.format] = (chosen,)
+    return Mappings(of_format)
 
 
 def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> SkeletonMapping:
@@ -108,31 +292,68 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
         raise located.error(
             f"joint '{missing[0]}' is missing; write `{missing[0]}: null` if the skeleton has none", "joints"
         )
-    targets = {joint: _target(located, parsed, joint) for joint in parsed.joints}
-    digest = hashlib.sha256(json.dumps(parsed.model_dump(), sort_keys=True).encode()).hexdigest()[:16]
-    return SkeletonMapping(parsed.name, located.path, digest, parsed.unit_m, _axes(located, parsed), targets)
+    unit_m = parsed.unit_m
+    number = isinstance(unit_m, (int, float)) and not isinstance(unit_m, bool)
+    if unit_m != "guess" and not (number and 0 < unit_m < np.inf):
+        raise located.error(f"must be a positive number of metres, or guess; got {unit_m!r}", "unit_m")
+    if parsed.format == "acclaim" and parsed.unit_m == "guess":
+        raise located.error("an ASF file states its unit; give the metres of one inch, 0.0254", "unit_m")
+    if parsed.strip_prefix is not None:
+        try:
+            re.compile(parsed.strip_prefix)
+        except re.error as fault:
+            raise located.error(f"is no regular expression: {fault}", "strip_prefix") from None
+    axes = _axes(located, parsed.up, parsed.facing, parsed.handedness, "facing")
+    own = parsed.root_axes
+    return SkeletonMapping(
+        name=parsed.name,
+        path=located.path,
+        digest=hashlib.sha256(json.dumps(parsed.model_dump(), sort_keys=True).encode()).hexdigest()[:16],
+        format=parsed.format,
+        unit_m=None if unit_m == "guess" else float(unit_m),
+        axes=axes,
+        root_axes=_axes(located, own.up, own.facing, parsed.handedness, "root_axes") if own else axes,
+        strip_prefix=parsed.strip_prefix,
+        bones=parsed.bones,
+        joints={joint: _choices(located, parsed, joint) for joint in parsed.joints},
+    )
 
 
-def _target(located: Located, parsed: _SkeletonFile, joint: str) -> str | dict[str, float] | None:
+def _choices(located: Located, parsed: _SkeletonFile, joint: str) -> tuple[Mix | None, ...]:
     value = parsed.joints[joint]
-    if not isinstance(value, _Virtual):
-        return value
-    for other in value.virtual:
-        if not isinstance(parsed.joints.get(other), str):
+    if value == []:
+        raise located.error("expected at least one choice in the list", "joints", joint)
+    return tuple(_mix(located, parsed, joint, part) for part in (value if isinstance(value, list) else [value]))
+
+
+def _mix(located: Located, parsed: _SkeletonFile, joint: str, value: object) -> Mix | None:
+    if value is None or isinstance(value, str):
+        return None if value is None else Mix(((value, 1.0),))
+    if not isinstance(value, dict):
+        raise located.error(f"expected a node, nodes, virtual, null or a list of these; got {value!r}", "joints", joint)
+    mix = located.model(_Mix, "joints", joint, data=value)
+    weights = mix.virtual or mix.nodes or {}
+    direct = [name for name, what in parsed.joints.items() if what is not None and not _has_virtual(what)]
+    for other in mix.virtual or ():
+        if other not in direct:
             raise located.error(
                 f"a virtual joint is made of joints that the skeleton has; '{other}' is none"
-                f"{did_you_mean(other, [name for name, node in parsed.joints.items() if isinstance(node, str)])}",
+                f"{did_you_mean(other, direct)}",
                 "joints", joint,
             )  # fmt: skip
-    if abs(sum(value.virtual.values()) - 1.0) > 1e-9:
-        raise located.error(f"the weights must add up to 1, got {sum(value.virtual.values()):g}", "joints", joint)
-    return dict(value.virtual)
+    if abs(sum(weights.values()) - 1.0) > 1e-9:
+        raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", "joints", joint)
+    return Mix(tuple(weights.items()), of_joints=mix.virtual is not None)
 
 
-def _axes(located: Located, parsed: _SkeletonFile) -> F64:
-    """The turn that takes the mapping's axes to ours: its up to +Y, its facing to +Z."""
-    if parsed.up == parsed.facing:
-        raise located.error("up and facing must be different axes", "facing")
-    up, facing = np.eye(3)["xyz".index(parsed.up)], np.eye(3)["xyz".index(parsed.facing)]
-    side = np.cross(up, facing) * (1.0 if parsed.handedness == "right" else -1.0)
-    return np.stack([side, up, facing])
+def _has_virtual(what: object) -> bool:
+    return any(isinstance(part, dict) and "virtual" in part for part in (what if isinstance(what, list) else [what]))
+
+
+def _axes(located: Located, up: Axis, facing: Axis, handedness: str, key: str) -> F64:
+    """The turn that takes a mapping's axes to ours: its up to +Y, its facing to +Z."""
+    if up[-1] == facing[-1]:
+        raise located.error("up and facing must be different axes", key)
+    upward, forward = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (up, facing))
+    side = np.cross(upward, forward) * (1.0 if handedness == "right" else -1.0)
+    return np.stack([side, upward, forward])

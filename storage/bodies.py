@@ -2,30 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from catalog.skeletons import SkeletonMapping
+from catalog.skeletons import Fit, Mappings
+from catalog.units import guess_unit
 from ops import kinematics
-from storage.acclaim import RATE_HZ, Skeleton, read_amc, read_asf
+from ops.errors import SourceError
+from storage.acclaim import INCH_M, RATE_HZ, Skeleton, read_amc, read_asf
+from storage.bvh import Bvh, parse_bvh
+
+F64 = npt.NDArray[np.float64]
+
+FARTHEST_M = 100_000.0
+"""No body is farther from the origin: a joint beyond this is a fault of the file."""
+
+_WORKED_ON = 2_000_000  # nodes times frames at once: some 50 MB of positions, whatever the file's size
 
 
 @dataclass(frozen=True)
 class Body:
     """The named joints of a take at its source rate.
 
-    positions: float64 (J, 3, T), metres, Y up. orientation: float64 (4, T), the root's unit quaternion w x y z.
-    rate_hz: frames per second. unit: what the file's lengths are in, in words. warnings: what a reader should know.
+    positions: float64 (J, 3, T), metres, Y up; NaN for an unknown joint.
+    orientation: float64 (4, T), the root's unit quaternion w x y z; NaN where the root is unknown.
+    rate_hz: frames per second. unit: what the file's lengths are in, in words. skeleton: the name of the mapping.
+    unknown: the joints that the skeleton does not have. warnings: what a reader should know.
     """
 
-    positions: npt.NDArray[np.float64]
-    orientation: npt.NDArray[np.float64]
+    positions: F64
+    orientation: F64
     rate_hz: float
     unit: str
+    skeleton: str
+    unknown: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -34,14 +48,30 @@ class Body:
         return int(self.positions.shape[2])
 
 
+def read_body(motion: Path, asf: Path | None, mappings: Mappings, joints: tuple[str, ...], rate_hz: float) -> Body:
+    """Read a motion file of any format, told by its ending.
+
+    Parameters
+    ----------
+    asf: the skeleton of an AMC file; other formats have none. rate_hz: frames per second of a file that cannot say it.
+
+    Raises
+    ------
+    SourceError: file and line of the first fault.
+    """
+    if motion.suffix.lower() == ".bvh":
+        return read_bvh(motion, mappings, joints)
+    if asf is None:
+        raise SourceError(motion, "an AMC file is read with its ASF skeleton; none is given")
+    return read_acclaim(motion, asf, mappings, joints, rate_hz)
+
+
 @lru_cache(maxsize=64)
 def _skeleton(path: str, _stamp: tuple[int, int], unit_m: float) -> Skeleton:
     return read_asf(path, unit_m)
 
 
-def read_acclaim(
-    amc: Path, asf: Path, mapping: SkeletonMapping, joints: tuple[str, ...], rate_hz: float = RATE_HZ
-) -> Body:
+def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ...], rate_hz: float = RATE_HZ) -> Body:
     """Read an AMC file with its ASF skeleton.
 
     Parameters
@@ -57,16 +87,110 @@ def read_acclaim(
         stamp = (stat.st_size, stat.st_mtime_ns)
     except OSError:
         stamp = (0, 0)
-    skeleton = _skeleton(str(asf), stamp, mapping.unit_m)
+    skeleton = _skeleton(str(asf), stamp, INCH_M)
+    fit = mappings.detect(asf, "acclaim", skeleton.bones)
+    if fit.mapping.unit_m not in (None, INCH_M):
+        skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
     motion = read_amc(amc, skeleton)
     nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels)
     turned = np.einsum("abt,bc->act", matrices.reshape(3, 3, -1), skeleton.root_frame)
-    # In our axes the root's orientation is the turn between the two frames' bases, seen from ours.
-    turned = np.einsum("ab,bct,dc->adt", mapping.axes, turned, mapping.axes)
+    positions = fit.apply(nodes, joints)
+    _refuse_far(amc, positions, joints, fit.unknown)
     return Body(
-        positions=mapping.apply(str(asf), skeleton.bones, nodes, joints),
-        orientation=kinematics.quaternions(np.ascontiguousarray(turned.reshape(9, -1))),
+        positions=positions,
+        orientation=_orientation(fit, turned),
         rate_hz=rate_hz,
         unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
-        warnings=motion.warnings,
+        skeleton=fit.mapping.name,
+        unknown=fit.unknown,
+        warnings=(*motion.warnings, *_virtual(fit)),
     )
+
+
+def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...]) -> Body:
+    """Read a BVH file, which carries its own skeleton and rate.
+
+    Parameters
+    ----------
+    mappings: those that its skeleton is looked for in. joints: the named joints, in the order of the result.
+
+    Raises
+    ------
+    SourceError: file and line of the first fault, or that no mapping fits.
+    """
+    bvh = parse_bvh(path)
+    fit = mappings.detect(path, "bvh", bvh.places)
+    nodes, restored = _restore(bvh, fit)
+    positions, turned = _track(nodes, bvh.channels, fit, joints)
+    warnings = [*bvh.warnings, *_virtual(fit)]
+    if restored:
+        warnings.append(
+            f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
+        )
+    unit_m = fit.mapping.unit_m
+    unit = f"{unit_m:.6g} m" if unit_m is not None else ""
+    if unit_m is None:
+        name, unit_m, height = guess_unit(path, positions, joints)
+        unit = f"{unit_m:.6g} m (guessed)"
+        warnings.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
+    positions *= unit_m
+    _refuse_far(path, positions, joints, fit.unknown)
+    return Body(
+        positions=positions,
+        orientation=_orientation(fit, turned),
+        rate_hz=bvh.rate_hz,
+        unit=unit,
+        skeleton=fit.mapping.name,
+        unknown=fit.unknown,
+        warnings=tuple(warnings),
+    )
+
+
+def _restore(bvh: Bvh, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
+    """The nodes with the lengths that a mapping gives to bones whose OFFSET is zero, and the names of those bones."""
+    nodes, restored = list(bvh.nodes), []
+    for name, weights in fit.mapping.bones.items():
+        index = fit.places[name]
+        moved = any(step.kind >= kinematics.MOVE_X for step in nodes[index].steps)
+        if not moved and not nodes[index].before.any():
+            offset = sum(weight * bvh.nodes[fit.places[other]].before for other, weight in weights.items())
+            nodes[index] = replace(nodes[index], before=np.asarray(offset))
+            restored.append(name)
+    return tuple(nodes), restored
+
+
+def _track(nodes: tuple[kinematics.Node, ...], channels: F64, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
+    """Named joints (J, 3, T) in the file's unit and the root's rotation (3, 3, T), worked on a stretch at a time."""
+    frames = len(channels)
+    positions, turned = np.empty((len(joints), 3, frames)), np.empty((9, frames))
+    step = max(kinematics.BLOCK, _WORKED_ON // len(nodes))
+    for start in range(0, frames, step):
+        part, turned[:, start : start + step] = kinematics.forward(nodes, channels[start : start + step], fit.root)
+        positions[:, :, start : start + step] = fit.apply(part, joints)
+    return positions, turned.reshape(3, 3, frames)
+
+
+def _orientation(fit: Fit, turned: F64) -> F64:
+    """The root's quaternion in our axes: the turn between the two frames' bases, seen from ours."""
+    if "root" in fit.unknown:
+        return np.full((4, turned.shape[2]), np.nan)
+    turned = np.einsum("ab,bct,dc->adt", fit.mapping.axes, turned, fit.mapping.root_axes)
+    return kinematics.quaternions(np.ascontiguousarray(turned.reshape(9, -1)))
+
+
+def _virtual(fit: Fit) -> list[str]:
+    built = ", ".join(f"{joint} ({mix})" for joint, mix in fit.virtual.items())
+    return [f"joints that the skeleton lacks are built from others: {built}"] if built else []
+
+
+def _refuse_far(path: Path, positions: F64, joints: tuple[str, ...], unknown: tuple[str, ...]) -> None:
+    """Raise a SourceError where a joint is so far away that a number of the file must be wrong."""
+    if positions.min() >= -FARTHEST_M and positions.max() <= FARTHEST_M:
+        return
+    far = ~(np.abs(positions) <= FARTHEST_M)  # a NaN is far, too: it comes of infinities
+    far[[joints.index(joint) for joint in unknown]] = False
+    if far.any():
+        joint, _, frame = (int(at[0]) for at in np.nonzero(far))
+        raise SourceError(
+            path, f"joint '{joints[joint]}' is more than {FARTHEST_M / 1000:g} km away in source frame {frame}"
+        )

@@ -5,11 +5,22 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ops.errors import SourceError, StoreError
+
+UNREAD = {
+    ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
+    ".c3d": "markers are not read; export the solved skeleton as BVH or ASF/AMC",
+    ".trc": "markers are not read; export the solved skeleton as BVH or ASF/AMC",
+    ".htr": "export it as BVH",
+    ".bip": "export it as BVH",
+    ".glb": "convert it to BVH first, for instance with Blender (import glTF, export BVH)",
+}
+"""Endings of motion files that kinedex does not read, and the way out."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +42,22 @@ class SourceFile:
         """The file's name without folder and ending: the take's name."""
         return Path(self.path).stem
 
+    @property
+    def format(self) -> str:
+        """The file's ending in small letters, without the dot: "amc" or "bvh" of a motion file."""
+        return Path(self.path).suffix[1:].lower()
+
 
 @dataclass(frozen=True)
 class Scan:
-    """What a source root holds: motion files and skeleton files, each sorted by path."""
+    """What a source root holds: motion files and skeleton files, each sorted by path.
+
+    unread: the motion files of formats that kinedex does not read, see `UNREAD`.
+    """
 
     motions: tuple[SourceFile, ...]
     skeletons: tuple[SourceFile, ...]
+    unread: tuple[SourceFile, ...] = ()
 
     @property
     def digest(self) -> str:
@@ -47,9 +67,17 @@ class Scan:
             hasher.update(f"{file.path}\0{file.size}\0{file.mtime_ns}\n".encode())
         return hasher.hexdigest()[:16]
 
+    def unread_lines(self) -> list[str]:
+        """One line for every format that is there and not read: how many files, and the way out."""
+        counts = Counter(f".{file.format}" for file in self.unread)
+        return [
+            f"{count} {'file' if count == 1 else 'files'} of a format not read ({ending}): {UNREAD[ending]}"
+            for ending, count in sorted(counts.items())
+        ]
+
 
 def scan(root: str | Path) -> Scan:
-    """List the motion files (.amc) and skeleton files (.asf) below a source root, in any letter case.
+    """List the motion files (.amc, .bvh) and skeleton files (.asf) below a source root, in any letter case.
 
     Raises
     ------
@@ -60,12 +88,14 @@ def scan(root: str | Path) -> Scan:
         raise StoreError(f"source '{root}' is not a folder: give the folder that holds the motion files")
     motions: list[SourceFile] = []
     skeletons: list[SourceFile] = []
+    unread: list[SourceFile] = []
+    kinds = {".amc": motions, ".bvh": motions, ".asf": skeletons} | dict.fromkeys(UNREAD, unread)
     for path in _files(root):
-        kind = {".amc": motions, ".asf": skeletons}.get(path.suffix.lower())
+        kind = kinds.get(path.suffix.lower())
         if kind is not None:
             stat = path.stat()
             kind.append(SourceFile(str(root), path.relative_to(root).as_posix(), stat.st_size, stat.st_mtime_ns))
-    return Scan(tuple(motions), tuple(skeletons))
+    return Scan(tuple(motions), tuple(skeletons), tuple(unread))
 
 
 def _files(root: Path) -> Iterator[Path]:

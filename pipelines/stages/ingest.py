@@ -16,13 +16,13 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from catalog.features import FeatureSet
-from catalog.skeletons import SkeletonMapping, load_skeleton
+from catalog.skeletons import Mappings, load_mappings
 from ops import features, kinematics, textnumbers
 from ops.errors import KinedexError, SourceError
 from ops.resample import feature_rate, resample
 from pipelines.context import StageContext
 from pipelines.plan import code_digest
-from storage.bodies import Body, read_acclaim
+from storage.bodies import Body, read_body
 from storage.manifest import Part
 from storage.parts import FramesWriter
 from storage.schemas import result_schema, takes_schema
@@ -38,17 +38,22 @@ class Params(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     source: str = Field(description="folder that holds the motion files, at any depth")
-    skeleton: str = Field("acclaim", description="skeleton mapping: a shipped name or a path to a .yaml file")
+    skeleton: str = Field(
+        "auto",
+        description="skeleton mapping: `auto` tells a skeleton by its names; a shipped name or a path to a .yaml file "
+        "counts for all files of its format (other formats stay automatic)",
+    )
     patterns: list[str] = Field(
         default_factory=list,
         description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
         "relative to the source; the first that is found anywhere in it counts",
     )
-    name: Literal["stem", "path"] = Field(
-        "stem", description="what a take is called: its file's stem, or its path without the ending"
+    name: Literal["stem", "path", "file"] = Field(
+        "stem",
+        description="what a take is called: its file's stem, its path without the ending (`path`), or with it (`file`)",
     )
     rate_hz: float = Field(
-        120.0, gt=0, description="frames per second of files that do not say it (Acclaim files never do)"
+        120.0, gt=0, description="frames per second of Acclaim files, which never say it; BVH files say their own"
     )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     batch_mb: int = Field(256, ge=1, le=4096, description="most megabytes of raw files that one task reads")
@@ -76,7 +81,7 @@ class Task:
     name: str
     take_id: int
     motion: SourceFile
-    skeleton: SourceFile
+    skeleton: SourceFile | None
     groups: dict[str, str]
     recipe: str
     checksum: str
@@ -101,7 +106,7 @@ class Batch:
     store: Path
     feature_set: FeatureSet
     rate_hz: float
-    mapping: SkeletonMapping
+    mappings: Mappings
     source_rate_hz: float
     tasks: tuple[Task, ...]
 
@@ -120,23 +125,26 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     found = scan(params.source)
     if not found.motions:
         raise KinedexError(
-            f"no motion files (.amc) below {params.source}. kinedex reads Acclaim ASF/AMC; is this the right folder?"
+            f"no motion files (.amc, .bvh) below {params.source}. kinedex reads Acclaim ASF/AMC and BVH; is this the "
+            "right folder?" + "".join(f" {line}." for line in found.unread_lines())
         )
-    mapping = load_skeleton(params.skeleton, context.feature_set.joints)
+    mappings = load_mappings(params.skeleton, context.feature_set.joints)
     with context.writer() as writer:
-        plan = _plan(writer, context.feature_set, params, mapping, found)
+        plan = _plan(writer, context.feature_set, params, mappings, found)
         context.say(
             f"{len(found.motions)} motion files below {params.source}: "
             f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
             + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
         )
+        for line in found.unread_lines():
+            context.say(line)
         if plan.gone:
             what = "dropped" if params.prune else "kept; `prune: true` drops them"
             context.say(f"{len(plan.gone)} takes whose file is gone: {what}")
             if params.prune:
                 writer.drop_takes(plan.gone)
         failures = list(plan.failures)
-        frames = _bring_in(context, params, mapping, writer, plan.tasks, failures)
+        frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
         writer.put_results("ingest_log", _log(failures, context.run), stage=context.key(), run=context.run)
         writer.commit()
         total = len(writer.manifest.live_takes)
@@ -151,6 +159,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "unchanged": plan.unchanged,
         "frames_read": frames,
         "left_out": len(failures),
+        "not_read": len(found.unread),
         "dropped": len(plan.gone) if params.prune else 0,
     }
 
@@ -163,11 +172,14 @@ class _Plan:
     failures: list[Failure]
 
 
-def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mapping: SkeletonMapping, found: Scan) -> _Plan:
+def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings: Mappings, found: Scan) -> _Plan:
     """Compare the source with the store: what is new or changed, what is unchanged, what is gone, what has no place."""
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
     patterns = [re.compile(pattern) for pattern in params.patterns]
-    recipe = _recipe(feature_set, params, mapping)
+    recipes: dict[str, str] = {
+        "amc": _recipe(feature_set, mappings.digest("acclaim"), params.rate_hz),
+        "bvh": _recipe(feature_set, mappings.digest("bvh"), None),
+    }
     skeleton_sums: dict[str, str] = {}
     tasks: list[Task] = []
     failures: list[Failure] = []
@@ -178,15 +190,17 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mapping:
         try:
             if len(names[name]) > 1:
                 others = ", ".join(path for path in names[name] if path != motion.path)
+                rule = _apart(names[name])
                 raise SourceError(
                     motion.absolute,
-                    f"two takes would be named '{name}' (also {others}); rename one, or set `name: path`",
+                    f"two takes would be named '{name}' (also {others}); rename one, or set `name: {rule}`",
                 )
-            skeleton = skeleton_of(motion, found.skeletons)
-            if skeleton.path not in skeleton_sums:
+            skeleton = skeleton_of(motion, found.skeletons) if motion.format == "amc" else None
+            if skeleton is not None and skeleton.path not in skeleton_sums:
                 skeleton_sums[skeleton.path] = checksum(skeleton.absolute)
             groups = path_groups(motion.path, patterns)
-            made = _digest([recipe, skeleton_sums[skeleton.path], sorted((groups or {}).items())])
+            of_skeleton = skeleton_sums[skeleton.path] if skeleton is not None else ""
+            made = _digest([recipes[motion.format], of_skeleton, sorted((groups or {}).items())])
             row = known.get(name)
             if row is not None and row["recipe"] == made and _same_stamp(row, motion):
                 unchanged += 1
@@ -216,7 +230,14 @@ def _take_names(params: Params, found: Scan) -> dict[str, list[str]]:
 
 
 def _name(params: Params, motion: SourceFile) -> str:
-    return motion.stem if params.name == "stem" else str(Path(motion.path).with_suffix(""))
+    if params.name == "stem":
+        return motion.stem
+    return motion.path if params.name == "file" else str(Path(motion.path).with_suffix(""))
+
+
+def _apart(paths: Sequence[str]) -> str:
+    """The rule of naming that tells these files apart."""
+    return "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
 
 
 def _same_stamp(row: dict[str, Any], motion: SourceFile) -> bool:
@@ -233,10 +254,10 @@ def _refuse_stranger(row: dict[str, Any], motion: SourceFile) -> None:
         )
 
 
-def _recipe(feature_set: FeatureSet, params: Params, mapping: SkeletonMapping) -> str:
+def _recipe(feature_set: FeatureSet, mappings: str, rate_hz: float | None) -> str:
     """What a take's rows depend on besides its own files; when it changes, the take is read again."""
     code = [code_digest(module) for module in ("storage.bodies", "ops.features", "ops.resample")]
-    return _digest([feature_set.digest, mapping.digest, params.rate_hz, code])
+    return _digest([feature_set.digest, mappings, rate_hz, code])
 
 
 def _digest(parts: object) -> str:
@@ -250,7 +271,7 @@ def _failure(motion: SourceFile, fault: SourceError) -> Failure:
 def _bring_in(
     context: StageContext,
     params: Params,
-    mapping: SkeletonMapping,
+    mappings: Mappings,
     writer: StoreWriter,
     tasks: Sequence[Task],
     failures: list[Failure],
@@ -263,7 +284,7 @@ def _bring_in(
     frames = 0
     with context.progress("reading takes", len(tasks)) as progress:
         batches = [
-            Batch(context.store_path, context.feature_set, writer.manifest.rate_hz, mapping, params.rate_hz, part)
+            Batch(context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.rate_hz, part)
             for part in _batches(tasks, params.batch_mb * MEGABYTE, context.executor.workers)
         ]
         for batch, written in zip(batches, context.executor.map(read_batch, batches), strict=True):
@@ -297,6 +318,7 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     node = kinematics.Node("root", -1, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), ())
     kinematics.forward((node,), np.zeros((2, 1)))
     textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])
+    textnumbers.parse_rows(b"0\n", 0, 1, 1)
     features.words(np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2)), 30.0, feature_set.rules)
 
 
@@ -308,10 +330,9 @@ def read_batch(batch: Batch) -> Written:
     try:
         for task in batch.tasks:
             try:
-                body = read_acclaim(
-                    task.motion.absolute, task.skeleton.absolute, batch.mapping, batch.feature_set.joints,
-                    batch.source_rate_hz,
-                )  # fmt: skip
+                asf = task.skeleton.absolute if task.skeleton is not None else None
+                joints = batch.feature_set.joints
+                body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.source_rate_hz)
             except SourceError as fault:
                 failures.append(_failure(task.motion, fault))
                 continue
@@ -346,9 +367,9 @@ def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, An
         "checksum": task.checksum,
         "source_bytes": task.motion.size,
         "source_mtime_ns": task.motion.mtime_ns,
-        "format": "amc",
-        "skeleton": batch.mapping.name,
-        "skeleton_source": task.skeleton.path,
+        "format": task.motion.format,
+        "skeleton": body.skeleton,
+        "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
         "recipe": task.recipe,
         "unit": body.unit,
         "source_rate_hz": body.rate_hz,
@@ -360,8 +381,23 @@ def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, An
         "class": groups.pop("class", None),
         "clip": groups.pop("clip", None),
         "groups": json.dumps(groups, sort_keys=True),
-        "warnings": [*task.warnings, *body.warnings],
+        "warnings": [*task.warnings, *body.warnings, *_blind(batch.feature_set, body)],
     }
+
+
+def _blind(feature_set: FeatureSet, body: Body) -> list[str]:
+    """What joints that the skeleton does not have cost: the features that are off, and those that do without them."""
+    if not body.unknown:
+        return []
+    off, narrowed = feature_set.without(body.unknown)
+    said = [
+        f"skeleton mapping '{body.skeleton}' has no {', '.join(body.unknown)}; these features are off: "
+        + (", ".join(f"F{feature.number} {feature.name}" for feature in off) or "none")
+    ]
+    if narrowed:
+        names = ", ".join(f"F{feature.number} {feature.name}" for feature in narrowed)
+        said.append(f"without {', '.join(body.unknown)} these features look at the other joints only: {names}")
+    return said
 
 
 def _log(failures: Sequence[Failure], run_id: str) -> pa.Table:

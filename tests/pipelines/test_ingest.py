@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from catalog.skeletons import load_skeleton
 from ops import features, kinematics
 from ops.errors import ConfigError, KinedexError
 from pipelines.stages import ingest
@@ -37,7 +38,7 @@ def test_every_fourth_source_frame_becomes_a_frame_with_the_word_of_the_source_r
     skeleton = read_asf(source / "x.asf")
     nodes, matrices = kinematics.forward(skeleton.nodes, read_amc(source / "b/x_3.amc", skeleton).channels)
     joints = store.feature_set.joints
-    mapping = ingest.load_skeleton("acclaim", joints)
+    mapping = load_skeleton("acclaim", joints)
     positions = mapping.apply("", skeleton.bones, nodes, joints)
     words = features.words(positions, kinematics.quaternions(matrices), 120.0, store.feature_set.rules)
     take_id = store.takes("name = 'x_3'")["take_id"][0]

@@ -64,14 +64,25 @@ def test_a_path_speaks_through_the_first_pattern_that_fits() -> None:
 
 def test_a_scan_finds_files_in_any_letter_case_and_sees_changes(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
-    for name in ("b/x.AMC", "a.amc", "b/S.ASF", "notes.txt"):
+    for name in ("b/x.AMC", "a.amc", "b/S.ASF", "b/y.Bvh", "notes.txt"):
         (tmp_path / name).write_text("1")
     found = scan(tmp_path)
-    assert [file.path for file in found.motions] == ["a.amc", "b/x.AMC"]
+    assert [file.path for file in found.motions] == ["a.amc", "b/x.AMC", "b/y.Bvh"]
+    assert [file.format for file in found.motions] == ["amc", "amc", "bvh"]
     assert [file.path for file in found.skeletons] == ["b/S.ASF"]
     assert scan(tmp_path).digest == found.digest
     (tmp_path / "a.amc").write_text("22")
     assert scan(tmp_path).digest != found.digest
+
+
+def test_motion_files_of_other_formats_are_counted_with_the_way_out(tmp_path: Path) -> None:
+    for name in ("a.fbx", "b.FBX", "c.c3d", "d.bvh", "e.png"):
+        (tmp_path / name).write_text("1")
+    found = scan(tmp_path)
+    assert [file.path for file in found.motions] == ["d.bvh"]
+    first, second = found.unread_lines()
+    assert first.startswith("1 file of a format not read (.c3d): ")
+    assert second.startswith("2 files of a format not read (.fbx): convert it to BVH first, for instance with Blender")
 
 
 def test_a_source_that_is_no_folder_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,60 @@
+"""Units of length: what files come in, and which one makes a body as high as a human."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import SourceError
+
+F64 = npt.NDArray[np.float64]
+
+HUMAN_M = (1.0, 2.2)
+"""Heights that a guessed unit may make of a body, metres; so narrow that never two units do."""
+
+UNITS_M = {"metres": 1.0, "inches / 0.45 (Acclaim)": 0.0254 / 0.45, "inches": 0.0254, "cm": 0.01, "mm": 0.001}
+"""The units of length that files come in, and the metres of one."""
+
+_LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
+_TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
+_UPRIGHT = 1.1  # what the feet and the slope of the pelvis add to legs and trunk stretched out
+
+
+def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> tuple[str, float, float]:
+    """Guess the unit of length from the height of a body, which legs and trunk make when stretched out.
+
+    Parameters
+    ----------
+    source: the file that errors name. positions: float64 (J, 3, T) of the named joints, in the unit to be guessed.
+
+    Returns
+    -------
+    name: one of `UNITS_M`. unit_m: the metres of one. height_m: what the body's height then is.
+
+    Raises
+    ------
+    SourceError: no unit makes this a human height, or there are no legs to measure.
+    """
+    way_out = "state `unit_m` in the skeleton mapping"
+    known = {joint: positions[i, :, 0] for i, joint in enumerate(joints) if np.isfinite(positions[i, :, 0]).all()}
+    legs = [_length(known, leg) for leg in _LEGS if all(joint in known for joint in leg)]
+    if not legs:
+        raise SourceError(source, f"its unit of length cannot be guessed without a hip, knee and ankle; {way_out}")
+    height = _UPRIGHT * (max(legs) + _length(known, [joint for joint in _TRUNK if joint in known]))
+    for name, unit_m in UNITS_M.items():
+        if HUMAN_M[0] <= height * unit_m <= HUMAN_M[1]:
+            return name, unit_m, height * unit_m
+    raise SourceError(
+        source,
+        f"its unit of length cannot be guessed: the body is {height:.4g} units high, which is {HUMAN_M[0]:g} to "
+        f"{HUMAN_M[1]:g} m in none of {', '.join(UNITS_M)}; {way_out}",
+    )
+
+
+def _length(points: Mapping[str, F64], chain: Iterable[str]) -> float:
+    path = [points[joint] for joint in chain]
+    return float(sum(np.linalg.norm(b - a) for a, b in pairwise(path)))

@@ -1,0 +1,143 @@
+"""Ingest of mixed archives: formats side by side, skeletons told by their names, and what cannot be read is said."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from catalog.features import load_feature_set
+from catalog.skeletons import load_skeleton
+from ops.errors import KinedexError
+from pipelines.stages import ingest
+from pipelines.terminal import Terminal
+from storage.store import Store, open_store
+from storage.verify import verify
+from tests.bvh_files import bvh_text, dance, mixamo
+from tests.pipelines.archives import context, write_archive
+
+JOINTS = load_feature_set().joints
+
+
+def bring_in(store: Path, source: Path, executor: str = "serial", **params: object) -> tuple[dict[str, object], str]:
+    """The stage's summary, and what it said on the terminal."""
+    said = io.StringIO()
+    stage = replace(context(store, executor=executor), terminal=Terminal(Console(file=said, width=400)))
+    return ingest.run(stage, ingest.Params(source=str(source), **params)), said.getvalue()  # type: ignore[arg-type]
+
+
+def write_bvh(path: Path, frames: int, *, seed: int = 0, frame_time: str = "0.0333333") -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(bvh_text(mixamo(), dance(mixamo(), frames, seed), frame_time=frame_time))
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    root = write_archive(tmp_path / "source", {"a/x_1.amc": 50})
+    write_bvh(root / "b" / "wave.bvh", 31)
+    write_bvh(root / "b" / "fast.BVH", 41, seed=1, frame_time=".0083333")
+    return root
+
+
+def rows(store: Store) -> list[dict[str, object]]:
+    return store.takes().to_dicts()
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes"])
+def test_acclaim_and_bvh_files_come_in_side_by_side(tmp_path: Path, source: Path, executor: str) -> None:
+    summary, _ = bring_in(tmp_path / "store", source, executor)
+    assert (summary["takes"], summary["left_out"]) == (3, 0)
+    fast, wave, x = rows(open_store(tmp_path / "store"))
+    assert [(row["name"], row["format"], row["skeleton"]) for row in (fast, wave, x)] == [
+        ("fast", "bvh", "mixamo"),
+        ("wave", "bvh", "mixamo"),
+        ("x_1", "amc", "acclaim"),
+    ]
+    assert [row["source_rate_hz"] for row in (fast, wave, x)] == [120.0, 30.0, 120.0]
+    assert [row["frames"] for row in (fast, wave, x)] == [11, 31, 13]
+    assert [row["skeleton_source"] for row in (fast, wave, x)] == [None, None, "x.asf"]
+    assert wave["unit"] == "0.01 m (guessed)"
+    assert wave["warnings"] == ["its unit of length is guessed: cm, which makes the body 1.78 m high"]
+    assert verify(open_store(tmp_path / "store")) == []
+
+
+def test_a_second_run_reads_nothing_and_the_rate_of_acclaim_files_does_not_touch_bvh(
+    tmp_path: Path, source: Path
+) -> None:
+    bring_in(tmp_path / "store", source)
+    assert bring_in(tmp_path / "store", source)[0]["read"] == 0
+    assert bring_in(tmp_path / "store", source, rate_hz=60.0)[0]["read"] == 1
+    rates = {row["name"]: row["source_rate_hz"] for row in rows(open_store(tmp_path / "store"))}
+    assert rates == {"fast": 120.0, "wave": 30.0, "x_1": 60.0}
+
+
+def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tmp_path: Path, source: Path) -> None:
+    text = (source / "b" / "wave.bvh").read_text()
+    (source / "cut.bvh").write_text(text[:-9])
+    (source / "names.bvh").write_text(text.replace("mixamorig:LeftUpLeg", "Thigh.L"))
+    (source / "roots.bvh").write_text(text.replace("MOTION", "ROOT other\n{\n  OFFSET 0 0 0\n}\nMOTION"))
+    summary, said = bring_in(tmp_path / "store", source)
+    assert (summary["takes"], summary["left_out"]) == (3, 3)
+    log = {row["source"]: row for row in open_store(tmp_path / "store").result("ingest_log").to_pylist()}
+    assert "cut off in the middle of a frame" in log["cut.bvh"]["message"]
+    assert log["cut.bvh"]["line"] == text.count("\n")
+    assert (
+        "the nearest, 'mixamo', finds 23 joints and lacks LeftUpLeg (for joint 'lhip')" in log["names.bvh"]["message"]
+    )
+    assert "a second root, 'other'" in log["roots.bvh"]["message"]
+    assert said.count("left out:") == 3
+
+
+def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, source: Path) -> None:
+    (source / "b" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
+    (source / "b" / "markers.C3D").write_bytes(b"\x02P")
+    summary, said = bring_in(tmp_path / "store", source)
+    assert summary["not_read"] == 2
+    assert "1 file of a format not read (.fbx): convert it to BVH first" in said
+    assert "1 file of a format not read (.c3d)" in said
+    (tmp_path / "only").mkdir()
+    (tmp_path / "only" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
+    with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh\) below .* \(.fbx\): convert it to BVH"):
+        bring_in(tmp_path / "other", tmp_path / "only")
+
+
+def test_one_take_in_two_formats_is_two_takes_of_one_name_until_named_with_the_ending(
+    tmp_path: Path, source: Path
+) -> None:
+    write_bvh(source / "a" / "x_1.bvh", 9)
+    for rule in ("stem", "path"):
+        summary, _ = bring_in(tmp_path / rule, source, name=rule)
+        assert summary["left_out"] == 2
+        message = open_store(tmp_path / rule).result("ingest_log").to_pylist()[0]["message"]
+        assert "(also a/x_1.bvh); rename one, or set `name: file`" in message
+    summary, _ = bring_in(tmp_path / "file", source, name="file")
+    assert summary["left_out"] == 0
+    names = [row["name"] for row in rows(open_store(tmp_path / "file"))]
+    assert names == ["a/x_1.amc", "a/x_1.bvh", "b/fast.BVH", "b/wave.bvh"]
+
+
+def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_says_which(
+    tmp_path: Path, source: Path
+) -> None:
+    shipped = load_skeleton("mixamo", JOINTS).path.read_text()
+    own = tmp_path / "own.yaml"
+    own.write_text(shipped.replace("lfingers: [LeftHandMiddle1, LeftHandIndex1", "lfingers: [LeftPaw").replace(
+        "{virtual: {lelbow: -0.25, lwrist: 1.25}}", "null"
+    ))  # fmt: skip
+    bring_in(tmp_path / "store", source, skeleton=str(own))
+    store = open_store(tmp_path / "store")
+    (wave,) = (row for row in rows(store) if row["name"] == "wave")
+    assert wave["warnings"][1:] == [  # type: ignore[index]
+        "skeleton mapping 'mixamo' has no lfingers; these features are off: F14 lhand_fast, F34 lhand_lowered",
+        "without lfingers these features look at the other joints only: F17 rfoot_raised, F18 lfoot_raised, "
+        "F33 rhand_lowered, F37 body_low",
+    ]
+    words = store.words([wave["take_id"]]).words  # type: ignore[list-item]
+    assert not ((words >> np.uint64(13)) & np.uint64(1)).any()
+    fingers = store.frames("wave").column("lfingers").combine_chunks()
+    assert np.isnan(fingers.field("x").to_numpy()).all()
+    assert verify(store) == []
