@@ -169,6 +169,8 @@ def _parse_frames(
                 return NOT_NEXT, line, number, int(value), frame, first, slows
             number = int(value)
             frame += 1
+            if frame == len(out):
+                return MISSING, line, 0, 0, frame, first, slows
             if frame == 0:
                 first = number
             present = 0
@@ -212,11 +214,9 @@ def _parse_frames(
     return OK, line, 0, 0, frame + 1, first, slows
 
 
-def count_lines(data: bytes | memoryview) -> int:
-    """An upper bound of the lines in a text with "\\n", "\\r\\n" or "\\r" endings."""
-    array = np.frombuffer(data, dtype=np.uint8)
-    newlines = int(np.count_nonzero(array == _NEWLINE))
-    return (newlines if newlines else int(np.count_nonzero(array == _RETURN))) + 1
+def count_lines(data: bytes, start: int = 0) -> int:
+    """An upper bound of the lines from a byte on; "\\n", "\\r\\n" and "\\r" end them, mixed as they come."""
+    return data.count(b"\n", start) + data.count(b"\r", start) - data.count(b"\r\n", start) + 1
 
 
 def parse_frames(
@@ -241,7 +241,7 @@ def parse_frames(
     offsets = np.cumsum([0, *(len(name) for name in encoded)]).astype(np.int64)
     columns = np.cumsum([0, *widths]).astype(np.int64)
     array = np.frombuffer(data, dtype=np.uint8)
-    rows = count_lines(memoryview(data)[start:]) // (len(names) + 1) + 2
+    rows = count_lines(data, start) // (len(names) + 1) + 2
     out = np.empty((rows, int(columns[-1])))
     slow = np.empty((1024, 4), dtype=np.int64)
     letters = np.frombuffer(b"".join(encoded), dtype=np.uint8)
@@ -273,6 +273,8 @@ def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int
             pos = _next_line(data, pos, end)
             line += 1
             continue
+        if row == len(out):
+            return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
         for column in range(columns):
             while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
                 pos += 1
@@ -322,7 +324,7 @@ def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, F
         raise ParameterError("columns", "at least 1", columns)
     array = np.frombuffer(data, dtype=np.uint8)
     # A number takes a byte and a space at least, so that no count of lines can ask for more than a few file sizes.
-    rows = min(count_lines(memoryview(data)[start:]), (len(data) - start) // (2 * columns) + 1) + 1
+    rows = min(count_lines(data, start), (len(data) - start) // (2 * columns) + 1) + 1
     out = np.empty((rows, columns))
     slow = np.empty((1024, 4), dtype=np.int64)
     while True:

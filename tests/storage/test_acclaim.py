@@ -221,6 +221,16 @@ def test_what_python_takes_for_no_number_is_none_here(token: str) -> None:
         assert values[0, 0] == expected
 
 
+@given(st.lists(st.sampled_from(["\n", "\r", "\r\n", "\n\n", "\r\r", " \r"]), min_size=1, max_size=40))
+@settings(deadline=None)
+def test_line_ends_may_be_mixed_in_one_file(ends: list[str]) -> None:
+    frames = len(ends) // 2
+    text = "".join(f"{t + 1}{ends[2 * t]}root {t} 2 3{ends[2 * t + 1]}" for t in range(frames))
+    values, _, fault = textnumbers.parse_frames(text.encode(), 0, 1, ["root"], [3])
+    assert fault is None
+    assert values[:, 0].tolist() == list(range(frames))
+
+
 @given(data=st.binary(max_size=300))
 @settings(deadline=None, max_examples=200)
 def test_any_bytes_end_in_frames_or_a_fault(data: bytes) -> None:
