@@ -20,8 +20,9 @@ from ops.errors import StoreError
 from ops.runs import feature_runs, word_runs
 from ops.words import TakeWords, cut
 from storage import duck
+from storage.disk import sync_folder
 from storage.lock import Lock
-from storage.manifest import Manifest, now, sync_folder
+from storage.manifest import Manifest, now
 
 if TYPE_CHECKING:
     from storage.store import Store
@@ -31,7 +32,8 @@ INDEX_VERSION = 1
 
 BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
 
-_BUILDING = ".building-"
+BUILDING, GENERATION = ".building-", "gen-"
+"""How the folders of unfinished and of published indexes are named."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,13 @@ def build(store: Store, threads: int | None = None, memory_mb: int | None = None
         standing = current(store.path, store.manifest)
         if standing is not None:
             return standing
-        for leftover in folder.glob(f"{_BUILDING}*"):
+        for leftover in folder.glob(f"{BUILDING}*"):
             shutil.rmtree(leftover)
-        building = folder / f"{_BUILDING}{uuid.uuid4().hex}"
+        building = folder / f"{BUILDING}{uuid.uuid4().hex}"
         building.mkdir()
         try:
             _build(store, building, threads, memory_mb)
-            generation = folder / f"gen-{store.manifest.version:06d}"
+            generation = folder / f"{GENERATION}{store.manifest.version:06d}"
             if generation.exists():
                 # not current, or it would have been returned: damaged, or of another version of the index
                 shutil.rmtree(generation)
@@ -120,7 +122,7 @@ def missing(store: Path) -> StoreError:
 
 
 def _generations(store: Path) -> list[Path]:
-    return sorted((store / "index").glob("gen-*"), reverse=True)
+    return sorted((store / "index").glob(f"{GENERATION}*"), reverse=True)
 
 
 def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | None) -> None:

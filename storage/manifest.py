@@ -8,43 +8,89 @@ import json
 import os
 import re
 import uuid
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from catalog.features import FeatureSet
 from ops.errors import StoreError
+from storage.disk import sync_folder, writing
 from storage.schemas import FORMAT_VERSION
 
 FOLDER = "manifest"
 TEMPORARY = ".tmp-"
 """How the names of unfinished files begin; readers ignore them, the next writer removes them."""
 
+MOST_TAKES = 100_000_000
+"""More takes than a part may name: a wrong manifest must not fill the memory."""
+
 _NAME = re.compile(r"^(\d{6,})\.json$")
+
+
+def ranges(take_ids: Iterable[int]) -> list[list[int]]:
+    """Ascending ids as half-open ranges, [[first, last + 1], …]: how manifests write them, since ids come in rows."""
+    found: list[list[int]] = []
+    for take in take_ids:
+        if found and found[-1][1] == take:
+            found[-1][1] = take + 1
+        else:
+            found.append([take, take + 1])
+    return found
+
+
+def _from_ranges(value: object) -> tuple[int, ...]:
+    if not isinstance(value, list) or not all(
+        isinstance(pair, list) and len(pair) == 2 and all(type(end) is int for end in pair) for pair in value
+    ):
+        raise ValueError("must be a list of ranges [first, last + 1] of take ids")
+    if sum(max(0, stop - start) for start, stop in value) > MOST_TAKES:
+        raise ValueError(f"must be at most {MOST_TAKES} takes")
+    return tuple(chain.from_iterable(range(start, stop) for start, stop in value))
+
+
+TakeIds = Annotated[tuple[int, ...], BeforeValidator(_from_ranges)]
 
 
 @dataclass(frozen=True)
 class Part:
     """A Parquet file of frames or takes: its path relative to the store, what is in it, and which takes are gone.
 
-    `dropped` are tombstones: takes of this part that were replaced or removed. Their rows stay until compaction.
+    `take_ids` ascend. `dropped` are tombstones: takes of this part that were replaced or removed. Their `dropped_rows`
+    rows stay until compaction.
     """
 
     path: str
     rows: int
     bytes: int
     sha256: str
-    take_ids: tuple[int, ...]
-    dropped: tuple[int, ...] = ()
+    take_ids: TakeIds
+    dropped: TakeIds = ()
+    dropped_rows: int = 0
 
-    @property
+    @cached_property
     def live(self) -> tuple[int, ...]:
         """The takes of this part that count, ascending."""
+        if not self.dropped:
+            return self.take_ids
         gone = set(self.dropped)
         return tuple(take for take in self.take_ids if take not in gone)
+
+    @property
+    def live_rows(self) -> int:
+        """The rows of the takes that count."""
+        return self.rows - self.dropped_rows
+
+    @cached_property
+    def encoded(self) -> dict[str, Any]:
+        """The part as its manifests write it; kept, since every later version writes it again."""
+        values = {name: getattr(self, name) for name in ("path", "rows", "bytes", "sha256", "dropped_rows")}
+        return values | {"take_ids": ranges(self.take_ids), "dropped": ranges(self.dropped)}
 
 
 @dataclass(frozen=True)
@@ -73,7 +119,11 @@ class StageRecord:
 
 @dataclass(frozen=True)
 class Manifest:
-    """One version of a store."""
+    """One version of a store.
+
+    `content` stands for the takes of this version: every change of takes (not of layout, nor of results) makes a new
+    one out of the one before and of what has changed.
+    """
 
     format_version: int
     version: int
@@ -81,6 +131,7 @@ class Manifest:
     feature_set: FeatureSet
     rate_hz: float
     next_take_id: int
+    content: str = ""
     frames: tuple[Part, ...] = ()
     takes: tuple[Part, ...] = ()
     results: dict[str, tuple[ResultPart, ...]] = field(default_factory=dict)
@@ -97,10 +148,17 @@ class Manifest:
         return tuple(sorted(take for part in self.frames for take in part.live))
 
     def content_digest(self) -> str:
-        """A hash of what the index depends on: feature set, rate, live frames and takes. Results do not count."""
-        parts = [[p.sha256, sorted(p.dropped)] for p in sorted(self.frames + self.takes, key=lambda p: p.path)]
-        text = json.dumps([self.feature_set.digest, self.rate_hz, parts], separators=(",", ":"))
+        """A hash of what the index depends on: feature set, rate, takes and their frames.
+
+        Neither results count, nor how the takes are laid out in parts: compaction keeps an index valid.
+        """
+        text = json.dumps([self.feature_set.digest, self.rate_hz, self.content], separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def changed_content(content: str, changes: list[Any]) -> str:
+    """The `Manifest.content` that follows another one after changes of takes, given as JSON values."""
+    return hashlib.sha256(json.dumps([content, changes], separators=(",", ":")).encode()).hexdigest()
 
 
 _ADAPTER: TypeAdapter[Manifest] = TypeAdapter(Manifest)
@@ -141,6 +199,30 @@ def read_newest(store: Path) -> Manifest:
 def read_version(store: Path, version: int) -> Manifest:
     """Read one version of a store; errors as `read_newest`."""
     path = manifest_path(store, version)
+    content = _content(path)
+    try:
+        manifest = _ADAPTER.validate_python(content)
+    except ValidationError as fault:
+        first = fault.errors(include_url=False)[0]
+        raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    if manifest.version != version:
+        raise _damaged(path, f"it says that it is version {manifest.version}")
+    return manifest
+
+
+def named_files(store: Path, version: int) -> set[str]:
+    """The paths of the parts that a version names: `read_version` without all the rest; errors as there."""
+    path = manifest_path(store, version)
+    content = _content(path)
+    try:
+        results = chain.from_iterable(content["results"].values())
+        return {part["path"] for part in chain(content["frames"], content["takes"], results)}
+    except (KeyError, TypeError, AttributeError) as fault:
+        raise _damaged(path, f"it names no parts ({fault!r})") from None
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """What a manifest file holds, once its format version and its checksum are found to be right."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as fault:
@@ -157,14 +239,7 @@ def read_version(store: Path, version: int) -> Manifest:
     checksum = content.pop("checksum", None)
     if checksum != _checksum(content):
         raise _damaged(path, "its content does not fit its checksum")
-    try:
-        manifest = _ADAPTER.validate_python(content)
-    except ValidationError as fault:
-        first = fault.errors(include_url=False)[0]
-        raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-    if manifest.version != version:
-        raise _damaged(path, f"it says that it is version {manifest.version}")
-    return manifest
+    return content
 
 
 def _damaged(path: Path, reason: str) -> StoreError:
@@ -186,24 +261,44 @@ def publish(store: Path, manifest: Manifest) -> Path:
     ------
     StoreError: that version exists already, which means that another writer was at work.
     """
-    content = json.loads(json.dumps(asdict(manifest)))
-    content["checksum"] = _checksum(content)
     path = manifest_path(store, manifest.version)
     temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}.json")
-    with open(temporary, "w", encoding="utf-8") as file:
-        json.dump(content, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    try:
-        _link(temporary, path)
-    except FileExistsError:
-        raise StoreError(
-            f"{path} exists already: another writer has changed the store; nothing was committed, run again"
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)
-    sync_folder(path.parent)
+    with writing(path):
+        try:
+            with open(temporary, "w", encoding="utf-8") as file:
+                file.write(_text(manifest))
+                file.flush()
+                os.fsync(file.fileno())
+            _link(temporary, path)
+        except FileExistsError:
+            raise StoreError(
+                f"{path} exists already: another writer has changed the store; nothing was committed, run again"
+            ) from None
+        finally:
+            temporary.unlink(missing_ok=True)
+        sync_folder(path.parent)
     return path
+
+
+def _text(manifest: Manifest) -> str:
+    """The manifest as JSON for people too: a line for each part, each stage, and everything else."""
+    content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
+    content["feature_set"] = asdict(manifest.feature_set)
+    content["frames"] = [part.encoded for part in manifest.frames]
+    content["takes"] = [part.encoded for part in manifest.takes]
+    content["results"] = {kind: [asdict(part) for part in parts] for kind, parts in manifest.results.items()}
+    content["stages"] = {name: asdict(record) for name, record in manifest.stages.items()}
+    lines = []
+    for name, value in {**content, "checksum": _checksum(content)}.items():
+        if name in ("frames", "takes"):
+            text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if value else "[]"
+        elif name == "stages":
+            items = (f"{json.dumps(stage)}: {json.dumps(record)}" for stage, record in value.items())
+            text = "{\n  " + ",\n  ".join(items) + "\n }" if value else "{}"
+        else:
+            text = json.dumps(value)
+        lines.append(f" {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _link(temporary: Path, path: Path) -> None:
@@ -216,12 +311,3 @@ def _link(temporary: Path, path: Path) -> None:
         if path.exists():
             raise FileExistsError(path) from None
         os.rename(temporary, path)
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to disk, so that a rename in it outlives a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

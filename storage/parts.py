@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -16,7 +17,8 @@ import pyarrow.parquet as pq
 
 from catalog.features import FeatureSet
 from ops.errors import ParameterError, StoreError
-from storage.manifest import TEMPORARY, Part, sync_folder
+from storage.disk import sync_folder, writing
+from storage.manifest import TEMPORARY, Part
 from storage.schemas import frames_schema
 
 ROW_GROUP = 131_072
@@ -80,6 +82,7 @@ class FramesWriter:
         self._temporary = self._folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
         self._writer: pq.ParquetWriter | None = None
         self._waiting: list[pa.Table] = []
+        self._waiting_rows = 0
         self._take_ids: list[int] = []
         self._rows = 0
 
@@ -95,32 +98,42 @@ class FramesWriter:
 
     def add_table(self, take_id: int, table: pa.Table) -> None:
         """Add a whole take that is laid out already, its frames in order."""
-        if self._take_ids and take_id <= self._take_ids[-1]:
-            raise ParameterError("take_id", f"above {self._take_ids[-1]}, the take before", take_id)
-        self._take_ids.append(take_id)
-        self._waiting.append(table)
-        self._rows += table.num_rows
-        if sum(waiting.num_rows for waiting in self._waiting) >= 2 * ROW_GROUP:
-            self._write(last=False)
+        self.add_pieces([take_id], [table])
+
+    def add_pieces(self, take_ids: Sequence[int], pieces: Iterable[pa.Table]) -> None:
+        """Add whole takes that are laid out already: all their rows, in order, in pieces of any length."""
+        for take_id in take_ids:
+            if self._take_ids and take_id <= self._take_ids[-1]:
+                raise ParameterError("take_id", f"above {self._take_ids[-1]}, the take before", take_id)
+            self._take_ids.append(take_id)
+        for piece in pieces:
+            self._waiting.append(piece)
+            self._waiting_rows += piece.num_rows
+            self._rows += piece.num_rows
+            if self._waiting_rows >= 2 * ROW_GROUP:
+                self._write(last=False)
 
     def close(self) -> Part:
         """Finish the part, give it its name, and say what is in it."""
         self._write(last=True)
         assert self._writer is not None
-        self._writer.close()
+        with writing(self._folder):
+            self._writer.close()
         return publish_part(self.store, self._temporary, "frames", self._rows, self._take_ids)
 
     def _write(self, *, last: bool) -> None:
-        if self._writer is None:
-            self._writer = _parquet_writer(self._temporary, self.schema)
         table = pa.concat_tables(self._waiting) if self._waiting else self.schema.empty_table()
-        # what stays is at least one whole group, so that the last group of a part is not a small one
-        while table.num_rows >= 2 * ROW_GROUP:
-            self._writer.write_table(table.slice(0, ROW_GROUP), row_group_size=ROW_GROUP)
-            table = table.slice(ROW_GROUP)
-        if last:
-            self._writer.write_table(table, row_group_size=max(1, table.num_rows))
+        with writing(self._folder):
+            if self._writer is None:
+                self._writer = _parquet_writer(self._temporary, self.schema)
+            # what stays is at least one whole group, so that the last group of a part is not a small one
+            while table.num_rows >= 2 * ROW_GROUP:
+                self._writer.write_table(table.slice(0, ROW_GROUP), row_group_size=ROW_GROUP)
+                table = table.slice(ROW_GROUP)
+            if last:
+                self._writer.write_table(table, row_group_size=max(1, table.num_rows))
         self._waiting = [] if last else [table]
+        self._waiting_rows = 0 if last else table.num_rows
 
     def __enter__(self) -> FramesWriter:
         return self
@@ -129,7 +142,9 @@ class FramesWriter:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._writer is not None and self._writer.is_open:
-            self._writer.close()
+            # on a full disk not even the end of a file that is thrown away can be written
+            with suppress(OSError):
+                self._writer.close()
         self._temporary.unlink(missing_ok=True)
 
 
@@ -151,10 +166,11 @@ def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
 
 def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int] = ()) -> Part:
     """Write a small table (takes, results) as one part of `folder`, relative to the store."""
-    (store / folder).mkdir(parents=True, exist_ok=True)
     temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
     try:
-        pq.write_table(table, temporary, compression="zstd")
+        with writing(store / folder):
+            (store / folder).mkdir(parents=True, exist_ok=True)
+            pq.write_table(table, temporary, compression="zstd")
         return publish_part(store, temporary, folder, table.num_rows, take_ids)
     finally:
         temporary.unlink(missing_ok=True)
@@ -162,13 +178,13 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
     """Flush a finished file to disk and name it after its content; the same content gets the same name."""
-    with open(temporary, "rb") as file:
+    with writing(store / folder), open(temporary, "rb") as file:
         os.fsync(file.fileno())
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         size = os.fstat(file.fileno()).st_size
-    path = temporary.with_name(f"part-{digest[:24]}.parquet")
-    os.replace(temporary, path)
-    sync_folder(path.parent)
+        path = temporary.with_name(f"part-{digest[:24]}.parquet")
+        os.replace(temporary, path)
+        sync_folder(path.parent)
     return Part(f"{folder}/{path.name}", rows, size, digest, tuple(take_ids))
 
 

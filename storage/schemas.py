@@ -9,7 +9,7 @@ import pyarrow as pa
 from catalog.features import FeatureSet
 from ops.errors import KinedexError, StoreError, did_you_mean
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Version of the store's layout. A store of another version is refused, never guessed at."""
 
 _METADATA = "kinedex."

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from catalog.views import VIEWS
 from ops.errors import KinedexError
 from storage import duck, index
-from storage.manifest import FOLDER, Part, ResultPart, read_version, versions
+from storage.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
 from storage.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
 from storage.store import Store
 
@@ -76,9 +76,10 @@ def _manifests(store: Store) -> Iterator[Finding]:
 def _parts(store: Store) -> Iterator[Finding]:
     frames = frames_schema(store.feature_set, store.rate_hz)
     counted: dict[int, int] = {}
+    dropped: dict[str, int] = {}
     sound = True
     for part in store.manifest.frames:
-        found = list(_file(store, part, frames, _COPY)) or list(_frames_rows(store, part, counted))
+        found = list(_file(store, part, frames, _COPY)) or list(_frames_rows(store, part, counted, dropped))
         sound &= not found
         yield from found
     for part in store.manifest.takes:
@@ -93,6 +94,10 @@ def _parts(store: Store) -> Iterator[Finding]:
                 yield from _file(store, result, result_schema(kind), _RESULT) or _result_rows(store, result)
     if sound:
         yield from _takes_against_frames(store, counted)
+        for part in store.manifest.frames:
+            if dropped[part.path] != part.dropped_rows:
+                problem = f"{dropped[part.path]} of its rows are of dropped takes, not {part.dropped_rows}"
+                yield Finding(part.path, problem, _COPY)
 
 
 def _file(store: Store, part: Part | ResultPart, schema: pa.Schema, remedy: str) -> list[Finding]:
@@ -116,7 +121,7 @@ def _file(store: Store, part: Part | ResultPart, schema: pa.Schema, remedy: str)
     return [Finding(part.path, problem, remedy)] if problem else []
 
 
-def _frames_rows(store: Store, part: Part, counted: dict[int, int]) -> Iterator[Finding]:
+def _frames_rows(store: Store, part: Part, counted: dict[int, int], dropped: dict[str, int]) -> Iterator[Finding]:
     table = pq.read_table(store.path / part.path, columns=["take_id", "frame"])
     takes, frames = table.column("take_id").to_numpy(), table.column("frame").to_numpy()
     if np.any(np.diff(takes) < 0):
@@ -133,6 +138,7 @@ def _frames_rows(store: Store, part: Part, counted: dict[int, int]) -> Iterator[
         yield Finding(part.path, f"holds take {min(unknown)}, which the manifest does not list for it", _COPY)
     has = dict(zip(ids.tolist(), lengths.tolist(), strict=True))
     counted.update({take: has.get(take, 0) for take in part.live})
+    dropped[part.path] = sum(has.get(take, 0) for take in part.dropped)
 
 
 def _takes_rows(store: Store, part: Part) -> Iterator[Finding]:
@@ -172,7 +178,7 @@ def _live_twice(what: str, parts: Sequence[Part]) -> Iterator[Finding]:
 
 def _leftovers(store: Store) -> Iterator[Finding]:
     try:
-        named = {part.path for version in versions(store.path) for part in read_version(store.path, version).parts}
+        named = set().union(*(named_files(store.path, version) for version in versions(store.path)))
     except KinedexError:
         return  # reported above; what a damaged manifest names is not known
     for folder in ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +15,7 @@ import pyarrow.compute as pc
 
 from catalog.features import FeatureSet
 from ops.errors import ParameterError, StoreError
+from storage.disk import writing
 from storage.lock import Lock
 from storage.manifest import (
     FOLDER,
@@ -22,10 +24,11 @@ from storage.manifest import (
     Part,
     ResultPart,
     StageRecord,
+    changed_content,
+    named_files,
     now,
     publish,
     read_newest,
-    read_version,
     versions,
 )
 from storage.parts import FramesWriter, part_file, write_part
@@ -49,12 +52,22 @@ class StoreWriter:
         self._manifest = manifest
         self._lock = lock
         self._takes: dict[int, pa.Table] = {}
-        self._ids = dict(Store(path, manifest).takes().select("name", "take_id").iter_rows())
+        self._changes: list[Any] = []
+        takes = Store(path, manifest).takes()
+        self._ids = dict(takes.select("name", "take_id").iter_rows())
+        self._rows = dict(takes.select("take_id", "frames").iter_rows())
         self._next = manifest.next_take_id
 
     @classmethod
-    def open(cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0) -> StoreWriter:
+    def open(
+        cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0, wait_seconds: float = 0.0
+    ) -> StoreWriter:
         """Lock a store for writing; make an empty one where there is none.
+
+        Parameters
+        ----------
+        path: the store. feature_set, rate_hz: what its words are made with; those of the store where it exists.
+        wait_seconds: how long to wait for another writer to finish.
 
         Raises
         ------
@@ -63,9 +76,10 @@ class StoreWriter:
         """
         root = Path(path)
         _refuse_foreign(root)
-        for folder in _FOLDERS:
-            (root / folder).mkdir(parents=True, exist_ok=True)
-        lock = Lock(root / "lock", "this one")
+        with writing(root):
+            for folder in _FOLDERS:
+                (root / folder).mkdir(parents=True, exist_ok=True)
+        lock = Lock(root / "lock", "this one", wait_seconds)
         try:
             if not versions(root):
                 publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
@@ -117,10 +131,12 @@ class StoreWriter:
             part_file(self.path, part.path)
         again = {part.path for part in parts}
         others = tuple(part for part in self._manifest.frames if part.path not in again)
-        self._manifest = replace(self._manifest, frames=_without(others, ids) + tuple(parts))
+        self._manifest = replace(self._manifest, frames=_without(others, ids, self._rows) + tuple(parts))
         self._drop_take_rows(ids)
         for row, take in enumerate(takes.column("take_id").to_pylist()):
             self._takes[take] = takes.slice(row, 1)
+        self._rows.update(zip(takes.column("take_id").to_pylist(), takes.column("frames").to_pylist(), strict=True))
+        self._changes.append(["added", sorted(part.sha256 for part in parts)])
 
     def drop_takes(self, take_ids: Iterable[int]) -> None:
         """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit."""
@@ -128,9 +144,44 @@ class StoreWriter:
         unknown = gone - set(self._manifest.live_takes)
         if unknown:
             raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
-        self._manifest = replace(self._manifest, frames=_without(self._manifest.frames, gone))
+        if not gone:
+            return
+        self._manifest = replace(self._manifest, frames=_without(self._manifest.frames, gone, self._rows))
         self._drop_take_rows(gone)
         self._ids = {name: take for name, take in self._ids.items() if take not in gone}
+        self._changes.append(["dropped", sorted(gone)])
+
+    def swap_parts(self, kind: Literal["frames", "takes"], old: Sequence[Part], new: Sequence[Part]) -> None:
+        """Put parts in the place of others that hold the same live takes, laid out differently.
+
+        Parameters
+        ----------
+        kind: which parts. old: parts of the version that was committed last. new: written since.
+
+        Raises
+        ------
+        StoreError: takes were added or dropped since the last commit, or the new parts do not hold exactly the live
+            takes and rows of the old ones; nothing is changed.
+        """
+        if self._changes:
+            raise StoreError(f"{self.path}: takes have changed since the last commit; commit them first")
+        standing: tuple[Part, ...] = getattr(self._manifest, kind)
+        gone = {part.path for part in old}
+        held = sorted(take for part in new for take in part.take_ids)
+        same_takes = held == sorted(take for part in old for take in part.live)
+        same_rows = sum(part.rows for part in new) == sum(part.live_rows for part in old)
+        if not same_takes or not same_rows or not gone <= {part.path for part in standing}:
+            raise StoreError(
+                f"{self.path}: the new {kind} parts do not hold what the old ones do, so those stay; "
+                "`kinedex verify` says whether they are damaged"
+            )
+        for part in new:
+            part_file(self.path, part.path)
+        others = tuple(part for part in standing if part.path not in gone)
+        parts = others + tuple(new)
+        self._manifest = (
+            replace(self._manifest, frames=parts) if kind == "frames" else replace(self._manifest, takes=parts)
+        )
 
     def put_results(self, kind: str, table: pa.Table, *, stage: str, run: str) -> None:
         """Set a stage's results of one kind, in place of its earlier ones.
@@ -170,13 +221,18 @@ class StoreWriter:
             part = write_part(self.path, "takes", rows, sorted(self._takes))
             others = tuple(other for other in pending.takes if other.path != part.path)
             pending = replace(pending, takes=(*others, part))
+            self._changes.append(["rows", part.sha256])
         if pending == self._committed:
+            self._changes = []
             return self._committed
+        if self._changes:
+            pending = replace(pending, content=changed_content(pending.content, self._changes))
         version = self._committed.version + 1
         pending = replace(pending, version=version, created=now(), next_take_id=self._next)
         publish(self.path, pending)
         self._committed = self._manifest = pending
         self._takes = {}
+        self._changes = []
         return pending
 
     def close(self) -> None:
@@ -193,7 +249,7 @@ class StoreWriter:
 
     def _drop_take_rows(self, take_ids: Iterable[int]) -> None:
         gone = set(take_ids)
-        self._manifest = replace(self._manifest, takes=_without(self._manifest.takes, gone))
+        self._manifest = replace(self._manifest, takes=_without(self._manifest.takes, gone, dict.fromkeys(gone, 1)))
         self._takes = {take: row for take, row in self._takes.items() if take not in gone}
 
     def _frames_parts(self, takes: pa.Table, frames: pa.Table | Part | Sequence[Part]) -> list[Part]:
@@ -237,15 +293,20 @@ class StoreWriter:
                 )
 
 
-def _without(parts: Iterable[Part], take_ids: Iterable[int]) -> tuple[Part, ...]:
-    """These parts with more tombstones; a part without any live take is left out."""
+def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, int]) -> tuple[Part, ...]:
+    """These parts with more tombstones; a part without any live take is left out.
+
+    `rows` is how many each of the takes has there.
+    """
     gone = set(take_ids)
     result = []
     for part in parts:
-        if gone.isdisjoint(part.take_ids):
+        found = gone.intersection(part.live)
+        if not found:
             result.append(part)
             continue
-        part = replace(part, dropped=tuple(sorted({*part.dropped, *gone.intersection(part.take_ids)})))
+        dropped = tuple(sorted({*part.dropped, *found}))
+        part = replace(part, dropped=dropped, dropped_rows=part.dropped_rows + sum(rows[take] for take in found))
         if part.live:
             result.append(part)
     return tuple(result)
@@ -293,7 +354,7 @@ def _remove_leftovers(root: Path, newest: Manifest) -> None:
         if not candidates:
             break
         try:
-            candidates -= {part.path for part in read_version(root, version).parts}
+            candidates -= named_files(root, version)
         except StoreError:
             # what a damaged manifest names is not known, so nothing is garbage; `kinedex verify` reports the manifest
             return

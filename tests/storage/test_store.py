@@ -145,8 +145,8 @@ def test_no_store_and_other_directories_are_told_apart(tmp_path: Path) -> None:
 
 def test_a_store_of_another_format_is_refused(path: Path) -> None:
     newest = manifest_path(path, 2)
-    newest.write_text(newest.read_text().replace('"format_version": 1', '"format_version": 7'))
-    with pytest.raises(StoreError, match="format version 7, this kinedex reads version 1"):
+    newest.write_text(newest.read_text().replace('"format_version": 2', '"format_version": 7'))
+    with pytest.raises(StoreError, match="format version 7, this kinedex reads version 2"):
         open_store(path)
 
 

@@ -56,7 +56,7 @@ def rewritten(store: Store, change: Callable[[pa.Table], pa.Table]) -> Store:
     temporary = store.path / "frames" / ".tmp-test.parquet"
     pq.write_table(table, temporary)
     part = publish_part(store.path, temporary, "frames", table.num_rows, old.take_ids)
-    part = replace(part, dropped=old.dropped)
+    part = replace(part, dropped=old.dropped, dropped_rows=old.dropped_rows)
     return Store(store.path, replace(store.manifest, frames=(part, *store.manifest.frames[1:])))
 
 
@@ -79,6 +79,12 @@ def test_a_take_that_is_live_twice_is_found(store: Store) -> None:
     twice = replace(store.manifest.frames[0], dropped=())
     manifest = replace(store.manifest, frames=(twice, *store.manifest.frames[1:]))
     assert "take 2 is live here and in" in problems(Store(store.path, manifest))
+
+
+def test_a_wrong_count_of_dropped_rows_is_found(store: Store) -> None:
+    wrong = replace(store.manifest.frames[0], dropped_rows=19)
+    manifest = replace(store.manifest, frames=(wrong, *store.manifest.frames[1:]))
+    assert "20 of its rows are of dropped takes, not 19" in problems(Store(store.path, manifest))
 
 
 def without(parts: tuple[Part, ...], take: int) -> tuple[Part, ...]:

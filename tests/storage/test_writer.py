@@ -151,7 +151,7 @@ def test_a_version_is_never_overwritten(tmp_path: Path) -> None:
     before = manifest_path(tmp_path, 2).read_bytes()
     with StoreWriter.open(tmp_path, BODY) as writer:
         add(writer, {"b": 3})
-        publish(tmp_path, open_store(tmp_path).manifest.__class__(1, 3, "", BODY, 30.0, 9))
+        publish(tmp_path, open_store(tmp_path).manifest.__class__(2, 3, "", BODY, 30.0, 9))
         with pytest.raises(StoreError, match="another writer"):
             writer.commit()
     assert manifest_path(tmp_path, 2).read_bytes() == before

@@ -1,0 +1,46 @@
+"""What must reach the disk does: flushed folders, and clear errors where the disk is full or refuses."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ops.errors import StoreError
+
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn an error of the operating system while a file of the store is written into a StoreError with the way out.
+
+    Parameters
+    ----------
+    path: the file, or the folder that it is written into.
+    """
+    try:
+        yield
+    except OSError as fault:
+        # pyarrow wraps the reason in words of its own, but keeps the number
+        reason = os.strerror(fault.errno) if fault.errno else str(fault).splitlines()[0]
+        way_out = (
+            "free some space (`kinedex gc STORE` removes what only old versions of the store need)"
+            if fault.errno in _NO_SPACE
+            else "mend that"
+        )
+        raise StoreError(
+            f"{path}: cannot be written: {reason}; nothing was committed, what was committed before stays; {way_out}, "
+            "then run the same command again: it goes on where it was"
+        ) from fault
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush a folder's entries to disk, so that a rename in it outlives a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
