@@ -181,7 +181,8 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_the_takes_it_sh
         process.send_signal(signal.SIGKILL)
         process.wait()
         if (store / "manifest").is_dir() and any((store / "manifest").glob("*.json")):
-            assert verify(open_store(store)) == []
+            # a killed run leaves unfinished files, which are no fault
+            assert not any(finding.fault for finding in verify(open_store(store)))
     subprocess.run(command, check=True)
     done, expected = open_store(store), open_store(tmp_path / "whole")
     assert done.takes()["name"].to_list() == sorted(Path(name).stem for name in takes)
