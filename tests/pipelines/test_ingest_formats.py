@@ -15,6 +15,8 @@ from catalog.skeletons import load_skeleton
 from ops.errors import KinedexError
 from pipelines.stages import ingest
 from pipelines.terminal import Terminal
+from storage.export import export_take
+from storage.parts import joint_positions
 from storage.store import Store, open_store
 from storage.verify import verify
 from tests.bvh_files import bvh_text, dance, mixamo
@@ -141,3 +143,17 @@ def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_
     fingers = store.frames("wave").column("lfingers").combine_chunks()
     assert np.isnan(fingers.field("x").to_numpy()).all()
     assert verify(store) == []
+
+
+def test_a_take_that_was_exported_comes_back(tmp_path: Path, source: Path) -> None:
+    bring_in(tmp_path / "store", source)
+    store = open_store(tmp_path / "store")
+    (tmp_path / "out").mkdir()
+    for take in ("wave", "x_1"):
+        export_take(store, take, "bvh", tmp_path / "out" / f"{take}.bvh")
+    bring_in(tmp_path / "again", tmp_path / "out")
+    again = open_store(tmp_path / "again")
+    assert set(again.takes()["skeleton"]) == {"named"}
+    for take in ("wave", "x_1"):
+        before, after = (joint_positions(opened.frames(take), JOINTS) for opened in (store, again))
+        np.testing.assert_allclose(after, before, atol=1e-5)
