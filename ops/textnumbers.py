@@ -215,8 +215,12 @@ def _parse_frames(
 
 
 def count_lines(data: bytes, start: int = 0) -> int:
-    """An upper bound of the lines from a byte on; "\\n", "\\r\\n" and "\\r" end them, mixed as they come."""
-    return data.count(b"\n", start) + data.count(b"\r", start) - data.count(b"\r\n", start) + 1
+    """An upper bound of the lines from a byte on; "\\n", "\\r\\n" and "\\r" end them, mixed as they come.
+
+    "\\r\\n" counts twice: memory that is asked for and never touched costs less than to look at pairs of bytes.
+    """
+    array = np.frombuffer(data, dtype=np.uint8)[start:]
+    return int(np.count_nonzero(array == _NEWLINE)) + int(np.count_nonzero(array == _RETURN)) + 1
 
 
 def parse_frames(

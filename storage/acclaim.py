@@ -98,7 +98,7 @@ def read_text(path: str | Path) -> bytes:
         data = Path(path).read_bytes()
     except OSError as fault:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    if not data.strip():
+    if not data or data.isspace():
         raise SourceError(path, "the file is empty")
     return data
 
