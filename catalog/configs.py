@@ -168,13 +168,15 @@ def parse_yaml(text: str, path: str | Path) -> Located:
     located = Located(Path(path), None, {})
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
+        data = None if node is None else _construct(node, (), located, yaml.SafeLoader(""))
     except yaml.MarkedYAMLError as fault:
         line = fault.problem_mark.line + 1 if fault.problem_mark else None
         raise ConfigError(path, f"is not valid YAML: {fault.problem}", line=line) from None
-    except yaml.YAMLError as fault:
+    except (yaml.YAMLError, ValueError, TypeError) as fault:
+        # Values that look like dates but are none, and keys that cannot be keys.
         raise ConfigError(path, f"is not valid YAML: {fault}") from None
-    constructor = yaml.SafeLoader("")
-    data = None if node is None else _construct(node, (), located, constructor)
+    except RecursionError:
+        raise ConfigError(path, "is nested too deeply, or an alias contains itself") from None
     return Located(located.path, data, located.lines)
 
 

@@ -17,6 +17,10 @@ class ParameterError(KinedexError, ValueError):
     def __init__(self, name: str, must_be: str, got: object) -> None:
         super().__init__(f"{name} must be {must_be}, got {got!r}")
         self.name = name
+        self._arguments = (name, must_be, got)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (ParameterError, self._arguments)
 
 
 class SourceError(KinedexError):
@@ -50,6 +54,13 @@ class ConfigError(KinedexError):
         self.reason = message
         where = self.path if line is None else f"{self.path}:{line}"
         super().__init__(f"{where}: {key}: {message}" if key else f"{where}: {message}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_config_error, (self.path, self.reason, self.line, self.key))
+
+
+def _config_error(path: str, reason: str, line: int | None, key: str | None) -> ConfigError:
+    return ConfigError(path, reason, line=line, key=key)
 
 
 class StoreError(KinedexError):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import os
+import shlex
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -19,8 +21,8 @@ if TYPE_CHECKING:
 
     from pipelines.runner import Outcome
 
-FAILED, LEFT_OUT = 1, 3
-"""Exit codes: something could not be done; everything was done, but the ingest left source files out."""
+FAILED, LEFT_OUT, INTERRUPTED = 1, 3, 130
+"""Exit codes: something could not be done; all was done, but the ingest left source files out; stopped by Ctrl-C."""
 
 app = typer.Typer(
     name="kinedex",
@@ -30,6 +32,38 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were left out.",
 )
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def command(function: Command) -> Command:
+    """Register a command; its errors are shown as one message, without a traceback."""
+
+    @functools.wraps(function)
+    def guarded(*args: object, **kwargs: object) -> None:
+        try:
+            function(*args, **kwargs)
+        except KinedexError as fault:
+            reason = str(fault)
+        except KeyboardInterrupt:
+            print("\nkinedex: stopped; the same command goes on where it was", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
+        except BrokenPipeError:
+            # The reader of a pipe has gone; nothing more can be said to it, not even at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(0) from None
+        except OSError as fault:
+            reason = f"{fault.filename}: {fault.strerror}" if fault.filename else str(fault)
+        except MemoryError:
+            reason = "out of memory; fewer --workers need less"
+        else:
+            return
+        print(f"kinedex: {reason}", file=sys.stderr)
+        raise typer.Exit(FAILED)
+
+    app.command()(guarded)
+    return function
+
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="directory of the store")]
 StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="directory of the store; made where missing")]
@@ -51,7 +85,7 @@ ForceOption = Annotated[
 Where = Annotated[str | None, typer.Option(help="only takes for which this SQL filter holds, e.g. \"actor = 'bk'\"")]
 
 
-@app.command()
+@command
 def demo(
     store: StoreOption = Path("build/demo-store"),
     data: Annotated[
@@ -69,7 +103,7 @@ def demo(
     _finish(outcome, store, console)
 
 
-@app.command()
+@command
 def run(
     pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
     store: StoreOption,
@@ -94,7 +128,7 @@ def run(
     _finish(outcome, store, make_console())
 
 
-@app.command()
+@command
 def plan(
     pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
     store: StoreOption,
@@ -122,7 +156,7 @@ def plan(
     make_console().print(table)
 
 
-@app.command()
+@command
 def ingest(
     store: StorePath,
     source: Annotated[Path, typer.Argument(help="folder that holds the motion files")],
@@ -134,14 +168,14 @@ def ingest(
     """Bring motion files into a store and index them (the pipeline `ingest`)."""
     from pipelines.runner import run_pipeline
 
-    assignments = {"source": _yaml_text(str(source)), **_assignments(assign)}
+    assignments = {"source": str(source), **_assignments(assign)}
     outcome = run_pipeline(
         "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
     )
     _finish(outcome, store, make_console())
 
 
-@app.command()
+@command
 def search(
     store: StorePath,
     queries: Annotated[str, typer.Argument(help="a query file: a shipped name, or a path to a .yaml or .json file")],
@@ -163,7 +197,7 @@ def search(
     _show(search_store(opened, loaded, where), form, output)
 
 
-@app.command()
+@command
 def sql(
     store: StorePath,
     query: Annotated[
@@ -181,7 +215,10 @@ def sql(
     if file is not None:
         if not file.is_file():
             raise KinedexError(f"--file {file}: no such file")
-        query = file.read_text(encoding="utf-8")
+        try:
+            query = file.read_text(encoding="utf-8")
+        except UnicodeDecodeError as fault:
+            raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
     opened = open_store(store)
     if query is None and sys.stdin.isatty():
         from pipelines.prompt import run_prompt
@@ -191,7 +228,7 @@ def sql(
     _show(opened.sql(query if query is not None else sys.stdin.read()), form, output)
 
 
-@app.command()
+@command
 def takes(
     store: StorePath,
     where: Where = None,
@@ -214,7 +251,7 @@ def takes(
         make_console().print(f"{len(frame)} takes, {frame['seconds'].sum() / 60:.1f} minutes")
 
 
-@app.command()
+@command
 def verify(store: StorePath) -> None:
     """Check every file of a store against its manifest: sums, sizes, counts, order, and the index."""
     from storage.store import open_store
@@ -233,7 +270,41 @@ def verify(store: StorePath) -> None:
     )
 
 
-@app.command()
+@command
+def gc(
+    store: StorePath,
+    keep: Annotated[int, typer.Option(min=1, help="how many of the newest versions stay readable")] = 2,
+    dry_run: Annotated[bool, typer.Option(help="only say what would go")] = False,
+) -> None:
+    """Remove old versions of a store, and the files that only they need."""
+    from storage.garbage import collect, summary
+
+    for line in summary(collect(store, keep=keep, dry_run=dry_run)):
+        print(f"would remove {line}" if dry_run else f"removed {line}")
+
+
+@command
+def export(
+    store: StorePath,
+    take: Annotated[str, typer.Argument(help="name of the take")],
+    form: Annotated[
+        str, typer.Option("--format", help="bvh, csv or parquet; by default what the output's ending says")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="file to write; TAKE.FORMAT unless given")
+    ] = None,
+) -> None:
+    """Write a take's joint positions (metres, Y up) as BVH, CSV or Parquet."""
+    from storage.export import export_take
+    from storage.store import open_store
+
+    form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
+    path = output or Path(f"{Path(take).name}.{form}")
+    export_take(open_store(store), take, form, path)
+    print(path)
+
+
+@command
 def synth(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder to make; must be empty or missing")],
     minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in all")] = 30.0,
@@ -247,7 +318,7 @@ def synth(
     make_archive(directory, minutes, actors, seed, workers, make_console())
 
 
-@app.command()
+@command
 def version() -> None:
     """Print the versions of kinedex and of what it computes with."""
     from importlib.metadata import version as installed
@@ -264,11 +335,6 @@ def _assignments(pairs: list[str] | None) -> dict[str, str]:
             raise KinedexError(f"--set {pair}: expected NAME=VALUE")
         result[name] = value
     return result
-
-
-def _yaml_text(text: str) -> str:
-    """A text as YAML that means just this text."""
-    return "'" + text.replace("'", "''") + "'"
 
 
 def _show(table: pa.Table, form: str, output: Path | None) -> None:
@@ -292,34 +358,19 @@ def _finish(outcome: Outcome, store: Path, console: Console) -> None:
     if not outcome.ran:
         console.print(f"everything was done already: {len(outcome.skipped)} stages, nothing to do", style="bold")
     if outcome.report is not None:
-        console.print(f"report: {outcome.report}", style="bold")
+        console.print(f"report: {outcome.report}", style="bold", markup=False)
     if outcome.left_out:
         console.print(
-            f'{outcome.left_out} source files were left out: kinedex sql {store} "SELECT * FROM ingest_log"',
+            f"{outcome.left_out} source files were left out: "
+            f'kinedex sql {shlex.quote(str(store))} "SELECT * FROM ingest_log"',
             markup=False,
         )
         raise typer.Exit(LEFT_OUT)
 
 
-@contextmanager
-def _errors() -> Iterator[None]:
-    """Show the project's errors as one message, without a traceback."""
-    try:
-        yield
-    except KinedexError as fault:
-        print(f"kinedex: {fault}", file=sys.stderr)
-        raise SystemExit(FAILED) from None
-    except KeyboardInterrupt:
-        print("\nkinedex: stopped; the same command goes on where it was", file=sys.stderr)
-        raise SystemExit(130) from None
-    except BrokenPipeError:
-        raise SystemExit(0) from None
-
-
 def main() -> None:
     """The console command `kinedex`."""
-    with _errors():
-        app()
+    app()
 
 
 if __name__ == "__main__":

@@ -10,10 +10,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import yaml
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.configs import Located, config_path, load_yaml
+from catalog.configs import Located, config_path, load_yaml, parse_yaml
 from ops.errors import ConfigError, KinedexError, did_you_mean
 
 STAGES: dict[str, dict[str, str]] = {
@@ -48,10 +47,10 @@ class _StageEntry(BaseModel):
 
 class _PipelineFile(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    name: str
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     description: str = ""
     settings: dict[str, Any] = {}
-    stages: dict[str, _StageEntry | None]
+    stages: dict[str, _StageEntry | None] = Field(min_length=1)
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ def load_pipeline(name_or_path: str | Path, assignments: Mapping[str, str] | Non
     for name, text in (assignments or {}).items():
         _assign(located, entries, settings, overrides, name, text)
     stages = [_stage(located, entries, settings, overrides, name) for name in entries]
-    return Pipeline(parsed.name, located.path, parsed.description, _ordered(located, stages))
+    return Pipeline(parsed.name, located.path, parsed.description, _ordered(stages))
 
 
 def _assign(
@@ -130,23 +129,29 @@ def _assign(
     name: str,
     text: str,
 ) -> None:
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise KinedexError(f"--set {name}={text}: the value is not valid YAML; quote it") from None
     stage, dot, key = name.partition(".")
     if not dot:
         if name not in settings:
             hint = did_you_mean(name, settings) if settings else "; it has none"
             raise KinedexError(f"--set {name}: {located.path} has no setting of that name{hint}")
-        settings[name] = value
+        literal = settings[name] is None or isinstance(settings[name], str)
+        settings[name] = text if literal else _value(name, text)
         return
     if stage not in entries:
         raise KinedexError(f"--set {name}: {located.path} has no stage '{stage}'{did_you_mean(stage, entries)}")
     known = stage_module(_uses(located, entries, stage)).Params.model_fields
     if key not in known:
         raise KinedexError(f"--set {name}: stage '{stage}' has no parameter '{key}'{did_you_mean(key, known)}")
-    overrides.setdefault(stage, {})[key] = value
+    literal = known[key].annotation in (str, str | None)
+    overrides.setdefault(stage, {})[key] = text if literal else _value(name, text)
+
+
+def _value(name: str, text: str) -> Any:
+    """What the user sets, as YAML; a text where a text belongs is never parsed."""
+    try:
+        return parse_yaml(text, f"--set {name}").data
+    except ConfigError as fault:
+        raise KinedexError(f"--set {name}={text}: {fault.reason}; quote it") from None
 
 
 def _uses(located: Located, entries: dict[str, _StageEntry], name: str) -> str:
@@ -202,6 +207,15 @@ def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, uses: 
             if given[role] not in entries:
                 hint = did_you_mean(given[role], entries)
                 raise located.error(f"there is no stage '{given[role]}'{hint}", "stages", name, "inputs", role)
+            other = entries[given[role]].uses or given[role]
+            if other != usual:
+                raise located.error(
+                    f"must be a stage '{usual}', but '{given[role]}' is a stage '{other}'",
+                    "stages",
+                    name,
+                    "inputs",
+                    role,
+                )
             result[role] = given[role]
             continue
         candidates = [other for other, entry in entries.items() if (entry.uses or other) == usual]
@@ -216,16 +230,16 @@ def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, uses: 
     return result
 
 
-def _ordered(located: Located, stages: list[Stage]) -> tuple[Stage, ...]:
-    """Stages in an order in which every input comes first; the file's own order where it does not matter."""
+def _ordered(stages: list[Stage]) -> tuple[Stage, ...]:
+    """Stages in an order in which every input comes first; the file's own order where it does not matter.
+
+    There always is one: inputs are of given kinds, and no kind of stage needs itself, however indirectly.
+    """
     result: list[Stage] = []
     waiting = list(stages)
     while waiting:
         done = {stage.name for stage in result}
-        ready = next((stage for stage in waiting if done.issuperset(stage.inputs.values())), None)
-        if ready is None:
-            names = ", ".join(stage.name for stage in waiting)
-            raise ConfigError(located.path, f"the stages {names} wait for each other", key="stages")
+        ready = next(stage for stage in waiting if done.issuperset(stage.inputs.values()))
         result.append(ready)
         waiting.remove(ready)
     return tuple(result)

@@ -18,9 +18,10 @@ from storage.writer import StoreWriter
 class StageContext:
     """One stage of one run of one pipeline.
 
-    run: the run's id, a column of every results row. inputs: role → the stage instance that plays it, for instance
-    {"templates": "learn_templates"}. params: the validated parameters of every stage of the pipeline, by instance
-    name, for stages that repeat another one's work.
+    stage: the instance's name; uses: the kind of stage. run: the run's id, a column of every results row.
+    inputs: role → the stage instance that plays it, for instance {"templates": "learn_templates"}.
+    params: the validated parameters of every stage of the pipeline, by instance name, for stages that repeat another
+    one's work.
     """
 
     store_path: Path
@@ -30,6 +31,7 @@ class StageContext:
     run: str
     executor: Executor
     terminal: Terminal
+    uses: str = ""
     inputs: dict[str, str] = field(default_factory=dict)
     params: dict[str, BaseModel] = field(default_factory=dict)
 
@@ -39,6 +41,11 @@ class StageContext:
         folder = self.store_path / "results" / "reports" / self.pipeline
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    def report_file(self, name: str) -> Path:
+        """Where a file of this stage's reports goes; a second stage of one kind puts its own name in front."""
+        own = self.uses and self.stage != self.uses
+        return self.report_dir / (f"{self.stage}.{name}" if own else name)
 
     def key(self, stage: str | None = None) -> str:
         """The name under which a stage instance of this pipeline is recorded: "<pipeline>/<stage>"."""

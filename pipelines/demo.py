@@ -39,7 +39,7 @@ def run_demo(
     elif not any(data.rglob("ground_truth.csv")):
         console.print(f"no ground_truth.csv below {data}: the takes are annotated, but nothing is evaluated")
         settings["evaluate.ground_truth"] = "none"
-    settings["source"] = "'" + str(data).replace("'", "''") + "'"
+    settings["source"] = str(data)
     console.print(f"store: {store}")
     return run_pipeline(
         "annotate", store, assignments=settings, executor=executor, workers=workers, terminal=Terminal(console)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
 import secrets
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -29,6 +32,10 @@ TRIES = 3
 THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
+class WorkerDied(KinedexError):
+    """A task's workers died again and again; most likely the task itself needs more memory than there is."""
+
+
 class Executor(Protocol):
     """Anything with a `map` that yields the results in the order of the items."""
 
@@ -46,6 +53,10 @@ class Executor(Protocol):
         """Let the workers go."""
         ...
 
+    def abort(self) -> None:
+        """Let the workers go at once, whatever they are at."""
+        ...
+
 
 class SerialExecutor:
     """One task after the other in this process."""
@@ -60,6 +71,9 @@ class SerialExecutor:
         """This process sees the store."""
 
     def close(self) -> None:
+        """Nothing to let go."""
+
+    def abort(self) -> None:
         """Nothing to let go."""
 
 
@@ -84,7 +98,7 @@ class ProcessExecutor:
         waiting: deque[tuple[Item, Future[Result]]] = deque()
         try:
             for item in chain(first, source):
-                waiting.append((item, self._start().submit(function, item)))
+                waiting.append((item, self._submit(function, item)))
                 if len(waiting) >= 2 * self.workers:
                     yield from self._next(function, waiting)
             while waiting:
@@ -92,6 +106,15 @@ class ProcessExecutor:
         finally:
             for _, future in waiting:
                 future.cancel()
+
+    def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+        """A task in the pool; in one that is broken already, a task that fails like those that broke it."""
+        try:
+            return self._start().submit(function, item)
+        except BrokenProcessPool as fault:
+            future: Future[Result] = Future()
+            future.set_exception(fault)
+            return future
 
     def _next(
         self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
@@ -117,7 +140,7 @@ class ProcessExecutor:
                 return self._start().submit(function, item).result()
             except BrokenProcessPool:
                 self.close()
-        raise KinedexError(
+        raise WorkerDied(
             f"a worker process died {TRIES} times on the same task ({_shown(item)}); is there enough memory for it? "
             "--executor serial shows what happens"
         )
@@ -131,11 +154,18 @@ class ProcessExecutor:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 
+    def abort(self) -> None:
+        """End the workers at once, whatever they are at."""
+        if self._pool is not None:
+            for process in list((self._pool._processes or {}).values()):
+                process.terminate()
+            self.close()
+
     def _start(self) -> ProcessPoolExecutor:
         if self._pool is None:
             # Workers start afresh: a fork of a process with numba, polars or DuckDB threads may hang.
             context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=_single_thread)
+            self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=_begin_worker)
         return self._pool
 
 
@@ -174,7 +204,7 @@ class DaskExecutor:
                 try:
                     result = waiting.popleft().result()
                 except KilledWorker as fault:
-                    raise KinedexError(f"Dask workers died again and again on one task: {fault}") from None
+                    raise WorkerDied(f"Dask workers died again and again on one task: {fault}") from None
                 yield result
         finally:
             for future in waiting:
@@ -201,14 +231,33 @@ class DaskExecutor:
         if self._cluster is not None:
             self._cluster.close()
 
+    def abort(self) -> None:
+        """Leave the cluster; what it was doing for us is cancelled."""
+        self.close()
+
 
 def _sees(path: str) -> bool:
     return Path(path).is_file()
 
 
 def _shown(item: object) -> str:
-    text = repr(item)
-    return text if len(text) <= 200 else f"{text[:200]}…"
+    """What a task is about: its own `subject` where it has one."""
+    text = str(getattr(item, "subject", None) or repr(item))
+    return text if len(text) <= 300 else f"{text[:300]}…"
+
+
+def _begin_worker() -> None:
+    """Set a worker process up: one thread a library, deaf to Ctrl-C (its parent ends it), gone with its parent."""
+    _single_thread()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_follow, args=(parent.sentinel,), daemon=True).start()
+
+
+def _follow(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(1)
 
 
 def _single_thread() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -23,50 +23,83 @@ _CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
 
 @dataclass(frozen=True)
 class Step:
-    """One stage of a plan: its fingerprint, the record of the last time it ran, and why it runs (None: it does not)."""
+    """One stage of a plan: its fingerprint, the record of the last time it ran, and why it runs (None: it does not).
+
+    parts: what the fingerprint is made of, by name, each a hash.
+    """
 
     stage: Stage
-    fingerprint: str
+    parts: dict[str, str]
     record: StageRecord | None
     reason: str | None
 
+    @property
+    def fingerprint(self) -> str:
+        """A hash of all parts."""
+        return _hash(self.parts)
 
-def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> list[Step]:
-    """Compare a pipeline with a store.
+
+class Planner:
+    """Decides stage by stage, against the store as it stands at that moment, what runs and why.
 
     A stage is skipped where the store holds a record with its fingerprint: a hash of the project's sources that it
-    imports, its parameters, what it reads outside the store, and the fingerprints of its inputs.
+    imports, its parameters, what it reads outside the store, the store's takes, and the fingerprints of its inputs.
+    """
+
+    def __init__(self, pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> None:
+        for name in force:
+            pipeline.stage(name)
+        self.pipeline = pipeline
+        self.store_path = store_path
+        self.force = force
+        self._fingerprints: dict[str, str] = {}
+        self._running: set[str] = set()
+
+    def step(self, stage: Stage) -> Step:
+        """What is to be done about the next stage; stages are asked for in the pipeline's order."""
+        store = _open(self.store_path)
+        record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
+        parts = self.parts(stage, store)
+        reason = "--force" if stage.name in self.force else _reason(record, parts)
+        if reason is None and store is not None and record is not None:
+            reason = _gone(stage, store, record)
+        if reason is None:
+            upstream = next((name for name in stage.inputs.values() if name in self._running), None)
+            reason = f"{upstream} runs" if upstream else None
+        if reason is not None:
+            self._running.add(stage.name)
+        step = Step(stage, parts, record, reason)
+        self._fingerprints[stage.name] = step.fingerprint
+        return step
+
+    def done(self, step: Step) -> Step:
+        """The step with the store's takes as the stage has left them; for the record of a stage that has just run."""
+        store = _open(self.store_path)
+        done = replace(step, parts={**step.parts, "takes": _takes(store)})
+        self._fingerprints[step.stage.name] = done.fingerprint
+        return done
+
+    def parts(self, stage: Stage, store: Store | None) -> dict[str, str]:
+        """What a stage's fingerprint is made of."""
+        external = getattr(stage.module, "external_digest", None)
+        parts = {
+            "code": code_digest(f"pipelines.stages.{stage.uses}"),
+            "parameters": _hash(stage.params.model_dump(mode="json")),
+            "files": external(stage.params, store) if external else "",
+            "takes": _takes(store),
+        }
+        return parts | {f"input {name}": self._fingerprints[name] for name in sorted(set(stage.inputs.values()))}
+
+
+def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> list[Step]:
+    """Compare a pipeline with a store, without changing anything.
 
     Parameters
     ----------
     force: names of stages that run in any case.
     """
-    for name in force:
-        pipeline.stage(name)
-    store = _open(store_path)
-    steps: list[Step] = []
-    fingerprints: dict[str, str] = {}
-    running: dict[str, str] = {}
-    for stage in pipeline.stages:
-        parts = _parts(stage, fingerprints)
-        fingerprint = _hash(parts)
-        fingerprints[stage.name] = fingerprint
-        record = store.manifest.stages.get(f"{pipeline.name}/{stage.name}") if store else None
-        reason = "--force" if stage.name in force else _reason(record, fingerprint, parts)
-        if reason is None and store is not None and record is not None:
-            reason = _gone(stage, store, record)
-        upstream = next((name for name in stage.inputs.values() if name in running), None)
-        if reason is None and upstream is not None and running[upstream] == "--force":
-            reason = f"{upstream} runs again"
-        if reason is not None:
-            running[stage.name] = reason
-        steps.append(Step(stage, fingerprint, record, reason))
-    return steps
-
-
-def fingerprint_parts(stage: Stage, inputs: dict[str, str]) -> dict[str, str]:
-    """What a stage's fingerprint is made of, by name; `inputs` are the fingerprints of stages by name."""
-    return _parts(stage, inputs)
+    planner = Planner(pipeline, store_path, force)
+    return [planner.step(stage) for stage in pipeline.stages]
 
 
 def _open(path: Path) -> Store | None:
@@ -78,24 +111,23 @@ def _open(path: Path) -> Store | None:
         return None
 
 
-def _parts(stage: Stage, fingerprints: dict[str, str]) -> dict[str, str]:
-    external = getattr(stage.module, "external_digest", None)
-    parts = {
-        "code": code_digest(f"pipelines.stages.{stage.uses}"),
-        "parameters": _hash(stage.params.model_dump(mode="json")),
-        "files": external(stage.params) if external else "",
-    }
-    return parts | {f"input {name}": fingerprints[name] for name in sorted(set(stage.inputs.values()))}
+def _takes(store: Store | None) -> str:
+    return store.manifest.content_digest() if store else ""
 
 
-def _reason(record: StageRecord | None, fingerprint: str, parts: dict[str, str]) -> str | None:
+def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
     if record is None:
         return "has not run yet"
-    if record.fingerprint == fingerprint:
+    if record.fingerprint == _hash(parts):
         return None
     before = record.summary.get("fingerprint_parts", {})
     changed = [name for name in parts if before.get(name) != parts[name]]
-    said = {"code": "kinedex itself changed", "parameters": "its parameters changed", "files": "its files changed"}
+    said = {
+        "code": "kinedex itself changed",
+        "parameters": "its parameters changed",
+        "files": "its files changed",
+        "takes": "the store's takes changed",
+    }
     return (
         "; ".join(said.get(name, name.removeprefix("input ") + " changed") for name in changed) or "its inputs changed"
     )

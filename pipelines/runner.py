@@ -15,11 +15,10 @@ from ops.errors import KinedexError
 from pipelines.config import Pipeline, load_pipeline
 from pipelines.context import StageContext
 from pipelines.executors import Executor, make_executor
-from pipelines.plan import Step, fingerprint_parts, make_plan
+from pipelines.plan import Planner, Step, make_plan
 from pipelines.terminal import Terminal
 from storage.manifest import StageRecord, now
 from storage.store import open_store
-from storage.writer import StoreWriter
 
 
 @dataclass(frozen=True)
@@ -37,12 +36,23 @@ class StageFailed(KinedexError):
     """A stage could not finish; the message says why and how to resume."""
 
 
+@dataclass(frozen=True)
+class _Run:
+    """What the stages of one run share."""
+
+    pipeline: Pipeline
+    store_path: Path
+    pool: Executor
+    terminal: Terminal
+    resume: str
+
+
 def run_pipeline(
     name_or_path: str | Path,
-    store_path: Path,
+    store_path: str | Path,
     *,
     assignments: Mapping[str, str] | None = None,
-    executor: str = "processes",
+    executor: str = "serial",
     workers: int | None = None,
     scheduler: str | None = None,
     force: frozenset[str] = frozenset(),
@@ -50,24 +60,41 @@ def run_pipeline(
 ) -> Outcome:
     """Run what is not done yet of a pipeline.
 
+    Parameters
+    ----------
+    name_or_path: a shipped pipeline, or a path to a .yaml file. store_path: the store; made where missing.
+    assignments: settings of the file by name, parameters by "stage.name".
+    executor: "serial", "processes" or "dask". A script that asks for processes must guard its start with
+        `if __name__ == "__main__":`, because every worker imports it.
+    workers, scheduler: see `make_executor`. force: stages that run in any case. terminal: where to speak.
+
     Raises
     ------
     StageFailed: a stage could not finish; what earlier stages committed stays.
     KinedexError: the pipeline file or the store is not usable; nothing was changed.
     """
     terminal = terminal or Terminal()
+    store_path = Path(store_path)
     pipeline = load_pipeline(name_or_path, assignments)
-    plan = make_plan(pipeline, store_path, force)
+    planner = Planner(pipeline, store_path, force)
+    make_plan(pipeline, store_path, force)  # what is wrong with files is said before any work is done
     pool = make_executor(executor, workers, scheduler)
+    resume = _resume(name_or_path, store_path, assignments, executor, workers, scheduler, force)
+    run = _Run(pipeline, store_path, pool, terminal, resume)
+    steps = []
     try:
         pool.check(store_path)
-        for number, step in enumerate(plan, 1):
-            terminal.heading(f"[{number}/{len(plan)}] {step.stage.name}: {_saying(step)}")
+        for number, stage in enumerate(pipeline.stages, 1):
+            step = planner.step(stage)
+            steps.append(step)
+            terminal.heading(f"[{number}/{len(pipeline.stages)}] {stage.name}: {_saying(step)}")
             if step.reason is not None:
-                _run_step(pipeline, step, store_path, pool, terminal, _resume(name_or_path, store_path, assignments))
-    finally:
-        pool.close()
-    return _outcome(pipeline, plan, store_path)
+                _run_step(run, planner, step)
+    except BaseException:
+        pool.abort()
+        raise
+    pool.close()
+    return _outcome(pipeline, steps, store_path)
 
 
 def _saying(step: Step) -> str:
@@ -77,69 +104,87 @@ def _saying(step: Step) -> str:
     return f"nothing to do, done {step.record.finished} (run {step.record.run})"
 
 
-def _run_step(
-    pipeline: Pipeline, step: Step, store_path: Path, pool: Executor, terminal: Terminal, resume: str
-) -> None:
+def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     stage = step.stage
     context = StageContext(
-        store_path=store_path,
+        store_path=run.store_path,
         feature_set=load_feature_set("body40"),
-        pipeline=pipeline.name,
+        pipeline=run.pipeline.name,
         stage=stage.name,
+        uses=stage.uses,
         run=new_run_id(),
-        executor=pool,
-        terminal=terminal,
+        executor=run.pool,
+        terminal=run.terminal,
         inputs=dict(stage.inputs),
-        params={other.name: other.params for other in pipeline.stages},
+        params={other.name: other.params for other in run.pipeline.stages},
     )
     begin = time.perf_counter()
     try:
+        # The old record goes first: killed in the middle, the stage must not count as done.
+        with context.writer() as writer:
+            writer.forget_stage(context.key())
+            writer.commit()
         summary = stage.run(context, stage.params)
+        seconds = time.perf_counter() - begin
+        _record(context, planner.done(step), summary, seconds)
     except KinedexError as fault:
-        raise StageFailed(f"stage {stage.name}: {fault}\nwhen that is mended, go on with:\n    {resume}") from fault
-    seconds = time.perf_counter() - begin
-    summary = {
+        raise _failed(run, stage.name, str(fault)) from fault
+    except OSError as fault:
+        raise _failed(run, stage.name, f"{fault.filename or run.store_path}: {fault.strerror or fault}") from fault
+    except MemoryError as fault:
+        raise _failed(run, stage.name, "out of memory; fewer --workers need less") from fault
+    run.terminal.say(f"done in {seconds:.1f} s")
+
+
+def _failed(run: _Run, stage: str, reason: str) -> StageFailed:
+    return StageFailed(f"stage {stage}: {reason}\nwhen that is mended, go on with:\n    {run.resume}")
+
+
+def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float) -> None:
+    full = {
         **summary,
-        "uses": stage.uses,
-        "params": stage.params.model_dump(mode="json"),
-        "inputs": dict(stage.inputs),
-        "fingerprint_parts": _recorded_parts(pipeline, step, store_path),
+        "uses": step.stage.uses,
+        "params": step.stage.params.model_dump(mode="json"),
+        "inputs": dict(step.stage.inputs),
+        "fingerprint_parts": step.parts,
     }
-    with StoreWriter.open(store_path, context.feature_set) as writer:
-        writer.record_stage(
-            StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), summary)
-        )
+    with context.writer() as writer:
+        writer.record_stage(StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full))
         writer.commit()
-    terminal.say(f"done in {seconds:.1f} s")
 
 
-def _recorded_parts(pipeline: Pipeline, step: Step, store_path: Path) -> dict[str, str]:
-    """The parts of the fingerprint, so that the next plan can say which of them changed."""
-    stages = open_store(store_path).manifest.stages
-    inputs = {name: stages[f"{pipeline.name}/{name}"].fingerprint for name in step.stage.inputs.values()}
-    return fingerprint_parts(step.stage, inputs)
-
-
-def _resume(name: str | Path, store_path: Path, assignments: Mapping[str, str] | None) -> str:
+def _resume(
+    name: str | Path,
+    store_path: Path,
+    assignments: Mapping[str, str] | None,
+    executor: str,
+    workers: int | None,
+    scheduler: str | None,
+    force: frozenset[str],
+) -> str:
     words = ["kinedex", "run", str(name), "--store", str(store_path)]
     for key, value in (assignments or {}).items():
         words += ["--set", f"{key}={value}"]
+    words += ["--executor", executor] if executor != "processes" else []
+    words += ["--workers", str(workers)] if workers is not None else []
+    words += ["--scheduler", scheduler] if scheduler is not None else []
+    for stage in sorted(force):
+        words += ["--force", stage]
     return shlex.join(words)
 
 
-def _outcome(pipeline: Pipeline, plan: list[Step], store_path: Path) -> Outcome:
+def _outcome(pipeline: Pipeline, steps: list[Step], store_path: Path) -> Outcome:
     stages = open_store(store_path).manifest.stages
     left_out, report = 0, None
-    for step in plan:
+    for step in steps:
         summary = stages[f"{pipeline.name}/{step.stage.name}"].summary
         left_out += int(summary.get("left_out", 0))
         if step.stage.uses == "report":
-            path = store_path / "results" / "reports" / pipeline.name / "report.html"
-            report = path if path.is_file() else None
+            report = next((store_path / name for name in summary.get("files", ())), None)
     return Outcome(
         pipeline,
-        tuple(step.stage.name for step in plan if step.reason is not None),
-        tuple(step.stage.name for step in plan if step.reason is None),
+        tuple(step.stage.name for step in steps if step.reason is not None),
+        tuple(step.stage.name for step in steps if step.reason is None),
         left_out,
         report,
     )

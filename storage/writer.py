@@ -204,6 +204,11 @@ class StoreWriter:
             kept += (ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run),)
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
 
+    def forget_stage(self, stage: str) -> None:
+        """Remove a stage's record, so that nothing takes it for done while it runs again."""
+        left = {name: record for name, record in self._manifest.stages.items() if name != stage}
+        self._manifest = replace(self._manifest, stages=left)
+
     def record_stage(self, record: StageRecord) -> None:
         """Note that a stage is done; its earlier record goes."""
         self._manifest = replace(self._manifest, stages={**self._manifest.stages, record.stage: record})

@@ -52,7 +52,7 @@ class Params(BaseModel):
         return [self.queries] if isinstance(self.queries, str) else list(self.queries or ())
 
 
-def external_digest(params: Params) -> str:
+def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: the text of its class and query files."""
     hasher = hashlib.sha256()
     files = [config_path("queries", name) for name in params.query_files]

@@ -53,7 +53,7 @@ class Params(BaseModel):
     )
 
 
-def external_digest(params: Params) -> str:
+def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: the ground truth, where its folder is known beforehand."""
     if params.ground_truth in (NONE, OWN_CLASS) or (params.source is None and not params.ground_truth.startswith("/")):
         return ""

@@ -10,6 +10,7 @@ from pipelines.context import StageContext
 from pipelines.report.gather import gather
 from pipelines.report.render import pages_digest, render
 from pipelines.report.write import write_page
+from storage.store import Store
 
 
 class Params(BaseModel):
@@ -29,7 +30,7 @@ class Params(BaseModel):
     )
 
 
-def external_digest(params: Params) -> str:
+def external_digest(params: Params, store: Store | None) -> str:
     """A hash of the page's own files, so that the report is made again where one of them changed."""
     return pages_digest()
 

@@ -97,8 +97,9 @@ def test_what_goes_wrong_is_said_in_one_message_with_a_way_out(store: Path, word
 
 
 def test_a_failed_stage_says_how_to_go_on(store: Path, source: Path) -> None:
-    done = kinedex("run", "annotate", "--store", store, "--set", f"source='{source}'".replace("it's", "it''s"),
-                   "--set", "train=actor = 'nobody'", "--set", "evaluate.ground_truth=none", "--executor", "serial")  # fmt: skip
+    settings = [f"source={source}", "train=actor = 'nobody'", "evaluate.ground_truth=none"]
+    words = [word for setting in settings for word in ("--set", setting)]
+    done = kinedex("run", "annotate", "--store", store, *words, "--executor", "serial")
     assert done.returncode == 1
     assert "stage learn_templates:" in done.stderr
     assert "go on with:\n    kinedex run annotate --store" in done.stderr

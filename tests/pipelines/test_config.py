@@ -88,10 +88,23 @@ def test_a_wrong_assignment_names_the_nearest(tmp_path: Path, name: str, message
     assert message in str(caught.value)
 
 
-def test_stages_that_wait_for_each_other_are_refused(tmp_path: Path) -> None:
+def test_a_stage_of_the_wrong_kind_is_no_input(tmp_path: Path) -> None:
     text = "name: x\nstages:\n  a: {uses: index, inputs: {takes: b}}\n  b: {uses: index, inputs: {takes: a}}\n"
-    with pytest.raises(ConfigError, match="wait for each other"):
+    with pytest.raises(ConfigError, match="must be a stage 'ingest', but 'b' is a stage 'index'"):
         load_pipeline(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("value", ["/a #1 x", "a: b", "2024", "it's", "{x", "null"])
+def test_a_text_that_the_user_sets_is_taken_as_it_is(tmp_path: Path, value: str) -> None:
+    pipeline = load_pipeline(write(tmp_path, GOOD), {"source": value})
+    assert pipeline.stage("ingest").params.model_dump()["source"] == value
+
+
+@pytest.mark.parametrize("line", ["{{train}}", "2001-99-99", "!x y", "&a [*a]"])
+def test_values_that_yaml_stumbles_over_are_refused_with_the_file(tmp_path: Path, line: str) -> None:
+    path = write(tmp_path, GOOD.replace("rate: 120", f"rate: {line}"))
+    with pytest.raises(ConfigError, match="is not valid YAML|contains itself"):
+        load_pipeline(path, {"source": "x"})
 
 
 def test_an_unknown_pipeline_names_the_nearest() -> None:
