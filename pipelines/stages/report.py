@@ -55,7 +55,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         own_stage=context.stage,
         curves_take=params.curves_take,
     )
-    path = context.report_dir / "report.html"
+    path = context.report_file("report.html")
     size = write_page(render(data, takes=params.takes, max_takes=params.max_takes), path)
     context.say(f"report: {path.resolve()}")
     return {
