@@ -86,7 +86,7 @@ def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
     if pos < end and (data[pos] == _MINUS or data[pos] == _PLUS):
         down = data[pos] == _MINUS
         pos += 1
-    power, first = 0, pos
+    power, first = np.int64(0), pos
     while pos < end and _ZERO <= data[pos] <= _NINE:
         if power < 100000:
             power = power * 10 + (data[pos] - _ZERO)
