@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,19 +24,29 @@ UNREAD = {
 """Endings of motion files that kinedex does not read, and the way out."""
 
 
+def readable(text: str) -> str:
+    """A text with what is not UTF-8 in it (Python's stand-ins for such bytes of a file name) written as \\xNN."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
 @dataclass(frozen=True)
 class SourceFile:
-    """One motion file of an archive: its path relative to the source root (with /), size, and time of change."""
+    """One motion file of an archive: its path relative to the source root (with /), size, and time of change.
+
+    `path` is text that can be written anywhere; bytes of the file's name that are not UTF-8 stand in it as \\xNN, and
+    `on_disk` is then the path as the file system has it.
+    """
 
     root: str
     path: str
     size: int
     mtime_ns: int
+    on_disk: str = ""
 
     @property
     def absolute(self) -> Path:
         """Where the file lies."""
-        return Path(self.root) / self.path
+        return Path(self.root) / (self.on_disk or self.path)
 
     @property
     def stem(self) -> str:
@@ -49,15 +60,29 @@ class SourceFile:
 
 
 @dataclass(frozen=True)
+class Refused:
+    """A file or folder of an archive that is not read: its path relative to the source root, and why."""
+
+    path: str
+    fault: SourceError
+
+
+@dataclass(frozen=True)
 class Scan:
     """What a source root holds: motion files and skeleton files, each sorted by path.
 
     unread: the motion files of formats that kinedex does not read, see `UNREAD`.
+    refused: what might be motion files but cannot be looked at, or leads out of the root.
     """
 
     motions: tuple[SourceFile, ...]
     skeletons: tuple[SourceFile, ...]
     unread: tuple[SourceFile, ...] = ()
+    refused: tuple[Refused, ...] = ()
+
+    def hidden(self, path: str) -> bool:
+        """Whether a path lies where the scan could not look, so that nothing is known of it."""
+        return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
 
     @property
     def digest(self) -> str:
@@ -65,6 +90,8 @@ class Scan:
         hasher = hashlib.sha256()
         for file in (*self.motions, *self.skeletons):
             hasher.update(f"{file.path}\0{file.size}\0{file.mtime_ns}\n".encode())
+        for refused in self.refused:
+            hasher.update(f"{refused.path}\0{refused.fault.reason}\n".encode())
         return hasher.hexdigest()[:16]
 
     def unread_lines(self) -> list[str]:
@@ -79,29 +106,74 @@ class Scan:
 def scan(root: str | Path) -> Scan:
     """List the motion files (.amc, .bvh) and skeleton files (.asf) below a source root, in any letter case.
 
+    Folders are not entered by way of links, so links that form a loop do no harm; a folder that a link leads to inside
+    the root is found where it is. Links to files are followed inside the root. What leads out of it, leads nowhere, or
+    cannot be looked at is refused by name: nothing outside the root is read, and nothing is left out silently.
+
     Raises
     ------
-    StoreError: the root is no folder.
+    StoreError: the root is no folder, or its own path is not UTF-8.
     """
-    root = Path(root).expanduser().resolve()
+    root = Path(os.path.realpath(Path(root).expanduser()))
+    if readable(str(root)) != str(root):
+        raise StoreError(f"source '{readable(str(root))}' is not UTF-8 text: rename the folder, or link to it")
     if not root.is_dir():
         raise StoreError(f"source '{root}' is not a folder: give the folder that holds the motion files")
     motions: list[SourceFile] = []
     skeletons: list[SourceFile] = []
     unread: list[SourceFile] = []
+    refused: list[Refused] = []
     kinds = {".amc": motions, ".bvh": motions, ".asf": skeletons} | dict.fromkeys(UNREAD, unread)
-    for path in _files(root):
+    for path in _entries(root, refused):
         kind = kinds.get(path.suffix.lower())
         if kind is not None:
-            stat = path.stat()
-            kind.append(SourceFile(str(root), path.relative_to(root).as_posix(), stat.st_size, stat.st_mtime_ns))
-    return Scan(tuple(motions), tuple(skeletons), tuple(unread))
+            try:
+                kind.append(_source_file(root, path))
+            except SourceError as fault:
+                refused.append(Refused(readable(path.relative_to(root).as_posix()), fault))
+    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused))
 
 
-def _files(root: Path) -> Iterator[Path]:
-    for folder, folders, names in os.walk(root):
+def _entries(root: Path, refused: list[Refused]) -> Iterator[Path]:
+    """Every entry below the root that is no folder; folders that cannot be entered are refused."""
+
+    def refuse(path: Path, message: str) -> None:
+        shown = readable(path.relative_to(root).as_posix())
+        refused.append(Refused(shown, SourceError(readable(str(path)), message)))
+
+    def unreadable(fault: OSError) -> None:
+        refuse(Path(fault.filename), f"the folder cannot be read: {fault.strerror}")
+
+    for folder, folders, names in os.walk(root, onerror=unreadable):
         folders.sort()
-        yield from (path for name in sorted(names) if (path := Path(folder) / name).is_file())
+        for name in folders:
+            path = Path(folder) / name
+            target = Path(os.path.realpath(path))
+            if path.is_symlink() and not target.is_relative_to(root):
+                refuse(path, f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}")
+        yield from (Path(folder) / name for name in sorted(names))
+
+
+_BRING_IN = "copy what it leads to into the source, or ingest that folder as a source of its own"
+
+
+def _source_file(root: Path, path: Path) -> SourceFile:
+    shown = readable(str(path))
+    try:
+        if path.is_symlink():
+            target = Path(os.path.realpath(path))
+            if not target.is_relative_to(root):
+                raise SourceError(shown, f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}")
+        found = path.stat()
+    except OSError as fault:
+        # gone since the folder was listed, a link to nowhere, or links in a circle
+        raise SourceError(shown, f"cannot be read: {fault.strerror}") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise SourceError(shown, "is no file (but a pipe, a device or a socket, or a link to a folder)")
+    relative = path.relative_to(root).as_posix()
+    name = readable(relative)
+    on_disk = "" if name == relative else relative
+    return SourceFile(str(root), name, found.st_size, found.st_mtime_ns, on_disk)
 
 
 def checksum(path: Path) -> str:
@@ -117,7 +189,7 @@ def checksum(path: Path) -> str:
             while block := file.read(1 << 20):
                 hasher.update(block)
     except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+        raise SourceError(readable(str(path)), f"cannot be read: {fault.strerror}") from fault
     return hasher.hexdigest()
 
 

@@ -6,8 +6,8 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,18 +15,23 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from catalog.features import FeatureSet
+from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Mappings, load_mappings
 from ops import features, kinematics, textnumbers
-from ops.errors import KinedexError, SourceError
+from ops.errors import KinedexError, SourceError, StoreError
 from ops.resample import feature_rate, resample
+from pipelines.batches import run_batches
 from pipelines.context import StageContext
+from pipelines.executors import WorkerDied
+from pipelines.failures import Failure, failure, killer, log_table, refusal
 from pipelines.plan import code_digest
 from storage.bodies import Body, read_body
+from storage.compaction import compact
 from storage.manifest import Part
-from storage.parts import FramesWriter
-from storage.schemas import result_schema, takes_schema
+from storage.parts import FramesWriter, frames_table
+from storage.schemas import frames_schema, takes_schema
 from storage.sources import Scan, SourceFile, checksum, path_groups, scan, skeleton_of
+from storage.store import Store
 from storage.writer import StoreWriter
 
 MEGABYTE = 1 << 20
@@ -56,6 +61,7 @@ class Params(BaseModel):
         120.0, gt=0, description="frames per second of Acclaim files, which never say it; BVH files say their own"
     )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
+    strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
     batch_mb: int = Field(256, ge=1, le=4096, description="most megabytes of raw files that one task reads")
 
     @field_validator("patterns")
@@ -69,9 +75,11 @@ class Params(BaseModel):
         return patterns
 
 
-def external_digest(params: Params) -> str:
-    """What the stage depends on outside the store: every source file's path, size and time."""
-    return scan(params.source).digest
+def external_digest(params: Params, store: Store | None) -> str:
+    """What the stage depends on outside the store: source files by path, size and time, mappings, and features."""
+    feature_set = load_feature_set()
+    mappings = load_mappings(params.skeleton, feature_set.joints)
+    return _digest([scan(params.source).digest, feature_set.digest, mappings.digest("acclaim"), mappings.digest("bvh")])
 
 
 @dataclass(frozen=True)
@@ -89,17 +97,6 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Failure:
-    """One thing that did not come in, and why."""
-
-    source: str
-    error: str
-    message: str
-    file: str
-    line: int | None
-
-
-@dataclass(frozen=True)
 class Batch:
     """The files that one task reads and writes as one frames part."""
 
@@ -108,7 +105,13 @@ class Batch:
     rate_hz: float
     mappings: Mappings
     source_rate_hz: float
+    strict: bool
     tasks: tuple[Task, ...]
+
+    @property
+    def subject(self) -> str:
+        """What the batch is about, for messages."""
+        return ", ".join(str(task.motion.absolute) for task in self.tasks)
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     if not found.motions:
         raise KinedexError(
             f"no motion files (.amc, .bvh) below {params.source}. kinedex reads Acclaim ASF/AMC and BVH; is this the "
-            "right folder?" + "".join(f" {line}." for line in found.unread_lines())
+            "right folder?"
+            + "".join(f" {line}." for line in found.unread_lines())
+            + "".join(f" {refused.fault}." for refused in found.refused[:3])
         )
     mappings = load_mappings(params.skeleton, context.feature_set.joints)
     with context.writer() as writer:
@@ -141,15 +146,21 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         if plan.gone:
             what = "dropped" if params.prune else "kept; `prune: true` drops them"
             context.say(f"{len(plan.gone)} takes whose file is gone: {what}")
-            if params.prune:
-                writer.drop_takes(plan.gone)
         failures = list(plan.failures)
-        frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
-        writer.put_results("ingest_log", _log(failures, context.run), stage=context.key(), run=context.run)
+        frames = 0
+        if not (params.strict and failures):
+            frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
+        writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
+        if params.strict and failures:
+            writer.commit()
+            raise KinedexError(f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)")
+        if params.prune:
+            writer.drop_takes(plan.gone)
         writer.commit()
+        _compact(context, writer)
         total = len(writer.manifest.live_takes)
-    for failure in failures[:10]:
-        context.say(f"left out: {failure.message}")
+    for left_out in failures[:10]:
+        context.say(f"left out: {left_out.message}")
     if len(failures) > 10:
         context.say(f"… and {len(failures) - 10} more: SELECT * FROM ingest_log lists them all")
     read = len(plan.tasks) - (len(failures) - len(plan.failures))
@@ -182,7 +193,7 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
     }
     skeleton_sums: dict[str, str] = {}
     tasks: list[Task] = []
-    failures: list[Failure] = []
+    failures = [refusal(refused) for refused in found.refused]
     unchanged = 0
     names = _take_names(params, found)
     for motion in found.motions:
@@ -214,11 +225,15 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
             warnings = () if groups is not None or not patterns else ("its path matches no pattern of the config",)
             tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, content, warnings))
         except SourceError as fault:
-            failures.append(_failure(motion, fault))
+            failures.append(failure(motion, fault))
     ids = writer.assign_take_ids(task.name for task in tasks)
     tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
     root = found.motions[0].root
-    gone = [row["take_id"] for name, row in known.items() if name not in names and row["source_root"] == root]
+    gone = [
+        row["take_id"]
+        for name, row in known.items()
+        if name not in names and row["source_root"] == root and not found.hidden(row["source"])
+    ]
     return _Plan(tasks, unchanged, gone, failures)
 
 
@@ -264,10 +279,6 @@ def _digest(parts: object) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
-def _failure(motion: SourceFile, fault: SourceError) -> Failure:
-    return Failure(motion.path, type(fault).__name__, str(fault), fault.path, fault.line)
-
-
 def _bring_in(
     context: StageContext,
     params: Params,
@@ -284,17 +295,36 @@ def _bring_in(
     frames = 0
     with context.progress("reading takes", len(tasks)) as progress:
         batches = [
-            Batch(context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.rate_hz, part)
+            Batch(
+                context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.rate_hz,
+                params.strict, part,
+            )
             for part in _batches(tasks, params.batch_mb * MEGABYTE, context.executor.workers)
-        ]
-        for batch, written in zip(batches, context.executor.map(read_batch, batches), strict=True):
-            failures.extend(written.failures)
-            if written.part is not None:
-                writer.add_takes(pa.Table.from_pylist(written.takes, schema=takes_schema()), written.part)
-                writer.commit()
-                frames += written.part.rows
-            progress.advance(len(batch.tasks))
+        ]  # fmt: skip
+        with closing(run_batches(context.executor, read_batch, batches, _give_up)) as results:
+            for batch, written in results:
+                failures.extend(written.failures)
+                if written.part is not None:
+                    writer.add_takes(pa.Table.from_pylist(written.takes, schema=takes_schema()), written.part)
+                    writer.commit()
+                    frames += written.part.rows
+                progress.advance(len(batch.tasks))
+                if params.strict and failures:
+                    break
     return frames
+
+
+def _give_up(batch: Batch, fault: Exception) -> Written:
+    return Written([], None, [(killer if isinstance(fault, WorkerDied) else failure)(batch.tasks[0].motion, fault)])
+
+
+def _compact(context: StageContext, writer: StoreWriter) -> None:
+    done = compact(writer, spread=context.executor.map)
+    if done.changed:
+        context.say(
+            f"compacted: {done.frames_before} frames parts to {done.frames_after}, {done.takes_before} takes parts to "
+            f"{done.takes_after}; `kinedex gc {context.store_path}` removes the old files"
+        )
 
 
 def _batches(tasks: Sequence[Task], limit: int, workers: int) -> Iterator[tuple[Task, ...]]:
@@ -333,13 +363,20 @@ def read_batch(batch: Batch) -> Written:
                 asf = task.skeleton.absolute if task.skeleton is not None else None
                 joints = batch.feature_set.joints
                 body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.source_rate_hz)
-            except SourceError as fault:
-                failures.append(_failure(task.motion, fault))
+                rows = _frames(batch, task, body)
+                take = _take_row(batch, task, body, rows.num_rows)
+            except StoreError:
+                raise
+            except Exception as fault:
+                # whatever one file brings about, even a defect or a lack of memory, must not cost the others
+                failures.append(failure(task.motion, fault))
+                if batch.strict:
+                    break
                 continue
             if writer is None:
                 writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
-            frames = _add_frames(writer, batch, task, body)
-            takes.append(_take_row(batch, task, body, frames))
+            writer.add_table(task.take_id, rows)
+            takes.append(take)
         return Written(takes, writer.close() if writer is not None else None, failures)
     except BaseException:
         if writer is not None:
@@ -347,14 +384,14 @@ def read_batch(batch: Batch) -> Written:
         raise
 
 
-def _add_frames(writer: FramesWriter, batch: Batch, task: Task, body: Body) -> int:
-    """Compute features at the source's own rate, keep every frame of the analysis rate, and write them."""
+def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
+    """Compute features at the source's own rate, and keep every frame of the analysis rate."""
     rate = feature_rate(body.rate_hz, batch.rate_hz)
     positions, orientation = resample(body.positions, body.orientation, body.rate_hz, rate)
     words = features.words(positions, orientation, rate, batch.feature_set.rules)
     step = round(rate / batch.rate_hz)
-    writer.add(task.take_id, positions[:, :, ::step], orientation[:, ::step], words[::step])
-    return len(words[::step])
+    schema = frames_schema(batch.feature_set, batch.rate_hz)
+    return frames_table(task.take_id, positions[:, :, ::step], orientation[:, ::step], words[::step], schema)
 
 
 def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, Any]:
@@ -398,20 +435,3 @@ def _blind(feature_set: FeatureSet, body: Body) -> list[str]:
         names = ", ".join(f"F{feature.number} {feature.name}" for feature in narrowed)
         said.append(f"without {', '.join(body.unknown)} these features look at the other joints only: {names}")
     return said
-
-
-def _log(failures: Sequence[Failure], run_id: str) -> pa.Table:
-    rows = [
-        {
-            "run": run_id,
-            "source": failure.source,
-            "stage": "ingest",
-            "error": failure.error,
-            "message": failure.message,
-            "file": failure.file,
-            "line": failure.line,
-            "logged_at": datetime.now(UTC),
-        }
-        for failure in failures
-    ]
-    return pa.Table.from_pylist(rows, schema=result_schema("ingest_log"))
