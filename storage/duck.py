@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import re
 import tempfile
 from collections.abc import Sequence
@@ -21,20 +22,34 @@ _READING = {
     duckdb.StatementType.SELECT,
     duckdb.StatementType.EXPLAIN,
     duckdb.StatementType.PRAGMA,
-    duckdb.StatementType.CALL,
     duckdb.StatementType.MULTI,  # what PIVOT becomes
 }
-_READING_WORDS = re.compile(
-    r"\(*\s*(select|from|with|values|table|pivot|unpivot|explain|show|describe|desc|summarize|pragma|call)\b", re.I
+_READING_WORDS = set(
+    "select from with values table pivot unpivot explain show describe desc summarize pragma".split()
+)  # fmt: skip
+_PRAGMAS = set(
+    "collations database_list database_size functions metadata_info platform show show_databases show_tables "
+    "show_tables_expanded storage_info table_info user_agent version".split()
 )
-_COMMENT = re.compile(r"\s*(--[^\n]*(\n|$)|/\*.*?\*/)", re.S)
+# What may stand where a query has a WITH part, and does not read.
+_WRITING_WORDS = {"copy", "insert", "update", "delete", "merge", "truncate"}
+# Functions that change something, or run SQL that is not seen here.
+_WRITING_FUNCTIONS = set(
+    "checkpoint force_checkpoint enable_logging disable_logging truncate_duckdb_logs write_log enable_profiling "
+    "disable_profiling create_external_resource destroy_external_resource register_external_resource "
+    "register_external_resource_type deregister_external_resource query json_execute_serialized_sql".split()
+)
 _MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
-_EXPLAIN = re.compile(r"\s*explain\b\s*(analyze\b)?\s*(\([^)]*\))?", re.I)
+_DAMAGE = (duckdb.IOException, duckdb.SerializationException, duckdb.InternalException, duckdb.FatalException)
 
 
 def connect(threads: int | None = None, memory_mb: int | None = None) -> Connection:
-    """Open an in-memory connection that never reaches for the network and spills to the system's temporary folder."""
+    """Open an in-memory connection that never reaches for the network and spills to the system's temporary folder.
+
+    A name in a query is that of a table, never of a variable of the program that happens to be called so.
+    """
     connection = duckdb.connect(":memory:")
+    connection.execute("SET python_enable_replacements = false")
     connection.execute("SET enable_progress_bar = false")
     connection.execute("SET autoinstall_known_extensions = false")
     connection.execute("SET autoload_known_extensions = false")
@@ -44,6 +59,11 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
     if memory_mb is not None:
         connection.execute(f"SET memory_limit = '{int(memory_mb)}MB'")
     return connection
+
+
+def lock(connection: Connection) -> None:
+    """Fix the settings of a connection; what writes files through a setting (logs, profiles) fails from now on."""
+    connection.execute("SET lock_configuration = true")
 
 
 def quote(text: str) -> str:
@@ -87,13 +107,23 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
         columns = ", ".join(f"NULL::{sql_type(field.type)} AS {name(field.name)}" for field in schema)
         return f"SELECT {columns} WHERE false"
     whole = [file for file, dropped in files if not dropped]
-    branches = [f"SELECT * FROM read_parquet([{', '.join(quote(str(file)) for file in whole)}])"] if whole else []
-    branches += [
-        f"SELECT * FROM read_parquet({quote(str(file))}) WHERE take_id NOT IN ({', '.join(map(str, dropped))})"
-        for file, dropped in files
-        if dropped
-    ]
+    branches = [f"SELECT * FROM {_read_parquet(whole)}"] if whole else []
+    tombstones = [(file, take) for file, dropped in files for take in dropped]
+    if tombstones:
+        # one scan and one join for any number of parts; the pairs are one literal, which is parsed faster than a list
+        pairs = ", ".join(f"{{part: {file.name}, take_id: {take}}}" for file, take in tombstones)
+        gone = f"SELECT unnest({quote(f'[{pairs}]')}::STRUCT(part VARCHAR, take_id BIGINT)[], recursive := true)"
+        branches.append(
+            f"SELECT rows.* FROM {_read_parquet([file for file, dropped in files if dropped])} AS rows "
+            f"ANTI JOIN ({gone}) AS gone ON gone.take_id = rows.take_id AND gone.part = parse_filename(rows.filename)"
+        )
     return "\nUNION ALL ".join(branches)
+
+
+def _read_parquet(files: Sequence[Path]) -> str:
+    """The scan of just these files: nothing in their paths is a pattern, a home folder, or a partition's key."""
+    paths = ", ".join(quote(glob.escape(str(file.absolute()))) for file in files)
+    return f"read_parquet([{paths}], hive_partitioning = false)"
 
 
 def literal_rows(table: pa.Table) -> str:
@@ -134,24 +164,31 @@ class UnknownName(KinedexError):
         self.name = name
 
 
+class Unreadable(KinedexError):
+    """A query met a file that is missing, or whose content makes no sense."""
+
+
 def query(connection: Connection, text: str, parameters: Parameters = None) -> pa.Table:
     """Run one reading query and return its whole result.
 
     Parameters
     ----------
     connection: where to run it.
-    text: one statement that only reads (SELECT, FROM, WITH, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE, PRAGMA).
+    text: one statement that only reads: SELECT, FROM, WITH, VALUES, TABLE, PIVOT, EXPLAIN, DESCRIBE, SHOW, SUMMARIZE,
+        or one of a few PRAGMAs. It may read any file (`read_csv` and its kin), and write none.
     parameters: values for its `?`, or for its `$name`.
 
     Raises
     ------
     KinedexError: the query would change something, holds several statements, or DuckDB refuses it; an UnknownName
-        where it asks for a table or a function that is not there.
+        where it asks for a table or a function that is not there, Unreadable where a file cannot be read.
     """
     _refuse_writing(connection, text)
     try:
         relation = connection.sql(text, params=parameters)
         return pa.table({}) if relation is None else relation.to_arrow_table()
+    except _DAMAGE as fault:
+        raise Unreadable(explain(fault)) from None
     except duckdb.Error as fault:
         missing = _MISSING.search(str(fault))
         raise (UnknownName(missing[1], explain(fault)) if missing else KinedexError(explain(fault))) from None
@@ -164,18 +201,53 @@ def _refuse_writing(connection: Connection, text: str) -> None:
         raise KinedexError(explain(fault)) from None
     if len(statements) != 1:
         raise KinedexError(f"expected one SQL statement, got {len(statements)}")
-    bare = text
-    while match := _COMMENT.match(bare):
-        bare = bare[match.end() :]
     kind = statements[0].type
-    if kind not in _READING or not _READING_WORDS.match(bare.strip()):
-        raise KinedexError(
-            f"only queries that read are run here, this is {kind.name}; "
-            "to work with copies, write the result to a file or open the store with `Store.connect()`"
-        )
+    words = [word.lower() for _, word in _tokens(text)]
+    first = next((word for word in words if word != "("), "")
+    if kind not in _READING or first not in _READING_WORDS:
+        raise _refused(kind.name)
+    if first == "pragma" and (words[1:2] == [] or words[1] not in _PRAGMAS or "=" in words[2:3]):
+        raise KinedexError(f"only these PRAGMAs are run here: {', '.join(sorted(_PRAGMAS))}")
+    for before, word, after in zip(words, words[1:], [*words[2:], ""], strict=False):
+        # the body of a WITH entry, which may have a WITH of its own in front; a column of such a name stands otherwise
+        if before in ("(", ")") and word in _WRITING_WORDS and re.match(r'[\w"(]', after):
+            raise _refused(word.upper())
+        if after == "(" and word.strip('"') in _WRITING_FUNCTIONS:
+            raise _refused(f"{word}(…)")
     if kind == duckdb.StatementType.EXPLAIN:
         # EXPLAIN ANALYZE runs what it explains
-        _refuse_writing(connection, _EXPLAIN.sub("", bare, count=1))
+        _refuse_writing(connection, _explained(text))
+
+
+def _refused(what: str) -> KinedexError:
+    return KinedexError(
+        f"only queries that read are run here, this is {what}; "
+        "to work with copies, write the result to a file or open the store with `Store.connect()`"
+    )
+
+
+def _tokens(text: str) -> list[tuple[int, str]]:
+    """The tokens of a statement without its comments, each with the byte where it begins."""
+    raw = text.encode()
+    found = [(start, kind) for start, kind in duckdb.tokenize(text)]
+    stops = [start for start, _ in found[1:]] + [len(raw)]
+    return [
+        (start, raw[start:stop].decode(errors="replace").strip())
+        for (start, kind), stop in zip(found, stops, strict=True)
+        if kind != duckdb.token_type.comment
+    ]
+
+
+def _explained(text: str) -> str:
+    """The statement that an EXPLAIN explains."""
+    tokens = _tokens(text)
+    place = 1
+    if place < len(tokens) and tokens[place][1].lower() == "analyze":
+        place += 1
+    # options, as in EXPLAIN (ANALYZE, FORMAT json) SELECT …; a query in parentheses begins otherwise
+    if [word.lower() for _, word in tokens[place : place + 2]] in (["(", "analyze"], ["(", "format"]):
+        place = next(at for at in range(place, len(tokens)) if tokens[at][1] == ")") + 1
+    return text.encode()[tokens[place][0] :].decode() if place < len(tokens) else ""
 
 
 def explain(fault: duckdb.Error) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+import pyarrow as pa
+
 from catalog.views import MACROS, VIEWS, Macro
 from ops.errors import KinedexError, StoreError, did_you_mean
 from storage import duck, index
@@ -22,29 +24,66 @@ INDEXED = frozenset(view.name for view in VIEWS if view.columns and view.name no
 
 
 def connect(store: Store, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
-    """Open a connection with all views and macros of a store; nothing that is run on it changes the store.
+    """Open a connection with all views and macros of a store.
 
     The index is attached read-only. Frames and results are read from the parts of this version, wherever the store is.
     Where the index is missing or stale, the views `INDEXED` and the macros over them are left out, and the rest works.
+
+    Raises
+    ------
+    StoreError: the index or a part cannot be read; the message names the file and the way out.
     """
     connection = duck.connect(threads, memory_mb)
-    generation = index.current(store.path, store.manifest)
-    if generation is not None:
-        connection.execute(f"ATTACH {duck.quote(str(generation / 'index.duckdb'))} AS idx (READ_ONLY)")
-        connection.execute("USE idx")
-    else:
-        _without_index(connection, store)
-    _view(connection, "help", duck.literal_rows(index.help_table()))
-    frames = frames_schema(store.feature_set, store.rate_hz)
-    files = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
-    _view(connection, "frames", duck.parquet_rows(frames, files))
-    for kind in RESULT_KINDS:
-        parts = [(part_file(store.path, part.path), ()) for part in store.manifest.results.get(kind, ())]
-        _view(connection, kind, duck.parquet_rows(result_schema(kind), parts))
-    for macro in MACROS:
-        if macro.needs == "frames" or (generation is None and not _reads_index(macro)):
-            connection.execute(macro.sql(temporary=True))
+    try:
+        indexed = _attach_index(connection, store)
+        if not indexed:
+            _without_index(connection, store)
+        _view(connection, "help", duck.literal_rows(index.help_table()))
+        frames = frames_schema(store.feature_set, store.rate_hz)
+        files = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
+        _view(connection, "frames", duck.parquet_rows(frames, files))
+        for kind in RESULT_KINDS:
+            parts = [(part_file(store.path, part.path), ()) for part in store.manifest.results.get(kind, ())]
+            _view(connection, kind, duck.parquet_rows(result_schema(kind), parts))
+        for macro in MACROS:
+            if macro.needs == "frames" or (not indexed and not _reads_index(macro)):
+                connection.execute(macro.sql(temporary=True))
+    except duck.Error as fault:
+        connection.close()
+        raise StoreError(f"{store.path}: SQL over this store does not work: {duck.first_line(fault)}") from None
+    except BaseException:
+        connection.close()
+        raise
     return connection
+
+
+def _attach_index(connection: duck.Connection, store: Store) -> bool:
+    """Attach the index of these takes read-only; False where there is none."""
+    while (generation := index.current(store.path, store.manifest)) is not None:
+        file = (generation / "index.duckdb").absolute()
+        try:
+            connection.execute(f"ATTACH {duck.quote(str(file))} AS idx (READ_ONLY)")
+            connection.execute("USE idx")
+        except duck.Error as fault:
+            if not file.is_file():
+                # a build has put a newer generation in its place, or somebody removes the index
+                continue
+            raise StoreError(f"{file}: the index cannot be read: {duck.first_line(fault)}; {index.BUILD}") from None
+        return True
+    return False
+
+
+def query(store: Store, connection: duck.Connection, text: str, parameters: duck.Parameters) -> pa.Table:
+    """Run one reading query on a connection of `connect`; errors say what of the store is missing or damaged."""
+    try:
+        return duck.query(connection, text, parameters)
+    except duck.UnknownName as fault:
+        raise explain_unknown(store, fault) from None
+    except duck.Unreadable as fault:
+        raise KinedexError(
+            f"{fault}\n  where this is a file of the store: `kinedex verify` says which are damaged; "
+            f"an index is built again: {index.BUILD}"
+        ) from None
 
 
 def explain_unknown(store: Store, fault: duck.UnknownName) -> KinedexError:
@@ -75,7 +114,6 @@ def _view(connection: duck.Connection, name: str, query: str) -> None:
     try:
         connection.execute(f"CREATE TEMP VIEW {name} AS {query}")
     except duck.Error as fault:
-        connection.close()
         raise StoreError(
             f"the parts of {name} cannot be read: {duck.first_line(fault)}; see `kinedex verify`"
         ) from None

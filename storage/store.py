@@ -70,6 +70,8 @@ class Store:
         """
         if where is None:
             return self._takes
+        if not where.strip():
+            raise KinedexError("the filter over takes is empty; leave it out to get all takes")
         try:
             found = pl.from_arrow(duck.filtered(self._takes.to_arrow(), "takes", where))
         except duck.Error as fault:
@@ -157,11 +159,18 @@ class Store:
         return generation / "index.duckdb"
 
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
-        """Open a DuckDB connection with all views and macros (`catalog.views`); it cannot change the store.
+        """Open a DuckDB connection with all views and macros (`catalog.views`).
+
+        The index is attached read-only, and nothing done to the views or to tables made here reaches the store. It is
+        a whole DuckDB connection, though: COPY and ATTACH write wherever the user may. `sql` runs only what reads.
 
         Parameters
         ----------
         threads, memory_mb: what DuckDB may use; None leaves it to DuckDB.
+
+        Raises
+        ------
+        StoreError: the index or a part cannot be read; the message names the file and the way out.
         """
         return sql.connect(self, threads, memory_mb)
 
@@ -170,21 +179,20 @@ class Store:
 
         Parameters
         ----------
-        query: a statement that only reads.
+        query: a statement that only reads; it may read other files too (`read_csv` and its kin).
         params: values for its `?` (a sequence) or its `$name` (a dict).
 
         Raises
         ------
         KinedexError: the query is not valid, or would change something.
         """
-        try:
-            return duck.query(self._connection, query, params)
-        except duck.UnknownName as fault:
-            raise sql.explain_unknown(self, fault) from None
+        return sql.query(self, self._connection, query, params)
 
     @cached_property
     def _connection(self) -> duck.Connection:
-        return self.connect()
+        connection = self.connect()
+        duck.lock(connection)
+        return connection
 
     def close(self) -> None:
         """Close the connection that `sql` has opened; the store can still be used."""

@@ -6,11 +6,13 @@ import pickle
 import shutil
 from pathlib import Path
 
+import duckdb
 import pyarrow as pa
 import pytest
 
-from ops.errors import KinedexError
+from ops.errors import KinedexError, StoreError
 from storage import index
+from storage.manifest import Manifest
 from storage.schemas import RESULT_KINDS, result_schema
 from storage.store import Store, open_store
 from storage.writer import StoreWriter
@@ -44,6 +46,11 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         "EXPLAIN SELECT 1",
         "EXPLAIN ANALYZE SELECT 1",
         "PRAGMA version",
+        "PRAGMA table_info('takes');",
+        "EXPLAIN (FORMAT json) SELECT 1",
+        "EXPLAIN ANALYZE (SELECT 1)",
+        'SELECT sum(copy) AS ü FROM (SELECT 1 AS copy, 2 AS "insert") WHERE (copy) < 2 -- (delete)',
+        "SELECT ')copy (insert'",
     ],
 )
 def test_what_reads_is_run(store: Store, query: str) -> None:
@@ -67,13 +74,53 @@ def test_what_reads_is_run(store: Store, query: str) -> None:
         "USE memory",
         "SELECT 1; DROP VIEW frames",
         "",
+        "-- nothing but a comment",
+        "WITH x AS (COPY (SELECT 1) TO '{file}') SELECT * FROM x",
+        "WITH ü AS (SELECT 'ü'), x AS MATERIALIZED (/* ü */ COPY (SELECT 1) TO '{file}') SELECT * FROM x",
+        "EXPLAIN ANALYZE WITH x AS (COPY (SELECT 1) TO '{file}') SELECT * FROM x",
+        "WITH x AS (INSERT INTO takes SELECT * FROM takes) SELECT 1",
+        "WITH x AS (WITH y AS (SELECT 1) DELETE FROM takes) SELECT 1",
+        "WITH x AS (UPDATE takes SET name = '') SELECT 1",
+        "WITH x AS (TRUNCATE takes) SELECT 1",
+        "PRAGMA import_database('{file}')",
+        "PRAGMA copy_database(idx, memory)",
+        "PRAGMA disable_optimizer",
+        "PRAGMA database_size = 1",
+        "CALL enable_logging(storage = 'file', storage_path = '{file}')",
+        "FROM enable_logging(storage = 'file', storage_path = '{file}')",
+        "FROM system.main.\"Enable_Logging\" /* ( */ (storage = 'file', storage_path = '{file}')",
+        "FROM query('FROM enable_logging(storage = ''file'', storage_path = ''{file}'')')",
+        "CALL enable_profiling(save_location = '{file}')",
+        "FROM enable_profiling(save_location = '{file}')",
     ],
 )
 def test_what_would_write_is_refused(store: Store, tmp_path: Path, query: str) -> None:
     file = tmp_path / "written"
-    with pytest.raises(KinedexError):
+    with pytest.raises(KinedexError, match=r"only queries that read|only these PRAGMAs|one SQL statement"):
         store.sql(query.format(file=file))
+    store.sql("SELECT 1")
     assert not file.exists()
+
+
+def test_settings_of_queries_are_locked_whatever_gets_around_the_words(store: Store, tmp_path: Path) -> None:
+    with open_store(store.path) as other, pytest.raises(duckdb.Error, match="locked"):
+        other._connection.execute(f"CALL enable_logging(storage = 'file', storage_path = '{tmp_path / 'log'}')")
+    assert not (tmp_path / "log").exists()
+
+
+def test_queries_may_read_other_files(store: Store, tmp_path: Path) -> None:
+    (tmp_path / "actors.csv").write_text("actor,age\nbd,31\n")
+    assert store.sql(f"FROM read_csv('{tmp_path / 'actors.csv'}')").to_pylist() == [{"actor": "bd", "age": 31}]
+
+
+def test_a_name_is_never_a_variable_of_the_program(store: Store) -> None:
+    secrets = pa.table({"key": [1]})
+    for connection in (store._connection, store.connect()):
+        with pytest.raises(duckdb.CatalogException, match="secrets"):
+            connection.sql("SELECT * FROM secrets")
+    with pytest.raises(KinedexError, match="no view or macro is named 'secrets'"):
+        store.sql("SELECT * FROM secrets")
+    assert secrets.num_rows == 1
 
 
 def test_parameters_fill_a_query(store: Store) -> None:
@@ -137,6 +184,89 @@ def test_sql_works_wherever_the_store_is_moved(store: Store, tmp_path: Path) -> 
     assert open_store(moved).sql("SELECT count(*) AS n FROM frames JOIN takes USING (take_id)").to_pylist() == [
         {"n": 75}
     ]
+
+
+@pytest.mark.parametrize("folder", ["class=walk", "take_id=7", "[ab]", "st*r", "word=ü"])
+def test_nothing_is_read_out_of_the_path_of_a_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for other in ("a", "star"):
+        make_store(tmp_path / other / "store", {"b_take": 9})
+    path = make_store(Path(folder) / "store", {"b_take": 9})
+    with StoreWriter.open(path, BODY) as writer:
+        row = {"take_id": 1, "take": "b_take", "class": "own", "start": 2, "stop": 5}
+        table = pa.Table.from_pylist(
+            [dict.fromkeys(result_schema("annotations").names[1:]) | row],
+            schema=result_schema("annotations").remove(0),
+        )
+        writer.put_results("annotations", table, stage="p/annotate", run="r")
+        writer.commit()
+    store = open_store(path)
+    for index_too in (False, True):
+        if index_too:
+            index.build(store)
+            store.close()
+        assert store.sql("SELECT class FROM annotations").to_pylist() == [{"class": "own"}]
+        assert store.sql("SELECT name, class FROM takes").to_pylist() == [{"name": "b_take", "class": None}]
+        found = store.sql("SELECT take_id, word FROM frames ORDER BY frame")
+        assert found.column("word").to_pylist() == arrays("b_take", 9)[2].tolist()
+        assert set(found.column("take_id").to_pylist()) == {1}
+
+
+def test_replaced_and_dropped_takes_are_gone_from_every_part_in_one_scan(tmp_path: Path) -> None:
+    path = make_store(tmp_path / "store", {"whole": 5})
+    for part in range(6):
+        with StoreWriter.open(path, BODY) as writer:
+            add(writer, {f"{part}_replaced": 4, f"{part}_dropped": 3, f"{part}_kept": 2})
+            writer.commit()
+    with StoreWriter.open(path, BODY) as writer:
+        add(writer, {f"{part}_replaced": 6 for part in range(6)}, edition=1)
+        ids = writer.assign_take_ids([f"{part}_dropped" for part in range(6)])
+        writer.drop_takes(ids.values())
+        writer.commit()
+    store = open_store(path)
+    names = {f"{part}_{what}": frames for part in range(6) for what, frames in (("replaced", 6), ("kept", 2))}
+    expected = {store.take_id(name): frames for name, frames in (names | {"whole": 5}).items()}
+    found = store.sql("SELECT take_id, count(*) AS n, count(DISTINCT frame) AS d FROM frames GROUP BY 1").to_pylist()
+    assert {row["take_id"]: (row["n"], row["d"]) for row in found} == {k: (n, n) for k, n in expected.items()}
+    words = store.sql("SELECT word FROM frames WHERE take_id = ? ORDER BY frame", [store.take_id("3_replaced")])
+    assert words.column(0).to_pylist() == arrays("3_replaced", 6, 1)[2].tolist()
+    assert store.sql("SELECT name FROM takes ORDER BY 1").column(0).to_pylist() == sorted([*names, "whole"])
+    plan = store.sql("EXPLAIN SELECT count(*) FROM frames").column(1)[0].as_py()
+    assert plan.count("READ_PARQUET") == 2  # the parts with tombstones, and those without
+    assert open_store(path).sql("DESCRIBE frames").column(0).to_pylist()[:2] == ["take_id", "frame"]
+
+
+def test_an_index_that_is_damaged_is_named_with_the_way_out(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a_one": 600}))
+    file = index.build(store) / "index.duckdb"
+    whole = file.read_bytes()
+    file.write_bytes(b"\0" * len(whole))
+    with pytest.raises(StoreError, match=r"index\.duckdb: the index cannot be read: .*--force index"):
+        store.sql("SELECT 1")
+    file.write_bytes(whole[:12288] + bytes(255 - byte for byte in whole[12288:]))
+    with pytest.raises(KinedexError, match="--force index"):
+        store.sql("SELECT count(word), max(start) FROM word_runs")
+
+
+def test_an_index_that_is_replaced_while_it_is_opened_is_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a_one": 60}))
+    generation = index.build(store)
+    current = index.current
+    asked: list[Path | None] = []
+
+    def removed_once(path: Path, manifest: Manifest) -> Path | None:
+        asked.append(current(path, manifest))
+        if len(asked) == 1:
+            generation.rename(generation.with_name("gen-000009"))
+        return asked[-1]
+
+    monkeypatch.setattr(index, "current", removed_once)
+    assert store.sql("SELECT count(*) AS n FROM vocabulary").column(0)[0].as_py() > 0
+    assert [path and path.name for path in asked] == ["gen-000002", "gen-000009"]
 
 
 def test_a_store_travels_to_a_worker(store: Store) -> None:

@@ -37,11 +37,17 @@ def test_a_filter_selects_takes(path: Path) -> None:
     assert store.takes("frames > 1000 -- none").schema == store.takes().schema
 
 
-@pytest.mark.parametrize("wrong", ["actr = 'bd'", "actor = ", "true); DROP TABLE takes; SELECT (1"])
+@pytest.mark.parametrize("wrong", ["actr = 'bd'", "actor = ", "-- all", "true); DROP TABLE takes; SELECT (1"])
 def test_a_wrong_filter_is_refused_with_the_columns(path: Path, wrong: str) -> None:
     with pytest.raises(KinedexError) as caught:
         open_store(path).takes(wrong)
     assert wrong in str(caught.value)
+
+
+@pytest.mark.parametrize("nothing", ["", " \n"])
+def test_an_empty_filter_is_no_filter_and_said_to_be_none(path: Path, nothing: str) -> None:
+    with pytest.raises(KinedexError, match="the filter over takes is empty; leave it out"):
+        open_store(path).takes(nothing)
 
 
 def test_a_misspelt_column_is_answered_with_the_columns(path: Path) -> None:
