@@ -5,12 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
+from collections.abc import Iterator
+from decimal import Decimal
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from ops.errors import KinedexError, did_you_mean
 
@@ -19,12 +23,15 @@ FORMATS = ("table", "csv", "json", "parquet")
 
 def rich_table(table: pa.Table, title: str | None = None) -> Table:
     """An Arrow table as a table for the terminal: numbers to the right, floats to four digits, NULL as a dash."""
-    shown = Table(title=title, box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    shown = Table(title=title and Text(title), box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
-        number = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-        shown.add_column(field.name, justify="right" if number else "left", overflow="fold")
-    for row in table.to_pylist():
-        shown.add_row(*(_cell(row[name]) for name in table.column_names))
+        number = any(
+            is_number(field.type) for is_number in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
+        )
+        shown.add_column(Text(field.name), justify="right" if number else "left", overflow="fold")
+    for row in _rows(table):
+        # plain text: rich would take [brackets] for markup
+        shown.add_row(*(Text(_cell(value)) for value in row))
     return shown
 
 
@@ -33,33 +40,89 @@ def _cell(value: Any) -> str:
         return "–"
     if isinstance(value, float):
         return f"{value:.4g}"
-    if isinstance(value, dict | list):
-        return json.dumps(value, default=str, ensure_ascii=False)
-    # rich would take [brackets] for markup
-    return str(value).replace("[", r"\[")
+    return _nested(value) if isinstance(value, dict | list) else str(value)
 
 
 def encode(table: pa.Table, form: str) -> bytes:
     """An Arrow table as bytes of CSV (header first), JSON (a list of objects) or Parquet.
 
+    Columns of one name all stay: in CSV they stand side by side; in JSON and Parquet, where names must differ, the
+    second x is called x_1. JSON has no ∞ and no NaN, which become null; decimals (also what sums of integers are in
+    SQL) become numbers; dates, times and other values without a form of their own in JSON become text.
+
     Raises
     ------
-    KinedexError: an unknown format.
+    KinedexError: an unknown format, or a value that Python and so these formats cannot hold.
     """
     if form == "parquet":
         sink = io.BytesIO()
-        pq.write_table(table, sink)
+        pq.write_table(table.rename_columns(_distinct(table.column_names)), sink)
         return sink.getvalue()
     if form == "json":
-        return (json.dumps(table.to_pylist(), indent=1, default=str, ensure_ascii=False) + "\n").encode()
+        names = _distinct(table.column_names)
+        rows = [dict(zip(names, map(_json, row), strict=True)) for row in _rows(table)]
+        return (json.dumps(rows, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
     if form == "csv":
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(table.column_names)
-        for row in table.to_pylist():
-            writer.writerow(
-                json.dumps(v, default=str, ensure_ascii=False) if isinstance(v, dict | list) else v
-                for v in row.values()
-            )
+        for row in _rows(table):
+            writer.writerow(_nested(value) if isinstance(value, dict | list) else value for value in row)
         return text.getvalue().encode()
     raise KinedexError(f"no output format '{form}'{did_you_mean(form, FORMATS)}")
+
+
+def _rows(table: pa.Table) -> Iterator[tuple[Any, ...]]:
+    """The rows by position: names may stand twice."""
+    columns = [_values(name, column) for name, column in zip(table.column_names, table.columns, strict=True)]
+    return zip(*columns, strict=True)
+
+
+def _values(name: str, column: pa.ChunkedArray) -> list[Any]:
+    try:
+        values: list[Any] = column.to_pylist()
+    except (ValueError, OverflowError) as fault:
+        raise KinedexError(
+            f"column {name} holds a {column.type} that cannot be written: {fault}; "
+            f"turn it into text in the query: {name}::VARCHAR"
+        ) from None
+    return values
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """These names, with _1, _2, … after those that have been there."""
+    taken = set(names)
+    seen: set[str] = set()
+    result = []
+    for name in names:
+        free = name
+        number = 0
+        while free in seen or (number and free in taken):
+            number += 1
+            free = f"{name}_{number}"
+        seen.add(free)
+        result.append(free)
+    return result
+
+
+def _nested(value: Any) -> str:
+    """A list or a struct as JSON in a cell."""
+    return json.dumps(_json(value), ensure_ascii=False, allow_nan=False)
+
+
+def _json(value: Any) -> Any:
+    """A value as JSON has it."""
+    match value:
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else None
+        case Decimal():
+            return int(value) if value == value.to_integral_value() else float(value)
+        case dict():
+            return {str(name): _json(part) for name, part in value.items()}
+        case list() | tuple():
+            return [_json(part) for part in value]
+        case bytes():
+            return value.hex()
+    return str(value)
