@@ -68,13 +68,14 @@ def collect(store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = Fal
 
 
 def summary(found: list[Garbage]) -> list[str]:
-    """What was found in a few lines: how many of each kind, and their bytes."""
+    """What was found in a few lines, each to follow "removed": how many of each kind, and their bytes."""
     counts, sizes = Counter(garbage.what for garbage in found), Counter[str]()
     for garbage in found:
         sizes[garbage.what] += garbage.bytes
-    return [
+    lines = [
         f"{count:,} {what}{'' if count == 1 else 's'}, {shown_bytes(sizes[what])}" for what, count in counts.items()
     ]
+    return lines or ["nothing: there is no garbage"]
 
 
 def shown_bytes(count: int) -> str:

@@ -20,7 +20,7 @@ from ops.errors import StoreError
 from ops.runs import feature_runs, word_runs
 from ops.words import TakeWords, cut
 from storage import duck
-from storage.disk import sync_folder
+from storage.disk import sync_folder, writing
 from storage.lock import Lock
 from storage.manifest import Manifest, now
 
@@ -68,7 +68,8 @@ def build(store: Store, threads: int | None = None, memory_mb: int | None = None
 
     Raises
     ------
-    StoreError: another process builds an index of this store, or a part cannot be read.
+    StoreError: another process builds an index of this store, a part cannot be read, or there is no space for the
+        index; the generation before stays.
     """
     folder = store.path / "index"
     folder.mkdir(exist_ok=True)
@@ -81,7 +82,8 @@ def build(store: Store, threads: int | None = None, memory_mb: int | None = None
         building = folder / f"{BUILDING}{uuid.uuid4().hex}"
         building.mkdir()
         try:
-            _build(store, building, threads, memory_mb)
+            with writing(building):
+                _build(store, building, threads, memory_mb)
             generation = folder / f"{GENERATION}{store.manifest.version:06d}"
             if generation.exists():
                 # not current, or it would have been returned: damaged, or of another version of the index
@@ -152,6 +154,11 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
         rows = {table: int(count.column(0)[0].as_py()) for table, count in counted}
         connection.execute("USE memory")
         connection.execute("DETACH building")
+    except duck.Error as fault:
+        raise StoreError(
+            f"{file}: the index cannot be built: {duck.first_line(fault)}; where space on disk or memory is short, "
+            "make room (`kinedex gc` removes what only old versions need) or set `memory_mb` of the stage `index`"
+        ) from None
     finally:
         connection.close()
     with open(file, "rb") as content:

@@ -53,6 +53,7 @@ def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: St
     assert not any(item.what in ("frames part", "takes part") for item in found)
     assert sorted(os.listdir(store.path / "results/hits")) == [Path(store.manifest.results["hits"][0].path).name]
     assert collect(store.path) == []
+    assert summary([]) == ["nothing: there is no garbage"]
 
 
 def test_the_newest_version_alone_needs_only_its_own_parts(store: Store) -> None:

@@ -144,3 +144,15 @@ def test_a_store_without_takes_has_an_empty_index(tmp_path: Path) -> None:
     index.build(store)
     assert store.sql("FROM runs_where('rhand_fast')").num_rows == 0
     assert store.sql("SELECT count(*) AS n FROM frames").to_pylist() == [{"n": 0}]
+
+
+def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise duckdb.IOException('IO Error: Could not write file "x": No space left on device')
+
+    later = change(store, 5)
+    before = sorted(os.listdir(store.path / "index"))
+    monkeypatch.setattr(index, "_insert_runs", full)
+    with pytest.raises(StoreError, match=r"the index cannot be built: .*No space left on device; .*`kinedex gc`"):
+        index.build(later)
+    assert sorted(os.listdir(store.path / "index")) == before
