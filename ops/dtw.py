@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numba as nb
 import numpy as np
@@ -24,7 +24,7 @@ def distance_curves(templates: Sequence[QuantisedTemplate], words: U64, ranges: 
     The local cost of a column against a frame is the share of the column's bits that the frame contradicts, 0
     for a column of wildcards alone. Steps (template, take) are (1,1), (1,2) and (2,1); a (2,1) step counts
     the local cost twice. A path starts at any frame, in the template's first column. Time is proportional to
-    columns × frames, memory (besides the result) to the columns and the distinct words.
+    columns × frames; memory (besides the result) is bounded, however long the take and however many its words.
 
     Parameters
     ----------
@@ -49,11 +49,14 @@ def distance_curves(templates: Sequence[QuantisedTemplate], words: U64, ranges: 
     masks = np.concatenate([template.mask for template in templates])
     values = np.concatenate([template.value for template in templates])
     offsets = np.concatenate(([0], np.cumsum([len(template) for template in templates]))).astype(np.int64)
-    for batch in _batches(stretches, max(1, _TABLE_CELLS // len(masks))):
+    carried = np.empty((2, len(masks)))
+    for batch, continues in _batches(stretches, max(1, _TABLE_CELLS // len(masks))):
+        if not continues:
+            carried[:] = np.inf
         start, stop = int(batch[0, 0]), int(batch[-1, 1])
         vocabulary, codes = np.unique(words[start:stop], return_inverse=True)
         table = local_costs(masks, values, vocabulary)
-        fill_curves(table, codes.astype(np.int64), batch - start, offsets, curves[:, start:stop])
+        fill_curves(table, codes.astype(np.int64), batch - start, offsets, carried, curves[:, start:stop])
     return curves
 
 
@@ -87,8 +90,10 @@ def start_frames(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64
     starts = np.empty(len(ends), np.int64)
     reach = 2 * (len(template) - 1)
     opens = np.maximum(ends - reach, stretches[home, 0]) if len(ends) else ends
-    # A group ends where the next window opens after the last end, or belongs to another stretch.
-    breaks = np.flatnonzero((opens[1:] > ends[:-1]) | (home[1:] != home[:-1])) + 1
+    # A group ends where the next window opens after the last end, or belongs to another stretch; and where its table of
+    # costs would grow large, which costs another window but no path.
+    block = ends // max(reach + 1, _TABLE_CELLS // len(template))
+    breaks = np.flatnonzero((opens[1:] > ends[:-1]) | (home[1:] != home[:-1]) | (block[1:] != block[:-1])) + 1
     for group in np.split(np.arange(len(ends)), breaks):
         if not len(group):
             continue
@@ -117,10 +122,24 @@ def local_costs(masks: U64, values: U64, words: U64) -> F64:
     return np.bitwise_count((words[:, None] ^ values) & masks) / counted
 
 
-def _batches(stretches: I64, frames: int) -> list[I64]:
-    """Split stretches into consecutive groups of about so many frames, a longer stretch on its own."""
-    group = (np.cumsum(stretches[:, 1] - stretches[:, 0]) - 1) // frames
-    return np.split(stretches, np.flatnonzero(np.diff(group)) + 1)
+def _batches(stretches: I64, frames: int) -> Iterator[tuple[I64, bool]]:
+    """Divide stretches into consecutive groups that span so many frames at most; and a longer stretch into blocks.
+
+    The flag says whether the group's first stretch goes on where the block before it ended.
+    """
+    group: list[tuple[int, int]] = []
+    continues = False
+    for begin, stop in stretches.tolist():
+        start = begin
+        if group and stop - group[0][0] > frames:
+            yield np.array(group, np.int64), continues
+            group, continues = [], False
+        while stop - start > frames:
+            yield np.array([[start, start + frames]], np.int64), continues
+            start, continues = start + frames, True
+        group.append((start, stop))
+    if group:
+        yield np.array(group, np.int64), continues
 
 
 @nb.njit(cache=True, nogil=True)
@@ -134,11 +153,12 @@ def advance(here: F64, last: F64, previous: F64, cost: F64) -> None:
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_curves(table: F64, codes: I64, stretches: I64, offsets: I64, curves: F64) -> None:
+def fill_curves(table: F64, codes: I64, stretches: I64, offsets: I64, carried: F64, curves: F64) -> None:
     """Fill the curves of all templates frame by frame, over their concatenated columns (kernel).
 
     All three steps advance the take and none stays in its row, so a frame depends on the two frames before
-    it only, and the inner loop vectorises.
+    it only, and the inner loop vectorises. `carried` (2, columns) holds what these two are before the first stretch,
+    ∞ where it begins there, and in the end those of the last.
     """
     columns = table.shape[1]
     templates = len(offsets) - 1
@@ -146,6 +166,9 @@ def fill_curves(table: F64, codes: I64, stretches: I64, offsets: I64, curves: F6
         previous = np.full(columns, np.inf)
         last = np.full(columns, np.inf)
         here = np.full(columns, np.inf)
+        if stretch == 0:
+            previous[:] = carried[0]
+            last[:] = carried[1]
         for frame in range(stretches[stretch, 0], stretches[stretch, 1]):
             cost = table[codes[frame]]
             advance(here, last, previous, cost[2:])
@@ -156,6 +179,8 @@ def fill_curves(table: F64, codes: I64, stretches: I64, offsets: I64, curves: F6
                     here[first + 1] = min(last[first], previous[first]) + cost[first + 1]
                 curves[t, frame] = here[offsets[t + 1] - 1] / (offsets[t + 1] - first)
             previous, last, here = last, here, previous
+        carried[0] = previous
+        carried[1] = last
 
 
 @nb.njit(cache=True, nogil=True)

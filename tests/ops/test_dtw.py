@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.dtw import distance_curves, start_frames
+from ops.dtw import distance_curves, local_costs, start_frames
 from ops.errors import ParameterError
 from ops.templates import QuantisedTemplate
 from ops.words import pack
@@ -108,6 +108,39 @@ def test_takes_laid_end_to_end_are_kept_apart_however_many_there_are(monkeypatch
     np.testing.assert_array_equal(distance_curves([template], words, ranges), whole)
     for start, stop in ranges.tolist():
         np.testing.assert_array_equal(distance_curves([template], words[start:stop])[0], whole[0, start:stop])
+
+
+@given(st.lists(templates, min_size=1, max_size=3), takes, st.integers(1, 12), st.data())
+def test_curves_and_starts_do_not_depend_on_the_blocks_that_a_take_is_computed_in(
+    several: list[list[list[int | None]]], take: list[list[int]], block: int, data: st.DataObject
+):
+    words = as_words(take)
+    cuts = data.draw(st.lists(st.integers(0, len(take)), min_size=6, max_size=6).map(sorted))
+    ranges = data.draw(st.sampled_from([None, np.array(cuts, np.int64).reshape(3, 2)]))
+    chosen = [quantised(template) for template in several]
+    whole = distance_curves(chosen, words, ranges)
+    ends = np.flatnonzero(np.isfinite(whole[0])).astype(np.int64)
+    starts = start_frames(chosen[0], words, ends, ranges)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ops.dtw._TABLE_CELLS", block * sum(map(len, chosen)))
+        np.testing.assert_array_equal(distance_curves(chosen, words, ranges), whole)
+        np.testing.assert_array_equal(start_frames(chosen[0], words, ends, ranges), starts)
+
+
+def test_the_table_of_costs_stays_small_however_long_the_take_and_however_far_apart_its_stretches(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    tables = []
+    monkeypatch.setattr("ops.dtw._TABLE_CELLS", 400)
+    monkeypatch.setattr("ops.dtw.local_costs", lambda *given: tables.append(local_costs(*given)) or tables[-1])
+    words = np.arange(1000, dtype=np.uint64)
+    template = QuantisedTemplate(np.full(8, 1023, np.uint64), words[500:508])
+    (curve,) = distance_curves([template], words)
+    assert curve[507] == 0
+    distance_curves([template], words, np.array([[0, 20], [100, 120], [480, 900]]))
+    start_frames(template, words, np.arange(7, 1000))
+    assert len(tables) > 20
+    assert max(table.size for table in tables) <= 400 + 2 * 8 * 8
 
 
 def test_wrong_ranges_and_ends_are_refused_in_words():
