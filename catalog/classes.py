@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -46,7 +47,12 @@ class Classes:
 
     def class_of(self, label: str) -> str | None:
         """The class that a label means: a class by its name, or the class of a subclass; None where neither."""
-        return label if label in self.names else self.of_subclass().get(label)
+        return self._meaning.get(label)
+
+    @cached_property
+    def _meaning(self) -> dict[str, str]:
+        # a class by its name goes before a subclass that is called the same
+        return self.of_subclass() | {name: name for name in self.names}
 
 
 class _ClassEntry(BaseModel):

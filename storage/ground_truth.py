@@ -11,6 +11,8 @@ from ops.errors import KinedexError, SourceError, did_you_mean
 
 COLUMNS = ("take", "class", "start", "stop")
 
+_MOST_DIGITS = 15
+
 
 @dataclass(frozen=True)
 class ManualSegment:
@@ -47,7 +49,10 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
     gone = [str(folder) for folder in folders if not folder.is_dir()]
     if gone:
         raise KinedexError(f"ground truth: the source folder {gone[0]} is no longer there; give an absolute path")
-    found = sorted({file for folder in folders for file in folder.glob(pattern) if file.is_file()})
+    try:
+        found = sorted({file for folder in folders for file in folder.glob(pattern) if file.is_file()})
+    except (ValueError, OSError) as fault:
+        raise KinedexError(f"ground truth: '{pattern}' does not work as a path or glob: {fault}") from None
     if not found:
         raise KinedexError(
             f"ground truth: no file '{pattern}' below {', '.join(map(str, folders)) or 'any source folder'}. "
@@ -101,6 +106,8 @@ def _rows(path: str, reader: csv.DictReader[str]) -> Iterator[ManualSegment]:
 
 
 def _frame(path: str, line: int, name: str, text: str) -> int:
-    if not text.isdecimal():
-        raise SourceError(path, f"{name} must be a source frame, a whole number from 0, got '{text}'", line=line)
+    # no take has so many frames, and Python refuses to read thousands of digits
+    if not text.isdecimal() or len(text) > _MOST_DIGITS:
+        got = text if len(text) <= 40 else f"{text[:40]}… ({len(text)} characters)"
+        raise SourceError(path, f"{name} must be a source frame, a whole number from 0, got '{got}'", line=line)
     return int(text)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from catalog.classes import load_classes
+from catalog.classes import Classes, MotionClass, load_classes
 from ops.errors import ConfigError
 
 HDM05 = [
@@ -77,6 +77,15 @@ def test_a_list_of_subclasses_is_enough_and_the_order_is_the_files(tmp_path: Pat
     assert classes.without_class == ("sit",)
     assert classes.class_of("kickR") == "legs"
     assert classes.class_of("legs") == "legs"
+
+
+def test_a_label_is_looked_up_once_for_all_and_a_class_goes_before_a_subclass(monkeypatch: pytest.MonkeyPatch):
+    classes = Classes((MotionClass("kick", "", ("punch",)), MotionClass("arms", "", ("kick",))))
+    asked = []
+    of_subclass = Classes.of_subclass
+    monkeypatch.setattr(Classes, "of_subclass", lambda self: asked.append(self) or of_subclass(self))
+    assert [classes.class_of(label) for label in ("kick", "punch", "arms", "swim")] == ["kick", "kick", "arms", None]
+    assert len(asked) == 1
 
 
 def test_an_unknown_subclass_is_named_with_its_line_and_the_nearest_one(tmp_path: Path):

@@ -30,6 +30,7 @@ def test_segments_are_read_with_their_lines_whatever_wrote_the_file(tmp_path: Pa
         ("take,class,start,stop\nt,walk,0,12\nt,walk,x,12\n", r"csv:3: start must be a source frame.*got 'x'"),
         ("take,class,start,stop\nt,walk,-1,12\n", r"csv:2: start must be.*got '-1'"),
         ("take,class,start,stop\nt,walk,3\n", r"csv:2: stop must be.*got ''"),
+        (f"take,class,start,stop\nt,walk,0,{'9' * 5000}\n", r"csv:2: stop must be.*got '9{40}… \(5000 characters\)'"),
         ("take,class,start,stop\nt,walk,12,12\n", r"csv:2: start 12 must be before stop 12"),
         ("take,class,start,stop\nt,,0,12\n", r"csv:2: class is empty"),
         (b"take,class,start,stop\nt,\xff,0,12\n", r"csv: is not UTF-8 text"),
@@ -38,6 +39,12 @@ def test_segments_are_read_with_their_lines_whatever_wrote_the_file(tmp_path: Pa
 def test_a_fault_is_named_with_file_and_line(tmp_path: Path, text: str | bytes, message: str):
     with pytest.raises(SourceError, match=message):
         read_ground_truth(written(tmp_path, text))
+
+
+def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path):
+    (tmp_path / "ground_truth.csv").mkdir()
+    with pytest.raises(SourceError, match=r"ground_truth.csv: cannot be read: Is a directory"):
+        read_ground_truth(tmp_path / "ground_truth.csv")
 
 
 def test_files_are_found_below_every_source_folder_or_by_their_own_path(tmp_path: Path):
@@ -51,5 +58,8 @@ def test_files_are_found_below_every_source_folder_or_by_their_own_path(tmp_path
     assert ground_truth_files(own, roots) == [folders[1] / "ground_truth.csv"]
     with pytest.raises(KinedexError, match=r"no file 'truth\.csv' below .*columns take, class, start, stop"):
         ground_truth_files("truth.csv", roots)
+    for wrong in ("", "**.csv"):
+        with pytest.raises(KinedexError, match="does not work as a path or glob"):
+            ground_truth_files(wrong, roots)
     with pytest.raises(KinedexError, match="no longer there"):
         ground_truth_files("*.csv", [tmp_path / "gone"])
