@@ -236,15 +236,20 @@ class Mappings:
         if best:
             names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
             raise SourceError(source, f"mappings {names} fit this skeleton equally well; {way_out}")
-        if not fits:
+        near = self.nearest(form, nodes)
+        if near is None:
             raise SourceError(source, f"no skeleton mapping for {form} files; {way_out}")
-        near = min(fits, key=lambda fit: len(fit.missing))
         raise SourceError(
             source,
             f"no skeleton mapping fits; the nearest, '{near.mapping.name}', finds {len(near.joints)} joints and lacks "
             f"{_listed([f'{node} (for {what})' for what, node in near.missing.items()])}; the skeleton has "
             f"{_listed(list(nodes))}; {way_out}",
         )
+
+    def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
+        """The mapping that lacks the least in a skeleton, and of these the one that finds the most joints."""
+        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
+        return min(fits, key=lambda fit: (len(fit.missing), -fit.named), default=None)
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:

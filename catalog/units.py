@@ -40,11 +40,9 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     SourceError: no unit makes this a human height, or there are no legs to measure.
     """
     way_out = "state `unit_m` in the skeleton mapping"
-    known = {joint: positions[i, :, 0] for i, joint in enumerate(joints) if np.isfinite(positions[i, :, 0]).all()}
-    legs = [_length(known, leg) for leg in _LEGS if all(joint in known for joint in leg)]
-    if not legs:
+    height = body_height(positions, joints)
+    if height is None:
         raise SourceError(source, f"its unit of length cannot be guessed without a hip, knee and ankle; {way_out}")
-    height = _UPRIGHT * (max(legs) + _length(known, [joint for joint in _TRUNK if joint in known]))
     for name, unit_m in UNITS_M.items():
         if HUMAN_M[0] <= height * unit_m <= HUMAN_M[1]:
             return name, unit_m, height * unit_m
@@ -53,6 +51,20 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
         f"its unit of length cannot be guessed: the body is {height:.4g} units high, which is {HUMAN_M[0]:g} to "
         f"{HUMAN_M[1]:g} m in none of {', '.join(UNITS_M)}; {way_out}",
     )
+
+
+def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
+    """How high a body is, legs and trunk stretched out, in the unit of its positions; None without a whole leg.
+
+    Parameters
+    ----------
+    positions: float64 (J, 3, T) of the named joints; the first frame counts.
+    """
+    known = {joint: positions[i, :, 0] for i, joint in enumerate(joints) if np.isfinite(positions[i, :, 0]).all()}
+    legs = [_length(known, leg) for leg in _LEGS if all(joint in known for joint in leg)]
+    if not legs:
+        return None
+    return _UPRIGHT * (max(legs) + _length(known, [joint for joint in _TRUNK if joint in known]))
 
 
 def _length(points: Mapping[str, F64], chain: Iterable[str]) -> float:

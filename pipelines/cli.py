@@ -176,6 +176,29 @@ def ingest(
 
 
 @command
+def inspect(
+    file: Annotated[Path, typer.Argument(help="a motion file")],
+    skeleton: Annotated[str, typer.Option(help="skeleton mapping: auto, a shipped name, or a .yaml file")] = "auto",
+    source: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="source root: the ASF of an AMC file is looked for up to there")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
+    ] = None,
+) -> None:
+    """Show what a motion file is and what becomes of it, and draw a few of its frames."""
+    from pipelines.inspect import inspect_file, show, write_picture
+
+    found = inspect_file(file, skeleton, source)
+    path = picture or Path(f"{file.stem}.png")
+    if write_picture(found, path):
+        found.say("picture", str(path))
+    show(found, make_console())
+    if found.fault is not None:
+        raise found.fault
+
+
+@command
 def search(
     store: StorePath,
     queries: Annotated[str, typer.Argument(help="a query file: a shipped name, or a path to a .yaml or .json file")],

@@ -19,7 +19,7 @@ from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Mappings, load_mappings
 from ops import features, kinematics, textnumbers
 from ops.errors import KinedexError, SourceError, StoreError
-from ops.resample import feature_rate, resample
+from pipelines.analysis import analyse, blind
 from pipelines.batches import run_batches
 from pipelines.context import StageContext
 from pipelines.executors import WorkerDied
@@ -271,7 +271,7 @@ def _refuse_stranger(row: dict[str, Any], motion: SourceFile) -> None:
 
 def _recipe(feature_set: FeatureSet, mappings: str, rate_hz: float | None) -> str:
     """What a take's rows depend on besides its own files; when it changes, the take is read again."""
-    code = [code_digest(module) for module in ("storage.bodies", "ops.features", "ops.resample")]
+    code = [code_digest(module) for module in ("storage.bodies", "pipelines.analysis")]
     return _digest([feature_set.digest, mappings, rate_hz, code])
 
 
@@ -385,13 +385,10 @@ def read_batch(batch: Batch) -> Written:
 
 
 def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
-    """Compute features at the source's own rate, and keep every frame of the analysis rate."""
-    rate = feature_rate(body.rate_hz, batch.rate_hz)
-    positions, orientation = resample(body.positions, body.orientation, body.rate_hz, rate)
-    words = features.words(positions, orientation, rate, batch.feature_set.rules)
-    step = round(rate / batch.rate_hz)
+    """The rows of one take, at the analysis rate."""
+    positions, orientation, words = analyse(body, batch.feature_set, batch.rate_hz)
     schema = frames_schema(batch.feature_set, batch.rate_hz)
-    return frames_table(task.take_id, positions[:, :, ::step], orientation[:, ::step], words[::step], schema)
+    return frames_table(task.take_id, positions, orientation, words, schema)
 
 
 def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, Any]:
@@ -418,20 +415,5 @@ def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, An
         "class": groups.pop("class", None),
         "clip": groups.pop("clip", None),
         "groups": json.dumps(groups, sort_keys=True),
-        "warnings": [*task.warnings, *body.warnings, *_blind(batch.feature_set, body)],
+        "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body)],
     }
-
-
-def _blind(feature_set: FeatureSet, body: Body) -> list[str]:
-    """What joints that the skeleton does not have cost: the features that are off, and those that do without them."""
-    if not body.unknown:
-        return []
-    off, narrowed = feature_set.without(body.unknown)
-    said = [
-        f"skeleton mapping '{body.skeleton}' has no {', '.join(body.unknown)}; these features are off: "
-        + (", ".join(f"F{feature.number} {feature.name}" for feature in off) or "none")
-    ]
-    if narrowed:
-        names = ", ".join(f"F{feature.number} {feature.name}" for feature in narrowed)
-        said.append(f"without {', '.join(body.unknown)} these features look at the other joints only: {names}")
-    return said

@@ -12,7 +12,7 @@ import pytest
 
 from tests.pipelines.archives import write_archive
 
-COMMANDS = ["demo", "run", "plan", "ingest", "search", "sql", "takes", "verify", "synth", "version"]
+COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
 
 
 def kinedex(*words: str | Path, stdin: str | None = None) -> subprocess.CompletedProcess[str]:

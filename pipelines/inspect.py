@@ -1,0 +1,275 @@
+"""Inspect: what one motion file is, what becomes of it, and a picture; what to look at when it does not come in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from catalog.features import FeatureSet, load_feature_set
+from catalog.skeletons import Format, Mappings, load_mappings
+from catalog.units import body_height
+from ops import kinematics
+from ops.errors import KinedexError, SourceError
+from pipelines.analysis import analyse, blind
+from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
+from storage.acclaim import INCH_M, RATE_HZ, read_asf
+from storage.bodies import Body, read_body
+from storage.bvh import parse_bvh
+from storage.export import TREE
+from storage.sources import UNREAD, SourceFile, skeleton_of
+
+F64 = npt.NDArray[np.float64]
+
+SHOWN = 6
+"""How many frames of a take the picture shows, the first and the last among them."""
+
+ABOVE = 3
+"""How many folders above an AMC file its ASF is looked for in, where no source root is given."""
+
+_AXES = ("x to the right, y up", "z to the right, y up")
+_DRAWN = 1e9  # units; a joint farther away than this is a fault, and would leave nothing else to be seen
+_RATE_HZ = 30.0  # the analysis rate of a store
+
+
+@dataclass
+class Inspection:
+    """What was found out about a file.
+
+    lines: (what, text) in order. fault: why the file does not come in, None where it does.
+    figure: what to draw, None where nothing is known of places.
+    """
+
+    lines: list[tuple[str, str]] = field(default_factory=list)
+    fault: KinedexError | None = None
+    figure: Figure | None = None
+
+    def say(self, what: str, text: str) -> None:
+        """Add a line."""
+        self.lines.append((what, text))
+
+
+@dataclass(frozen=True)
+class _Skeleton:
+    """What a file says before any mapping: node names, and the figure of its raw nodes where there is one."""
+
+    form: Format
+    nodes: dict[str, int]
+    figure: Figure | None = None
+
+
+def inspect_file(file: Path, skeleton: str = "auto", source: Path | None = None) -> Inspection:
+    """Find out about a motion file all that can be found out, even where it does not come in.
+
+    Parameters
+    ----------
+    skeleton: `auto`, a shipped mapping or a file of the user's own. source: the source root, which the ASF of an AMC
+    file is looked for up to; `ABOVE` folders above the file unless given.
+
+    Raises
+    ------
+    KinedexError: it is no motion file, or there is no such mapping.
+    """
+    ending = file.suffix.lower()
+    if not file.is_file():
+        raise KinedexError(f"{file}: no such file")
+    if ending not in (".amc", ".bvh"):
+        raise SourceError(
+            file, f"is not read: {UNREAD.get(ending, 'kinedex reads .amc (with its .asf) and .bvh files')}"
+        )
+    feature_set = load_feature_set()
+    mappings = load_mappings(skeleton, feature_set.joints)
+    found = Inspection()
+    found.say("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
+    found.say("format", {".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH"}[ending])
+    try:
+        asf = _asf(found, file, source) if ending == ".amc" else None
+        raw = _raw(found, file, asf)
+        _say_mapping(found, raw, mappings)
+        found.figure = raw.figure
+        body = read_body(file, asf, mappings, feature_set.joints, RATE_HZ)
+    except KinedexError as fault:
+        found.fault = fault
+        return found
+    _say_body(found, body, feature_set)
+    found.figure = _figure(file, body, feature_set.joints)
+    return found
+
+
+def write_picture(found: Inspection, path: Path) -> bool:
+    """Draw what was found, if there is anything to draw.
+
+    Raises
+    ------
+    KinedexError: the file cannot be written.
+    """
+    if found.figure is None:
+        return False
+    try:
+        draw(found.figure, path)
+    except OSError as fault:
+        raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
+    return True
+
+
+def show(found: Inspection, console: Console) -> None:
+    """Print what was found."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for what, text in found.lines:
+        table.add_row(Text(what), Text(text))
+    console.print(table)
+
+
+def _asf(found: Inspection, amc: Path, source: Path | None) -> Path:
+    """The skeleton file of an AMC file, by the rule of ingest."""
+    amc = amc.resolve()
+    root = source.resolve() if source is not None else [amc.parent, *amc.parent.parents][: ABOVE + 1][-1]
+    if not amc.is_relative_to(root):
+        raise KinedexError(f"--source {source}: {amc} does not lie below it")
+    skeletons = []
+    for folder in (folder for folder in amc.parents if folder.is_relative_to(root)):
+        skeletons += [_source(root, path) for path in sorted(folder.glob("*")) if path.suffix.lower() == ".asf"]
+    asf = skeleton_of(_source(root, amc), skeletons).absolute
+    found.say("skeleton file", str(asf))
+    return asf
+
+
+def _source(root: Path, path: Path) -> SourceFile:
+    return SourceFile(str(root), path.relative_to(root).as_posix(), 0, 0)
+
+
+def _raw(found: Inspection, file: Path, asf: Path | None) -> _Skeleton:
+    """What the file holds before any mapping, said and returned."""
+    if asf is not None:
+        nodes = read_asf(asf, INCH_M).bones
+        _say_nodes(found, nodes)
+        return _Skeleton("acclaim", nodes)
+    bvh = parse_bvh(file)
+    _say_nodes(found, bvh.places)
+    _say_time(found, bvh.rate_hz, len(bvh.channels))
+    shown = _shown(len(bvh.channels))
+    positions, _ = kinematics.forward(bvh.nodes, bvh.channels[shown])
+    if not np.abs(positions).max() < _DRAWN:
+        return _Skeleton("bvh", bvh.places)
+    bones = [(i, node.parent, MIDDLE) for i, node in enumerate(bvh.nodes) if node.parent >= 0]
+    figure = Figure(
+        points=positions,
+        bones=bones,
+        times=_times(shown, bvh.rate_hz),
+        views=[(_AXES[0], 0, 1), (_AXES[1], 2, 1)],
+        ground=float(positions[:, 1].min()),
+        title=f"{file.name}: the file's own joints and axes",
+        legend=[],
+        note=f"ground line: lowest joint, y = {positions[:, 1].min():.4g} units",
+    )
+    return _Skeleton("bvh", bvh.places, figure)
+
+
+def _say_nodes(found: Inspection, nodes: Iterable[str]) -> None:
+    names = list(nodes)
+    more = f" and {len(names) - 80} more" if len(names) > 80 else ""
+    found.say("nodes", f"{len(names)}: {', '.join(names[:80])}{more}")
+
+
+def _say_time(found: Inspection, rate_hz: float, frames: int, note: str = "") -> None:
+    found.say("rate", f"{rate_hz:.6g} Hz{note}")
+    found.say("length", f"{frames} frames, {frames / rate_hz:.2f} s")
+
+
+def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
+    """Which mapping fits; where none does, the nearest and all that it lacks."""
+    near = mappings.nearest(raw.form, raw.nodes)
+    try:
+        fit = mappings.detect("", raw.form, raw.nodes)
+    except SourceError:
+        fit = None
+    if fit is not None:
+        how = "the one for its format" if len(mappings.of_format[raw.form]) == 1 else "told by the names of its joints"
+        found.say("mapping", f"{fit.mapping.name} ({how}): {fit.mapping.path}")
+    elif near is not None:
+        found.say("mapping", f"none fits; the nearest is '{near.mapping.name}': {near.mapping.path}")
+        for what, node in near.missing.items():
+            found.say("", f"lacks {node}, for {what}")
+
+
+def _say_body(found: Inspection, body: Body, feature_set: FeatureSet) -> None:
+    if not any(what == "rate" for what, _ in found.lines):
+        _say_time(found, body.rate_hz, body.frames, " (assumed: Acclaim files do not say it)")
+    found.say("unit", body.unit)
+    height = body_height(body.positions, feature_set.joints)
+    if height is not None:
+        found.say("height", f"{height:.2f} m, legs and trunk stretched out")
+    low = float(np.nanmin(body.positions[:, 1]))
+    found.say("lowest point", f"{low:.2f} m")
+    warnings = [*body.warnings, *blind(feature_set, body)]
+    for i, warning in enumerate(warnings or ["none"]):
+        found.say("warnings" if i == 0 else "", warning)
+    _, _, words = analyse(body, feature_set, _RATE_HZ)
+    shares = {
+        feature.number: float(np.mean((words >> np.uint64(feature.number - 1)) & np.uint64(1)))
+        for feature in feature_set.features
+    }
+    on = sorted((n for n, share in shares.items() if share > 0), key=lambda n: -shares[n])
+    names = [f"F{n} {feature_set.feature(n).name} {_percent(shares[n])}" for n in on]
+    found.say("features on", ", ".join(names) or "none in any frame")
+    never = [f"F{n}" for n, share in shares.items() if share == 0]
+    if never:
+        found.say("never on", " ".join(never))
+
+
+def _percent(share: float) -> str:
+    return "<1%" if share < 0.01 else f"{100 * share:.0f}%"
+
+
+def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
+    """The named joints, each frame seen from where its hips face."""
+    shown = _shown(body.frames)
+    points = _facing(body.positions[:, :, shown], joints)
+    bones = [
+        (joints.index(joint), joints.index(parent), _side(joint))
+        for joint, parent in TREE.items()
+        if parent is not None and joint in joints and parent in joints
+    ]
+    ground = float(np.nanmin(body.positions[:, 1]))
+    faces = np.isfinite(points[[joints.index("lhip"), joints.index("rhip")]]).all()
+    views = ["from the front (its left is on the right)", "from its right (it looks to the right)"]
+    return Figure(
+        points=points,
+        bones=bones,
+        times=_times(shown, body.rate_hz),
+        views=[(views[0] if faces else _AXES[0], 0, 1), (views[1] if faces else _AXES[1], 2, 1)],
+        ground=ground,
+        title=f"{file.name}: {body.skeleton}, {body.frames} frames, {body.frames / body.rate_hz:.2f} s",
+        legend=[("left", LEFT), ("right", RIGHT), ("middle", MIDDLE)],
+        note=f"ground line: the take's lowest point, y = {ground:.2f} m",
+    )
+
+
+def _facing(points: F64, joints: tuple[str, ...]) -> F64:
+    """The points (J, 3, F) turned about Y so that the line from the right hip to the left lies along X."""
+    across = points[joints.index("lhip")] - points[joints.index("rhip")]
+    length = np.hypot(across[0], across[2])
+    turned = np.isfinite(length) & (length > 0)
+    size = np.where(turned, length, 1.0)
+    c, s = np.where(turned, across[0] / size, 1.0), np.where(turned, across[2] / size, 0.0)
+    return np.stack([c * points[:, 0] + s * points[:, 2], points[:, 1], c * points[:, 2] - s * points[:, 0]], axis=1)
+
+
+def _side(joint: str) -> str:
+    return LEFT if joint[0] == "l" else RIGHT if joint[0] == "r" and joint != "root" else MIDDLE
+
+
+def _shown(frames: int) -> list[int]:
+    return sorted({round(at) for at in np.linspace(0, frames - 1, SHOWN)})
+
+
+def _times(shown: list[int], rate_hz: float) -> list[str]:
+    return [f"{frame / rate_hz:.2f} s (frame {frame})" for frame in shown]

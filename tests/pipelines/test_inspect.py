@@ -1,0 +1,126 @@
+"""Inspect: what is said of a file that comes in, and all the more of one that does not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageColor
+
+from ops.errors import KinedexError, SourceError
+from pipelines.inspect import Inspection, inspect_file, write_picture
+from pipelines.picture import LEFT, MIDDLE, RIGHT
+from tests.bvh_files import bvh_text, dance, mixamo
+from tests.pipelines.archives import write_archive
+
+
+def said(found: Inspection, what: str) -> str:
+    return " | ".join(text for name, text in found.lines if name == what)
+
+
+def write_bvh(path: Path, *, frames: int = 40, **changes: str) -> Path:
+    text = bvh_text(mixamo(fingers=False), dance(mixamo(fingers=False), frames))
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+def inks(path: Path, left: float = 0.0, right: float = 1.0) -> dict[str, int]:
+    """How many pixels of each side's colour a part of a picture has."""
+    with Image.open(path) as image:
+        pixels = np.asarray(image.convert("RGB"))[70:].astype(int)
+    part = pixels[:, round(left * pixels.shape[1]) : round(right * pixels.shape[1])]
+    return {
+        colour: int((np.abs(part - ImageColor.getrgb(colour)).max(axis=2) < 8).sum())
+        for colour in (LEFT, RIGHT, MIDDLE)
+    }
+
+
+def test_a_bvh_file_that_comes_in_is_described_and_drawn(tmp_path: Path) -> None:
+    found = inspect_file(write_bvh(tmp_path / "wave.bvh"))
+    assert found.fault is None
+    assert said(found, "format") == "BVH"
+    assert said(found, "nodes").startswith("25: mixamorig:Hips, mixamorig:LeftUpLeg")
+    assert said(found, "mapping").startswith("mixamo (told by the names of its joints)")
+    assert (said(found, "rate"), said(found, "length")) == ("30 Hz", "40 frames, 1.33 s")
+    assert said(found, "unit") == "0.01 m (guessed)"
+    assert said(found, "height").startswith("1.78 m")
+    assert "lfingers (-0.25 lelbow +1.25 lwrist)" in said(found, "warnings")
+    assert "F13 rhand_fast 100%" in said(found, "features on")
+    assert "F39" in said(found, "never on")
+    assert write_picture(found, tmp_path / "wave.png")
+    assert all(count > 300 for count in inks(tmp_path / "wave.png").values())
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5, 6, 400])
+def test_the_picture_shows_the_first_frame_the_last_and_some_between(tmp_path: Path, frames: int) -> None:
+    found = inspect_file(write_bvh(tmp_path / "a.bvh", frames=frames))
+    assert found.figure is not None
+    assert len(found.figure.times) == min(frames, 6)
+    assert found.figure.times[0] == "0.00 s (frame 0)"
+    assert found.figure.times[-1].endswith(f"(frame {frames - 1})")
+    hips = found.figure.points[[1, 5]]  # left, right
+    np.testing.assert_allclose(hips[0, 2], hips[1, 2], atol=1e-9)
+    assert (hips[0, 0] > hips[1, 0]).all()
+
+
+def test_the_skeleton_of_an_amc_file_is_found_above_it_up_to_the_source(tmp_path: Path) -> None:
+    root = write_archive(tmp_path / "archive", {"a/b/x_1.amc": 30})
+    for source in (None, root):
+        found = inspect_file(root / "a" / "b" / "x_1.amc", source=source)
+        assert found.fault is None
+        assert said(found, "skeleton file") == str(root / "x.asf")
+        assert said(found, "rate") == "120 Hz (assumed: Acclaim files do not say it)"
+    found = inspect_file(root / "a" / "b" / "x_1.amc", source=root / "a")
+    assert "no ASF skeleton whose name begins like 'x_1'" in str(found.fault)
+    assert not write_picture(found, tmp_path / "no.png")
+    found = inspect_file(root / "a" / "b" / "x_1.amc", source=tmp_path / "elsewhere")
+    assert "does not lie below it" in str(found.fault)
+
+
+def test_a_skeleton_that_no_mapping_fits_is_told_all_that_is_missing_and_drawn_as_it_is(tmp_path: Path) -> None:
+    changes = {"LeftUpLeg": "ThighL", "RightUpLeg": "ThighR"}
+    found = inspect_file(write_bvh(tmp_path / "odd.bvh", **changes))
+    assert isinstance(found.fault, SourceError)
+    assert said(found, "mapping").startswith("none fits; the nearest is 'mixamo'")
+    assert said(found, "") == "lacks LeftUpLeg, for joint 'lhip' | lacks RightUpLeg, for joint 'rhip'"
+    assert said(found, "length") == "40 frames, 1.33 s"
+    assert write_picture(found, tmp_path / "odd.png")
+    assert inks(tmp_path / "odd.png")[MIDDLE] > 1000
+
+
+def test_a_number_out_of_this_world_is_said_and_not_drawn(tmp_path: Path) -> None:
+    path = write_bvh(tmp_path / "far.bvh")
+    lines = path.read_text().splitlines()
+    lines[-1] = "1e200 " + lines[-1].split(" ", 1)[1]
+    path.write_text("\n".join(lines))
+    found = inspect_file(path)
+    assert "km away in source frame 39" in str(found.fault)
+    assert not write_picture(found, tmp_path / "far.png")
+
+
+def test_what_is_no_motion_file_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    (tmp_path / "a.fbx").write_bytes(b"Kaydara")
+    (tmp_path / "a.txt").write_text("hello")
+    with pytest.raises(SourceError, match="convert it to BVH first"):
+        inspect_file(tmp_path / "a.fbx")
+    with pytest.raises(SourceError, match="is not read: kinedex reads"):
+        inspect_file(tmp_path / "a.txt")
+    with pytest.raises(KinedexError, match="no such file"):
+        inspect_file(tmp_path / "b.bvh")
+
+
+def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Path) -> None:
+    write_bvh(tmp_path / "odd.bvh", LeftUpLeg="ThighL")
+    command = [sys.executable, "-m", "pipelines.cli", "inspect", str(tmp_path / "odd.bvh"), "--picture"]
+    done = subprocess.run([*command, str(tmp_path / "o.png")], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "lacks LeftUpLeg, for joint 'lhip'" in done.stdout
+    assert str(tmp_path / "o.png") in done.stdout
+    assert (tmp_path / "o.png").is_file()
+    assert done.stderr.startswith("kinedex: ")
+    assert "no skeleton mapping fits" in done.stderr
