@@ -10,7 +10,7 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from itertools import chain, islice
 from pathlib import Path
@@ -205,6 +205,8 @@ class DaskExecutor:
                     result = waiting.popleft().result()
                 except KilledWorker as fault:
                     raise WorkerDied(f"Dask workers died again and again on one task: {fault}") from None
+                except CancelledError:
+                    raise KinedexError("the Dask scheduler is gone, and with it the tasks that it held") from None
                 yield result
         finally:
             for future in waiting:
