@@ -123,6 +123,7 @@ VIEWS = (
     ),
     View("frames", "parts", "One row per analysis frame: 24 joints (rwrist.y), root_orientation, and the whole word."),
     View("templates", "results", "Motion templates, soft and hard, per subclass."),
+    View("annotated_takes", "results", "The takes that were annotated, also those in which nothing was found."),
     View("distance_curves", "results", "The distance curve of a subclass over a take, one cost per frame."),
     View("annotations", "results", "What the annotation found: class, range, cost."),
     View("ground_truth", "results", "The manual labels that annotations are compared with."),

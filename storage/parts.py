@@ -176,6 +176,36 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
         temporary.unlink(missing_ok=True)
 
 
+def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> Part | None:
+    """Write tables of one schema, one after the other as they come, as one part of `folder`; None where no row came.
+
+    Only one piece is in memory at a time; each is a row group of its own (or several, where it is very long).
+    """
+    temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
+    writer: pq.ParquetWriter | None = None
+    rows = 0
+    try:
+        for piece in pieces:
+            if not piece.num_rows:
+                continue
+            with writing(store / folder):
+                if writer is None:
+                    (store / folder).mkdir(parents=True, exist_ok=True)
+                    writer = pq.ParquetWriter(temporary, piece.schema, compression="zstd")
+                writer.write_table(piece)
+            rows += piece.num_rows
+        if writer is None:
+            return None
+        with writing(store / folder):
+            writer.close()
+        return publish_part(store, temporary, folder, rows, ())
+    finally:
+        if writer is not None and writer.is_open:
+            with suppress(OSError):
+                writer.close()
+        temporary.unlink(missing_ok=True)
+
+
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
     """Flush a finished file to disk and name it after its content; the same content gets the same name."""
     with writing(store / folder), open(temporary, "rb") as file:

@@ -70,6 +70,12 @@ _RESULTS: dict[str, pa.Schema] = {
         ("costs", pa.list_(pa.float64())),
         ("take_filter", pa.string()),
     ),
+    "annotated_takes": _fields(
+        _RUN,
+        ("take_id", pa.int64()),
+        ("take", pa.string()),
+        ("frames", pa.int64()),
+    ),
     "distance_curves": _fields(
         _RUN,
         ("take_id", pa.int64()),

@@ -31,7 +31,7 @@ from storage.manifest import (
     read_newest,
     versions,
 )
-from storage.parts import FramesWriter, part_file, write_part
+from storage.parts import FramesWriter, part_file, write_part, write_pieces
 from storage.schemas import FORMAT_VERSION, RESULT_KINDS, conform, frames_schema, result_schema, takes_schema
 from storage.store import Store
 
@@ -183,24 +183,22 @@ class StoreWriter:
             replace(self._manifest, frames=parts) if kind == "frames" else replace(self._manifest, takes=parts)
         )
 
-    def put_results(self, kind: str, table: pa.Table, *, stage: str, run: str) -> None:
+    def put_results(self, kind: str, tables: pa.Table | Iterable[pa.Table], *, stage: str, run: str) -> None:
         """Set a stage's results of one kind, in place of its earlier ones.
 
         Parameters
         ----------
         kind: one of `RESULT_KINDS`.
-        table: columns of `result_schema(kind)`; `run` may be left out. Without rows, the earlier ones are just removed.
+        tables: columns of `result_schema(kind)`; `run` may be left out. Without rows, the earlier ones are just
+            removed. Several tables, such as a generator makes, are written one by one as they come: what is large need
+            not be in memory at once.
         stage: "<pipeline>/<stage>". run: the run's id.
         """
-        if table.num_columns and "run" not in table.column_names:
-            table = table.append_column("run", pa.repeat(pa.scalar(run), table.num_rows))
-        schema = result_schema(kind)
-        rows = conform(table, schema, f"results of kind {kind}") if table.num_columns else schema.empty_table()
-        if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
-            raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
+        result_schema(kind)
+        given = [tables] if isinstance(tables, pa.Table) else tables
+        part = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
         kept = tuple(part for part in self._manifest.results.get(kind, ()) if part.stage != stage)
-        if rows.num_rows:
-            part = write_part(self.path, f"results/{kind}", rows)
+        if part is not None:
             kept += (ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run),)
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
 
@@ -296,6 +294,18 @@ class StoreWriter:
                     f"take '{name}' has the id {take}, but the store gives it {self._ids.get(name, 'none')}; "
                     "ids come from assign_take_ids"
                 )
+
+
+def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
+    schema = result_schema(kind)
+    if not table.num_columns:
+        return schema.empty_table()
+    if "run" not in table.column_names:
+        table = table.append_column("run", pa.repeat(pa.scalar(run), table.num_rows))
+    rows = conform(table, schema, f"results of kind {kind}")
+    if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
+        raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
+    return rows
 
 
 def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, int]) -> tuple[Part, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import multiprocessing
 import os
@@ -9,6 +10,8 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -217,6 +220,48 @@ def test_results_of_a_stage_replace_its_earlier_ones_only(tmp_path: Path) -> Non
     assert store.result("hits", run="r3").num_rows == store.result("hits", pipeline="two").num_rows == 1
     assert store.result("hits", run="r1").num_rows == 0
     assert store.result("metrics").column_names[:4] == ["run", "evaluation", "scope", "name"]
+
+
+def test_results_that_come_piece_by_piece_are_one_part_and_never_in_memory_at_once(tmp_path: Path) -> None:
+    make_store(tmp_path, {"a": 5})
+    alive: list[weakref.ref[pa.Table]] = []
+
+    def pieces() -> Iterator[pa.Table]:
+        for start in range(9):
+            gc.collect()
+            assert sum(one() is not None for one in alive) <= 1
+            table = hits(*range(start, start + start % 3))
+            alive.append(weakref.ref(table))
+            yield table
+
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        writer.put_results("hits", pieces(), stage="p/search", run="r1")
+        writer.commit()
+        found = open_store(tmp_path)
+        assert len(found.manifest.results["hits"]) == 1
+        assert found.result("hits").column("start").to_pylist() == [
+            start for first in range(9) for start in range(first, first + first % 3)
+        ]
+        assert found.sql("SELECT count(*) AS n FROM hits").to_pylist() == [{"n": 9}]
+        writer.put_results("hits", iter([hits()]), stage="p/search", run="r2")
+        writer.commit()
+    assert open_store(tmp_path).result("hits").num_rows == 0
+
+
+def test_pieces_that_fail_leave_no_file(tmp_path: Path) -> None:
+    make_store(tmp_path, {"a": 5})
+
+    def pieces() -> Iterator[pa.Table]:
+        yield hits(1)
+        raise KinedexError("a worker failed")
+
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        with pytest.raises(KinedexError, match="a worker failed"):
+            writer.put_results("hits", pieces(), stage="p/search", run="r1")
+        with pytest.raises(StoreError, match="missing column take"):
+            writer.put_results("hits", iter([hits(1), hits(2).drop_columns("take")]), stage="p/s", run="r")
+        assert list((tmp_path / "results").rglob("*.parquet")) == []
+        assert writer.commit().version == 2
 
 
 def test_empty_results_remove_the_earlier_ones(tmp_path: Path) -> None:
