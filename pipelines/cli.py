@@ -78,6 +78,10 @@ SchedulerOption = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="a running Dask scheduler, e.g. tcp://host:8786; with --executor dask"),
 ]
+RateOption = Annotated[
+    float | None,
+    typer.Option("--rate", metavar="HZ", help="frames per second of every file, whatever the file says"),
+]
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="worker processes; all cores unless given")]
 ForceOption = Annotated[
     list[str] | None, typer.Option(metavar="STAGE", help="run this stage even where nothing changed; may be repeated")
@@ -160,6 +164,7 @@ def plan(
 def ingest(
     store: StorePath,
     source: Annotated[Path, typer.Argument(help="folder that holds the motion files")],
+    rate: RateOption = None,
     assign: SetOption = None,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
@@ -169,6 +174,8 @@ def ingest(
     from pipelines.runner import run_pipeline
 
     assignments = {"source": str(source), **_assignments(assign)}
+    if rate is not None:
+        assignments["ingest.override_rate_hz"] = str(rate)
     outcome = run_pipeline(
         "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
     )
@@ -182,14 +189,16 @@ def inspect(
     source: Annotated[
         Path | None, typer.Option(metavar="DIR", help="source root: the ASF of an AMC file is looked for up to there")
     ] = None,
+    rate: RateOption = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
     ] = None,
 ) -> None:
     """Show what a motion file is and what becomes of it, and draw a few of its frames."""
     from pipelines.inspect import inspect_file, show, write_picture
+    from storage.bodies import Given
 
-    found = inspect_file(file, skeleton, source)
+    found = inspect_file(file, skeleton, source, Given(override_rate_hz=rate))
     path = picture or Path(f"{file.stem}.png")
     if write_picture(found, path):
         found.say("picture", str(path))

@@ -19,8 +19,8 @@ from ops import kinematics
 from ops.errors import KinedexError, SourceError
 from pipelines.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
-from storage.acclaim import INCH_M, RATE_HZ, read_asf
-from storage.bodies import Body, read_body
+from storage.acclaim import INCH_M, read_asf
+from storage.bodies import NOTHING_GIVEN, Body, Given, read_body
 from storage.bvh import parse_bvh
 from storage.export import TREE
 from storage.sources import UNREAD, SourceFile, skeleton_of
@@ -64,13 +64,15 @@ class _Skeleton:
     figure: Figure | None = None
 
 
-def inspect_file(file: Path, skeleton: str = "auto", source: Path | None = None) -> Inspection:
+def inspect_file(
+    file: Path, skeleton: str = "auto", source: Path | None = None, given: Given = NOTHING_GIVEN
+) -> Inspection:
     """Find out about a motion file all that can be found out, even where it does not come in.
 
     Parameters
     ----------
     skeleton: `auto`, a shipped mapping or a file of the user's own. source: the source root, which the ASF of an AMC
-    file is looked for up to; `ABOVE` folders above the file unless given.
+    file is looked for up to; `ABOVE` folders above the file unless given. given: what the user says of its rate.
 
     Raises
     ------
@@ -93,11 +95,11 @@ def inspect_file(file: Path, skeleton: str = "auto", source: Path | None = None)
         raw = _raw(found, file, asf)
         _say_mapping(found, raw, mappings)
         found.figure = raw.figure
-        body = read_body(file, asf, mappings, feature_set.joints, RATE_HZ)
+        body = read_body(file, asf, mappings, feature_set.joints, given)
     except KinedexError as fault:
         found.fault = fault
         return found
-    _say_body(found, body, feature_set)
+    _say_body(found, body, feature_set, given)
     found.figure = _figure(file, body, feature_set.joints)
     return found
 
@@ -200,9 +202,10 @@ def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
             found.say("", f"lacks {node}, for {what}")
 
 
-def _say_body(found: Inspection, body: Body, feature_set: FeatureSet) -> None:
+def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
     if not any(what == "rate" for what, _ in found.lines):
-        _say_time(found, body.rate_hz, body.frames, " (assumed: Acclaim files do not say it)")
+        how = "given" if given.rate_hz or given.override_rate_hz else "assumed: Acclaim files do not say it"
+        _say_time(found, body.rate_hz, body.frames, f" ({how})")
     found.say("unit", body.unit)
     height = body_height(body.positions, feature_set.joints)
     if height is not None:

@@ -48,22 +48,52 @@ class Body:
         return int(self.positions.shape[2])
 
 
-def read_body(motion: Path, asf: Path | None, mappings: Mappings, joints: tuple[str, ...], rate_hz: float) -> Body:
+@dataclass(frozen=True)
+class Given:
+    """What the user says of an archive's files, where these say nothing or are wrong.
+
+    rate_hz: frames per second of files that do not say it; None: 120 for Acclaim files.
+    override_rate_hz: frames per second of every file, whatever it says; None: what the file says.
+    """
+
+    rate_hz: float | None = None
+    override_rate_hz: float | None = None
+
+    @property
+    def acclaim_hz(self) -> float:
+        """The rate of Acclaim files, which never say it."""
+        return self.override_rate_hz or self.rate_hz or RATE_HZ
+
+    def rate_of(self, said_hz: float, warnings: list[str]) -> float:
+        """The rate of a file that says one; a warning is added where another one counts."""
+        rate_hz = self.override_rate_hz or said_hz
+        if abs(rate_hz - said_hz) > 1e-3 * said_hz:
+            warnings.append(f"the file says {said_hz:.6g} Hz; it is read at {rate_hz:.6g} Hz, which was given")
+        return rate_hz
+
+
+NOTHING_GIVEN = Given()
+"""The user says nothing of the files."""
+
+
+def read_body(
+    motion: Path, asf: Path | None, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN
+) -> Body:
     """Read a motion file of any format, told by its ending.
 
     Parameters
     ----------
-    asf: the skeleton of an AMC file; other formats have none. rate_hz: frames per second of a file that cannot say it.
+    asf: the skeleton of an AMC file; other formats have none. given: what the user says of its rate.
 
     Raises
     ------
     SourceError: file and line of the first fault.
     """
     if motion.suffix.lower() == ".bvh":
-        return read_bvh(motion, mappings, joints)
+        return read_bvh(motion, mappings, joints, given)
     if asf is None:
         raise SourceError(motion, "an AMC file is read with its ASF skeleton; none is given")
-    return read_acclaim(motion, asf, mappings, joints, rate_hz)
+    return read_acclaim(motion, asf, mappings, joints, given.acclaim_hz)
 
 
 @lru_cache(maxsize=64)
@@ -107,12 +137,13 @@ def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ..
     )
 
 
-def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...]) -> Body:
+def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN) -> Body:
     """Read a BVH file, which carries its own skeleton and rate.
 
     Parameters
     ----------
     mappings: those that its skeleton is looked for in. joints: the named joints, in the order of the result.
+    given: a rate that counts in place of the file's.
 
     Raises
     ------
@@ -123,6 +154,7 @@ def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...]) -> Body:
     nodes, restored = _restore(bvh, fit)
     positions, turned = _track(nodes, bvh.channels, fit, joints)
     warnings = [*bvh.warnings, *_virtual(fit)]
+    rate_hz = given.rate_of(bvh.rate_hz, warnings)
     if restored:
         warnings.append(
             f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
@@ -138,7 +170,7 @@ def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...]) -> Body:
     return Body(
         positions=positions,
         orientation=_orientation(fit, turned),
-        rate_hz=bvh.rate_hz,
+        rate_hz=rate_hz,
         unit=unit,
         skeleton=fit.mapping.name,
         unknown=fit.unknown,

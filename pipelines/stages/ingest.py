@@ -25,7 +25,8 @@ from pipelines.context import StageContext
 from pipelines.executors import WorkerDied
 from pipelines.failures import Failure, failure, killer, log_table, refusal
 from pipelines.plan import code_digest
-from storage.bodies import Body, read_body
+from storage.bodies import Body, Given, read_body
+from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 from storage.compaction import compact
 from storage.manifest import Part
 from storage.parts import FramesWriter, frames_table
@@ -57,8 +58,17 @@ class Params(BaseModel):
         "stem",
         description="what a take is called: its file's stem, its path without the ending (`path`), or with it (`file`)",
     )
-    rate_hz: float = Field(
-        120.0, gt=0, description="frames per second of Acclaim files, which never say it; BVH files say their own"
+    rate_hz: float | None = Field(
+        None,
+        ge=SLOWEST_HZ,
+        le=FASTEST_HZ,
+        description="frames per second of files that do not say it: Acclaim files, 120 unless given",
+    )
+    override_rate_hz: float | None = Field(
+        None,
+        ge=SLOWEST_HZ,
+        le=FASTEST_HZ,
+        description="frames per second of every file of the source, whatever the file says (`kinedex ingest --rate`)",
     )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
@@ -73,6 +83,11 @@ class Params(BaseModel):
             except re.error as fault:
                 raise ValueError(f"'{pattern}' is no regular expression: {fault}") from None
         return patterns
+
+    @property
+    def given(self) -> Given:
+        """What the files are told by the user."""
+        return Given(self.rate_hz, self.override_rate_hz)
 
 
 def external_digest(params: Params, store: Store | None) -> str:
@@ -104,7 +119,7 @@ class Batch:
     feature_set: FeatureSet
     rate_hz: float
     mappings: Mappings
-    source_rate_hz: float
+    given: Given
     strict: bool
     tasks: tuple[Task, ...]
 
@@ -188,8 +203,8 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
     patterns = [re.compile(pattern) for pattern in params.patterns]
     recipes: dict[str, str] = {
-        "amc": _recipe(feature_set, mappings.digest("acclaim"), params.rate_hz),
-        "bvh": _recipe(feature_set, mappings.digest("bvh"), None),
+        "amc": _recipe(feature_set, mappings.digest("acclaim"), params.given.acclaim_hz),
+        "bvh": _recipe(feature_set, mappings.digest("bvh"), params.override_rate_hz),
     }
     skeleton_sums: dict[str, str] = {}
     tasks: list[Task] = []
@@ -296,7 +311,7 @@ def _bring_in(
     with context.progress("reading takes", len(tasks)) as progress:
         batches = [
             Batch(
-                context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.rate_hz,
+                context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.given,
                 params.strict, part,
             )
             for part in _batches(tasks, params.batch_mb * MEGABYTE, context.executor.workers)
@@ -362,7 +377,7 @@ def read_batch(batch: Batch) -> Written:
             try:
                 asf = task.skeleton.absolute if task.skeleton is not None else None
                 joints = batch.feature_set.joints
-                body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.source_rate_hz)
+                body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.given)
                 rows = _frames(batch, task, body)
                 take = _take_row(batch, task, body, rows.num_rows)
             except StoreError:

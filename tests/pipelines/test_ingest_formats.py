@@ -75,6 +75,8 @@ def test_a_second_run_reads_nothing_and_the_rate_of_acclaim_files_does_not_touch
     assert bring_in(tmp_path / "store", source, rate_hz=60.0)[0]["read"] == 1
     rates = {row["name"]: row["source_rate_hz"] for row in rows(open_store(tmp_path / "store"))}
     assert rates == {"fast": 120.0, "wave": 30.0, "x_1": 60.0}
+    assert bring_in(tmp_path / "store", source, rate_hz=60.0, override_rate_hz=120.0)[0]["read"] == 3
+    assert set(open_store(tmp_path / "store").takes()["source_rate_hz"]) == {120.0}
 
 
 def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tmp_path: Path, source: Path) -> None:

@@ -12,7 +12,7 @@ from catalog.skeletons import load_mappings, load_skeleton
 from ops import features
 from ops.errors import SourceError
 from storage import bodies
-from storage.bodies import Body, read_body, read_bvh
+from storage.bodies import Body, Given, read_body, read_bvh
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
 from tests.oracles import bvh as oracle
 
@@ -210,6 +210,17 @@ def test_a_number_out_of_this_world_is_refused_with_joint_and_frame(tmp_path: Pa
 
 def test_the_ending_of_a_file_tells_its_format_in_any_letter_case(tmp_path: Path) -> None:
     path = write(tmp_path / "A.BVH", mixamo(), still(mixamo()))
-    assert read_body(path, None, AUTO, JOINTS, 120.0).rate_hz == 30.0
+    assert read_body(path, None, AUTO, JOINTS).rate_hz == 30.0
     with pytest.raises(SourceError, match="is read with its ASF skeleton"):
-        read_body(tmp_path / "a.amc", None, AUTO, JOINTS, 120.0)
+        read_body(tmp_path / "a.amc", None, AUTO, JOINTS)
+
+
+def test_a_rate_that_is_given_counts_in_place_of_the_file_s_and_that_is_said(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.bvh", mixamo(), still(mixamo()))
+    body = read_body(path, None, AUTO, JOINTS, Given(rate_hz=50.0, override_rate_hz=60.0))
+    assert body.rate_hz == 60.0
+    assert "the file says 30 Hz; it is read at 60 Hz, which was given" in body.warnings
+    for given in (Given(rate_hz=50.0), Given(override_rate_hz=30.0)):
+        same = read_body(path, None, AUTO, JOINTS, given)
+        assert same.rate_hz == 30.0
+        assert not any("Hz" in warning for warning in same.warnings)
