@@ -18,6 +18,7 @@ from rich.table import Table
 from catalog.classes import Classes
 from ops.errors import KinedexError, did_you_mean
 from ops.metrics import Counts, compare, pooled
+from pipelines.wording import few
 from storage.ground_truth import ManualSegment
 from storage.schemas import result_schema
 
@@ -42,15 +43,15 @@ class Manual:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What is known of the takes that are evaluated, and what had to be left out (in words)."""
+    """What is known of the takes that are evaluated.
+
+    takes: their names, sorted; in a take without any segment (all of its labels are left out) nothing is to be found.
+    remarks: what had to be left out, in words.
+    """
 
     segments: tuple[Manual, ...]
+    takes: tuple[str, ...]
     remarks: tuple[str, ...] = ()
-
-    @property
-    def takes(self) -> list[str]:
-        """The names of the takes that have ground truth, sorted."""
-        return sorted({segment.take for segment in self.segments})
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def place_ground_truth(
     segments: source frames; touching ones stay separate.
     takes: the annotated takes. archive: the names of all takes of the store.
     unknown_labels: what a label does that is neither a class nor a subclass in one: "error"; "miss": it counts as a
-        class that was not found; "ignore": it is left out, and so said.
+        class that was not found; "ignore": it is left out, and so said, but its take is evaluated all the same.
 
     Raises
     ------
@@ -99,23 +100,24 @@ def place_ground_truth(
     known_takes = set(archive)
     here = [segment for segment in segments if segment.take in by_name]
     absent = sorted({segment.take for segment in segments} - known_takes)
-    remarks = [f"ground truth of takes that the archive does not have: {_few(absent)}"] if absent else []
+    remarks = [f"ground truth of takes that the archive does not have: {few(absent)}"] if absent else []
     if not here:
         hint = did_you_mean(absent[0], known_takes) if absent else "; none of its takes was annotated"
         raise KinedexError(
             f"none of the {len(segments)} manual segments is on a take that was annotated"
             + (f": no take is named '{absent[0]}'{hint}" if absent else hint)
         )
-    silent = sorted(set(by_name) - {segment.take for segment in here})
+    evaluated = {segment.take for segment in here}
+    silent = sorted(set(by_name) - evaluated)
     if silent:
-        remarks.append(f"annotated takes without ground truth, not evaluated: {_few(silent)}")
+        remarks.append(f"annotated takes without ground truth, not evaluated: {few(silent)}")
     labels = _labels(here, classes, unknown_labels)
     ignored = sorted(label for label, name in labels.items() if name is None)
     if ignored:
-        remarks.append(f"labels of no class, left out: {_few(ignored)}")
+        remarks.append(f"labels of no class, left out: {few(ignored)}")
     missed = sorted(label for label, name in labels.items() if name == label and classes.class_of(label) is None)
     if missed:
-        remarks.append(f"labels of no class, counted as missed: {_few(missed)}")
+        remarks.append(f"labels of no class, counted as missed: {few(missed)}")
     placed = []
     for segment in here:
         manual = _placed(segment, by_name[segment.take], labels[segment.label])
@@ -123,7 +125,10 @@ def place_ground_truth(
             placed.append(manual)
         elif manual is not None:
             remarks.append(f"{segment.path}:{segment.line}: no analysis frame lies in this segment, left out")
-    return GroundTruth(tuple(placed), tuple(remarks))
+    bare = sorted(evaluated - {segment.take for segment in placed})
+    if bare:
+        remarks.append(f"takes in which nothing is left to be found, evaluated as such: {few(bare)}")
+    return GroundTruth(tuple(placed), tuple(sorted(evaluated)), tuple(remarks))
 
 
 def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTruth:
@@ -147,8 +152,8 @@ def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTrut
         remarks.append(f"{takes.height - labelled.height} annotated takes have no class and are not evaluated")
     outside = sorted({row["class"] for row, name in known if name is None})
     if outside:
-        remarks.append(f"takes of subclasses in no class, not evaluated: {_few(outside)}")
-    return GroundTruth(tuple(segments), tuple(remarks))
+        remarks.append(f"takes of subclasses in no class, not evaluated: {few(outside)}")
+    return GroundTruth(tuple(segments), tuple(sorted(segment.take for segment in segments)), tuple(remarks))
 
 
 def analysis_frame(source_frame: int, source_rate_hz: float, rate_hz: float) -> int:
@@ -312,7 +317,3 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
             )
     table.caption = "1: frames, 2: segments; auto, manual: how many segments overlap one of the other side"
     return table
-
-
-def _few(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -146,7 +146,7 @@ def _folds(
         own = with_truth.filter(pl.col(column) == value)
         names = set(own["name"].to_list())
         segments = tuple(segment for segment in truth.segments if segment.take in names)
-        folds.append(Fold(str(value), own, GroundTruth(segments), remaining))
+        folds.append(Fold(str(value), own, GroundTruth(segments, tuple(sorted(names))), remaining))
     return folds
 
 

@@ -72,7 +72,7 @@ def test_labels_are_classes_or_subclasses_and_touching_segments_stay_apart():
         ("a", "legs", 10, 20),
         ("b", "arms", 1, 100),
     ]
-    assert truth.takes == ["a", "b"]
+    assert truth.takes == ("a", "b")
     assert truth.remarks == ("annotated takes without ground truth, not evaluated: c",)
     assert ground_truth_rows(truth, "r").column("origin").to_pylist() == ["truth.csv"] * 3
 
@@ -87,6 +87,23 @@ def test_an_unknown_label_is_an_error_a_miss_or_left_out():
     missed = place_ground_truth(segments, takes("a"), ["a"], CLASSES, "miss")
     counts = evaluate("x", annotations(("a", "legs", 0, 10)), missed, CLASSES.names).pooled
     assert (counts.r1, counts.r2, counts.p1) == (0.5, 0.5, 1)
+
+
+def test_a_take_whose_labels_are_all_left_out_is_evaluated_and_what_is_found_in_it_is_wrong():
+    segments = [manual("a", "kick", 0, 40), manual("b", "swim", 0, 40), manual("c", "kick", 1, 3, line=9)]
+    truth = place_ground_truth(segments, takes("a", "b", "c", "d"), ["a", "b", "c", "d"], CLASSES, "ignore")
+    assert truth.takes == ("a", "b", "c")
+    assert truth.remarks == (
+        "annotated takes without ground truth, not evaluated: d",
+        "labels of no class, left out: swim",
+        "truth.csv:9: no analysis frame lies in this segment, left out",
+        "takes in which nothing is left to be found, evaluated as such: b, c",
+    )
+    found = annotations(("a", "legs", 0, 10), ("b", "legs", 0, 10), ("c", "arms", 0, 20), ("d", "legs", 0, 10))
+    rows = {(row.scope, row.name): row.counts for row in evaluate("x", found, truth, CLASSES.names).rows}
+    assert rows["pooled", "all"] == Counts(10, 40, 10, 1, 3, 1, 1)
+    assert rows["take", "b"] == Counts(0, 10, 0, 0, 1, 0, 0)
+    assert ("take", "d") not in rows
 
 
 def test_a_segment_beyond_its_take_is_named_with_both_lengths():

@@ -1,0 +1,12 @@
+"""How lists of names are put into words, on the terminal and in remarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+_MOST = 8
+
+
+def few(names: Sequence[str]) -> str:
+    """The names, or the first eight and how many more there are."""
+    return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
