@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 
 import polars as pl
@@ -23,7 +22,9 @@ from pipelines.annotating import (
     targets_unknown,
 )
 from pipelines.context import StageContext
+from pipelines.digests import files_digest
 from pipelines.learning import Kind, SubclassTemplate, read_templates
+from pipelines.wording import few
 from storage.store import Store
 
 
@@ -54,13 +55,10 @@ class Params(BaseModel):
 
 def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: the text of its class and query files."""
-    hasher = hashlib.sha256()
     files = [config_path("queries", name) for name in params.query_files]
     if params.classes != OWN:
         files.append(config_path("classes", params.classes))
-    for file in files:
-        hasher.update(file.read_bytes() + b"\0")
-    return hasher.hexdigest()[:16]
+    return files_digest(files)
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
@@ -138,20 +136,16 @@ def _say_what_is_left_out(
     context: StageContext, classes: Classes, annotator: Annotator, queries: Sequence[KeyframeQuery]
 ) -> None:
     if classes.without_class:
-        context.say(f"in no class and not annotated: {_few(classes.without_class)}")
+        context.say(f"in no class and not annotated: {few(classes.without_class)}")
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]
     if empty:
-        context.say(f"classes without a template, which nothing can be labelled with: {_few(empty)}")
+        context.say(f"classes without a template, which nothing can be labelled with: {few(empty)}")
     unknown = targets_unknown(queries, classes)
     if unknown:
-        context.say(f"keyframe queries for other classes, left out: {_few(unknown)}")
+        context.say(f"keyframe queries for other classes, left out: {few(unknown)}")
     without = [name for name, own in zip(annotator.subclasses, annotator.queries, strict=True) if not own]
     if queries and without:
-        context.say(f"without a keyframe query, matched in all frames: {_few(without)}")
-
-
-def _few(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        context.say(f"without a keyframe query, matched in all frames: {few(without)}")
 
 
 def _share_searched(found: Sequence[TakeAnnotation], takes: pl.DataFrame) -> float:

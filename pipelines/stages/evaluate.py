@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Sequence
+from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import Classes
+from ops.errors import KinedexError
 from pipelines.context import StageContext
+from pipelines.digests import files_digest
 from pipelines.evaluating import (
     SCOPES,
     GroundTruth,
@@ -54,13 +57,18 @@ class Params(BaseModel):
 
 
 def external_digest(params: Params, store: Store | None) -> str:
-    """What the stage depends on outside the store: the ground truth, where its folder is known beforehand."""
-    if params.ground_truth in (NONE, OWN_CLASS) or (params.source is None and not params.ground_truth.startswith("/")):
+    """What the stage depends on outside the store: the text of the ground truth.
+
+    Where there is none to be read, the stage runs, and says so.
+    """
+    if params.ground_truth in (NONE, OWN_CLASS):
         return ""
-    hasher = hashlib.sha256()
-    for file in ground_truth_files(params.ground_truth, [params.source] if params.source else []):
-        hasher.update(file.read_bytes() + b"\0")
-    return hasher.hexdigest()[:16]
+    known = store.takes()["source_root"].unique() if store else []
+    roots = sorted(root for root in known if Path(root).is_dir())
+    try:
+        return files_digest(truth_files(params, roots))
+    except KinedexError:
+        return "none to be read"
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
@@ -121,7 +129,11 @@ def ground_truth(store: Store, params: Params, takes: pl.DataFrame, classes: Cla
     """Find and place the ground truth of these takes."""
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
-    roots = [params.source] if params.source else sorted(takes["source_root"].unique())
-    files = ground_truth_files(params.ground_truth, roots)
+    files = truth_files(params, sorted(takes["source_root"].unique()))
     segments = [segment for file in files for segment in read_ground_truth(file)]
     return place_ground_truth(segments, takes, store.takes()["name"], classes, params.unknown_labels)
+
+
+def truth_files(params: Params, roots: Sequence[str]) -> list[Path]:
+    """The CSV files, below `source` or else below the source folders of takes."""
+    return ground_truth_files(params.ground_truth, [params.source] if params.source else roots)

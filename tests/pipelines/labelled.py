@@ -81,15 +81,16 @@ class Line:
 
     def context(self, stage: str) -> StageContext:
         return StageContext(
-            self.store,
-            BODY,
-            "test",
-            stage,
-            f"run-{stage}",
-            self.executor,
-            Terminal(Console(file=self.said, soft_wrap=True, width=120)),
-            dict(self.INPUTS[stage]),
-            dict(self.params),
+            store_path=self.store,
+            feature_set=BODY,
+            pipeline="test",
+            stage=stage,
+            run=f"run-{stage}",
+            executor=self.executor,
+            terminal=Terminal(Console(file=self.said, soft_wrap=True, width=120)),
+            uses=stage,
+            inputs=dict(self.INPUTS[stage]),
+            params=dict(self.params),
         )
 
     def run(self, module: ModuleType, **params: object) -> Mapping[str, object]:

@@ -176,6 +176,6 @@ def test_the_stage_writes_the_page_beside_the_results(store: Path) -> None:
 
 
 def test_a_changed_page_template_changes_what_the_stage_depends_on() -> None:
-    digest = stage.external_digest(stage.Params())
-    assert digest == stage.external_digest(stage.Params(title="other"))
+    digest = stage.external_digest(stage.Params(), None)
+    assert digest == stage.external_digest(stage.Params(title="other"), None)
     assert re.fullmatch(r"[0-9a-f]{16}", digest)

@@ -124,10 +124,10 @@ def test_keyframe_queries_preselect_and_their_file_belongs_to_the_fingerprint(li
     queries = tmp_path / "mine.json"
     queries.write_text("queries:\n  my kick:\n    class: kick\n    keyframes:\n      - {upper: '****111*******'}\n")
     params = annotate.Params(queries=[str(queries)])
-    before = annotate.external_digest(params)
+    before = annotate.external_digest(params, None)
     queries.write_text(queries.read_text() + "\n# other words\n")
-    assert annotate.external_digest(params) != before
-    assert annotate.external_digest(annotate.Params()) == annotate.external_digest(annotate.Params(tau=0.2))
+    assert annotate.external_digest(params, None) != before
+    assert annotate.external_digest(annotate.Params(), None) == annotate.external_digest(annotate.Params(tau=0.2), None)
 
 
 def test_a_takes_own_class_can_be_the_ground_truth_and_there_can_be_none(line: Line):
@@ -141,10 +141,21 @@ def test_a_takes_own_class_can_be_the_ground_truth_and_there_can_be_none(line: L
 
 
 def test_ground_truth_that_changes_makes_the_evaluation_run_again(line: Line, tmp_path: Path):
-    params = evaluate.Params(source=str(tmp_path / "archive"))
-    before = evaluate.external_digest(params)
-    (tmp_path / "archive" / "ground_truth.csv").write_text(TRUTH + "bob_take01,walk,96,120\n")
-    assert evaluate.external_digest(params) != before
+    truth = tmp_path / "archive" / "ground_truth.csv"
+    ways = [
+        evaluate.Params(),  # below the source folders of the store's takes
+        evaluate.Params(source=str(tmp_path / "archive")),
+        evaluate.Params(ground_truth=str(truth)),
+    ]
+    store = open_store(line.store)
+    before = [evaluate.external_digest(params, store) for params in ways]
+    assert before == [evaluate.external_digest(params, store) for params in ways]
+    truth.write_text(TRUTH + "bob_take01,walk,96,120\n")
+    assert all(evaluate.external_digest(params, store) != old for params, old in zip(ways, before, strict=True))
+    truth.unlink()
+    assert {evaluate.external_digest(params, store) for params in ways} == {"none to be read"}
+    assert evaluate.external_digest(ways[0], None) == "none to be read"
+    assert evaluate.external_digest(evaluate.Params(ground_truth="class"), store) == ""
 
 
 def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: Line):
