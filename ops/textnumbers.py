@@ -93,7 +93,7 @@ def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
         pos += 1
     if pos == first or (pos < end and data[pos] > _SPACE):
         return 0, -1
-    return (-power if down else power), pos
+    return int(-power if down else power), pos
 
 
 @njit(cache=True)
