@@ -20,10 +20,11 @@ from ops.errors import KinedexError, did_you_mean
 from ops.templates import QuantisedTemplate, quantise
 from ops.words import TakeWords
 from pipelines.executors import Executor
-from pipelines.learning import SubclassTemplate
+from pipelines.learning import SubclassTemplate, run_of
 from pipelines.search import preselect, template_ranges
+from pipelines.wording import few
 from storage.schemas import result_schema
-from storage.store import open_store
+from storage.store import Store, open_store
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -141,6 +142,34 @@ def annotate_takes(
         for take_ids in split_takes(takes["take_id"].to_list(), takes["frames"].to_list())
     ]
     yield from executor.map(annotate_batch, batches)
+
+
+def takes_table(takes: pl.DataFrame, run: str) -> pa.Table:
+    """Lay the takes that are annotated out as results of the kind `annotated_takes`."""
+    columns = takes.sort("name").select(pl.lit(run).alias("run"), "take_id", pl.col("name").alias("take"), "frames")
+    return columns.to_arrow().cast(result_schema("annotated_takes"))
+
+
+def annotated_takes(store: Store, stage: str) -> pl.DataFrame:
+    """The takes that a stage has annotated, found something in or not: their rows of takes, sorted by name.
+
+    Parameters
+    ----------
+    stage: "<pipeline>/<stage>".
+
+    Raises
+    ------
+    KinedexError: the stage has not run, or takes that it annotated have been replaced or dropped since.
+    """
+    table = pl.from_arrow(store.result("annotated_takes", run=run_of(store, stage)))
+    assert isinstance(table, pl.DataFrame)
+    seen = table.select("take_id", pl.col("take").alias("name"), "frames")
+    takes = store.takes().join(seen, on=seen.columns, how="semi", maintain_order="left")
+    gone = sorted(set(seen["name"]) - set(takes["name"]))
+    if gone or not seen.height:
+        what = f"takes that have been replaced or dropped since: {few(gone)}" if gone else "none of the store's takes"
+        raise KinedexError(f"stage {stage} annotated {what}; run it again: `--force {stage.split('/', 1)[-1]}`")
+    return takes
 
 
 def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[int, ...]]:

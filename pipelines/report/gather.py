@@ -39,6 +39,7 @@ PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
 ROLES = {
     "templates": "templates",
     "annotations": "annotations",
+    "annotated_takes": "annotations",
     "distance_curves": "annotations",
     "hits": "annotations",
     "ground_truth": "evaluation",
@@ -94,7 +95,7 @@ def gather(
     truth = reader.frame("ground_truth")
     annotate = reader.record("annotations")
     subclasses = _subclasses(pairs, annotations)
-    annotated = set(pairs["take"]) | set(annotations["take"]) | set(truth["take"]) | _selected(store, annotate)
+    annotated = set(reader.frame("annotated_takes", ["take"])["take"])
     rows = _takes(takes.filter(pl.col("name").is_in(list(annotated))))
     chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
     records = tuple(record for record in reader.records() if record.stage != own_stage)
@@ -217,12 +218,6 @@ def _subclasses(pairs: pl.DataFrame, annotations: pl.DataFrame) -> dict[str, tup
     columns = ["class", "subclass"]
     both = pl.concat([pairs.select(columns), annotations.select(columns)]).drop_nulls().unique().sort(columns)
     return {str(label): tuple(group["subclass"]) for (label,), group in both.group_by("class", maintain_order=True)}
-
-
-def _selected(store: Store, annotate: StageRow | None) -> set[str]:
-    """The takes that the annotating stage's filter selects: also those in which nothing was found."""
-    where = annotate.params.get("where") if annotate else None
-    return set(store.takes(where)["name"]) if isinstance(where, str) else set()
 
 
 def _takes(takes: pl.DataFrame) -> tuple[TakeRow, ...]:

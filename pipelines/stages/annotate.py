@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,6 +20,7 @@ from pipelines.annotating import (
     annotations_table,
     curves_table,
     make_annotator,
+    takes_table,
     targets_unknown,
 )
 from pipelines.context import StageContext
@@ -63,24 +65,22 @@ def external_digest(params: Params, store: Store | None) -> str:
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
     """Annotate and store the results."""
-    store = context.open()
-    takes = takes_to_annotate(store, params)
-    templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-    classes = classes_of(store, params, templates)
-    queries = queries_of(store, params)
-    annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries)
-    _say_what_is_left_out(context, classes, annotator, queries)
-    found: list[TakeAnnotation] = []
-    with context.progress("takes", takes.height) as progress:
-        for batch in annotate_takes(context.store_path, annotator, takes, context.executor, params.store_curves):
-            found += batch
-            progress.advance(len(batch))
-    names = dict(takes.select("take_id", "name").iter_rows())
-    segments = annotations_table(found, annotator, names, store.rate_hz, context.run)
-    curves = curves_table(found, annotator, names, context.run)
     with context.writer() as writer:
-        writer.put_results("annotations", segments, stage=context.key(), run=context.run)
+        store = writer.store
+        takes = takes_to_annotate(store, params)
+        templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+        classes = classes_of(store, params, templates)
+        queries = queries_of(store, params)
+        annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries)
+        _say_what_is_left_out(context, classes, annotator, queries)
+        found: list[TakeAnnotation] = []
+        names = dict(takes.select("take_id", "name").iter_rows())
+        batches = _batches(context, annotator, takes, params, found)
+        curves = (curves_table(batch, annotator, names, context.run) for batch in batches)
         writer.put_results("distance_curves", curves, stage=context.key(), run=context.run)
+        segments = annotations_table(found, annotator, names, store.rate_hz, context.run)
+        writer.put_results("annotations", segments, stage=context.key(), run=context.run)
+        writer.put_results("annotated_takes", takes_table(takes, context.run), stage=context.key(), run=context.run)
         writer.commit()
     searched = _share_searched(found, takes)
     context.say(
@@ -97,6 +97,17 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "delta": params.delta,
         "tau": params.tau,
     }
+
+
+def _batches(
+    context: StageContext, annotator: Annotator, takes: pl.DataFrame, params: Params, found: list[TakeAnnotation]
+) -> Iterator[list[TakeAnnotation]]:
+    """Annotate batch by batch: a batch comes with its curves, `found` keeps it without them."""
+    with context.progress("takes", takes.height) as progress:
+        for batch in annotate_takes(context.store_path, annotator, takes, context.executor, params.store_curves):
+            found += [replace(one, curves=None) for one in batch]
+            progress.advance(len(batch))
+            yield batch
 
 
 def takes_to_annotate(store: Store, params: Params) -> pl.DataFrame:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import Classes
 from ops.errors import KinedexError
+from pipelines.annotating import annotated_takes
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluating import (
@@ -63,7 +64,7 @@ def external_digest(params: Params, store: Store | None) -> str:
     """
     if params.ground_truth in (NONE, OWN_CLASS):
         return ""
-    known = store.takes()["source_root"].unique() if store else []
+    known: set[str] = set(store.takes()["source_root"]) if store else set()
     roots = sorted(root for root in known if Path(root).is_dir())
     try:
         return files_digest(truth_files(params, roots))
@@ -84,7 +85,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         return {"evaluated_takes": 0}
     store = context.open()
     annotated = annotate_params(context)
-    takes = annotate.takes_to_annotate(store, annotated)
+    takes = annotated_takes(store, context.key(context.inputs["annotations"]))
     classes = classes_of(context, store)
     truth = ground_truth(store, params, takes, classes)
     annotations = store.result("annotations", run=run_of(store, context.key(context.inputs["annotations"])))

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalog.classes import Classes
 from catalog.queries import KeyframeQuery
 from ops.errors import KinedexError, did_you_mean
-from pipelines.annotating import annotate_takes, annotations_table, make_annotator
+from pipelines.annotating import annotate_takes, annotated_takes, annotations_table, make_annotator
 from pipelines.context import StageContext
 from pipelines.evaluating import (
     SCOPES,
@@ -99,7 +99,7 @@ def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tu
         return []
     annotated = evaluating.annotate_params(context)
     store = context.open()
-    takes = annotate.takes_to_annotate(store, annotated)
+    takes = annotated_takes(store, context.key(context.inputs["annotations"]))
     if params.column not in takes.columns:
         raise KinedexError(f"takes have no column '{params.column}'{did_you_mean(params.column, takes.columns)}")
     classes = evaluating.classes_of(context, store)

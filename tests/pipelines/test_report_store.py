@@ -69,6 +69,9 @@ def store(tmp_path: Path) -> Path:
              "costs": [0.5] * 40 + [low] + [0.5] * 49, "preselected": 0.5}
             for name, low in (("long_1", 0.01), ("long_2", 0.02))
         ])  # fmt: skip
+        put("annotated_takes", "annotate", [
+            {"take_id": ids[name], "take": name, "frames": FRAMES} for name in ("long_1", "long_2")
+        ])  # fmt: skip
         put("annotations", "annotate", [
             {"take_id": ids["long_1"], "take": "long_1", "class": "squat", "subclass": "squat1Reps", "start": 20,
              "stop": 41, "start_seconds": 0.67, "stop_seconds": 1.37, "cost": 0.01, "method": "thesis"}

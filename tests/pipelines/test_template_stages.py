@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pyarrow.parquet as pq
 import pytest
 
 from ops.errors import ConfigError, KinedexError, SourceError
+from pipelines.annotating import TakeAnnotation, annotate_takes
 from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
 from storage.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, write_store
@@ -92,6 +96,66 @@ def test_takes_are_annotated_and_agree_with_the_ground_truth(line: Line):
     assert metrics.column("scope").to_pylist() == ["pooled"] + ["class"] * 3 + ["take"] * 2
     assert open_store(line.store).result("ground_truth").num_rows == 4
     assert "2 takes against ground truth" in line.said.getvalue()
+
+
+def test_exactly_the_takes_that_were_annotated_are_evaluated(line: Line):
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate, where="name = 'cat_take01'", tau=0.0001)
+    assert open_store(line.store).result("annotated_takes").to_pylist() == [
+        {
+            "run": "run-annotate",
+            "take_id": open_store(line.store).take_id("cat_take01"),
+            "take": "cat_take01",
+            "frames": 60,
+        }
+    ]
+    line.params["annotate"] = annotate.Params(where="class IS NULL")  # as a filter whose answer has changed since
+    assert line.run(evaluate)["evaluated_takes"] == 1
+    assert line.run(leave_one_out)["folds"] == 1
+    written = json.loads((line.store / "results/reports/test/leave_one_out.json").read_text())
+    assert list(written["takes"]) == ["cat_take01"]
+
+
+def test_takes_that_changed_since_they_were_annotated_are_not_evaluated(line: Line, tmp_path: Path):
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate)
+    write_store(line.store, [long_take("cat_take01", "cat", "walk")], tmp_path / "archive")
+    for stage in (evaluate, leave_one_out):
+        line.params["evaluate"] = evaluate.Params()
+        with pytest.raises(
+            KinedexError, match=r"replaced or dropped since: cat_take01; run it again: `--force annotate`"
+        ):
+            line.run(stage)
+    line.run(annotate, where="name = 'bob_take01'")
+    assert line.run(evaluate)["evaluated_takes"] == 1
+
+
+def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch: pytest.MonkeyPatch):
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate, where="true")
+    whole = open_store(line.store).result("distance_curves").sort_by([("take", "ascending"), ("subclass", "ascending")])
+    monkeypatch.setattr("pipelines.annotating.BATCH_FRAMES", 1)
+    alive: list[weakref.ref[np.ndarray]] = []
+    most = []
+
+    def watched(*given: object) -> Iterator[list[TakeAnnotation]]:
+        for batch in annotate_takes(*given):  # type: ignore[arg-type]
+            alive.extend(weakref.ref(one.curves) for one in batch if one.curves is not None)
+            most.append(sum(one() is not None for one in alive))
+            yield batch
+
+    monkeypatch.setattr(annotate, "annotate_takes", watched)
+    line.run(annotate, where="true")
+    assert len(most) == 11
+    assert max(most) <= 3
+    store = open_store(line.store)
+    (part,) = store.manifest.results["distance_curves"]
+    assert pq.ParquetFile(line.store / part.path).num_row_groups == 11
+    split = store.result("distance_curves").sort_by([("take", "ascending"), ("subclass", "ascending")])
+    assert split.equals(whole)
+    line.run(annotate, where="true", store_curves=False)
+    assert open_store(line.store).result("distance_curves").num_rows == 0
+    assert open_store(line.store).result("annotations").equals(store.result("annotations"))
 
 
 def test_hard_templates_and_classes_of_a_file_are_a_matter_of_parameters(line: Line, tmp_path: Path):
