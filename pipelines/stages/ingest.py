@@ -210,6 +210,7 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
     tasks: list[Task] = []
     failures = [refusal(refused) for refused in found.refused]
     unchanged = 0
+    former = {found.motions[0].root}  # where this archive is, and was before it moved
     names = _take_names(params, found)
     for motion in found.motions:
         name = _name(params, motion)
@@ -232,10 +233,12 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
                 unchanged += 1
                 continue
             content = checksum(motion.absolute)
-            if row is not None and row["checksum"] == content and row["recipe"] == made:
+            if row is not None and _moved(row, motion):
+                former.add(row["source_root"])
+            elif row is not None and row["checksum"] == content and row["recipe"] == made:
                 unchanged += 1
                 continue
-            if row is not None and row["checksum"] != content:
+            elif row is not None and row["checksum"] != content:
                 _refuse_stranger(row, motion)
             warnings = () if groups is not None or not patterns else ("its path matches no pattern of the config",)
             tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, content, warnings))
@@ -243,11 +246,10 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
             failures.append(failure(motion, fault))
     ids = writer.assign_take_ids(task.name for task in tasks)
     tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
-    root = found.motions[0].root
     gone = [
         row["take_id"]
         for name, row in known.items()
-        if name not in names and row["source_root"] == root and not found.hidden(row["source"])
+        if name not in names and row["source_root"] in former and not found.hidden(row["source"])
     ]
     return _Plan(tasks, unchanged, gone, failures)
 
@@ -271,7 +273,14 @@ def _apart(paths: Sequence[str]) -> str:
 
 
 def _same_stamp(row: dict[str, Any], motion: SourceFile) -> bool:
-    return (row["source"], row["source_bytes"], row["source_mtime_ns"]) == (motion.path, motion.size, motion.mtime_ns)
+    now = (motion.root, motion.path, motion.size, motion.mtime_ns)
+    return (row["source_root"], row["source"], row["source_bytes"], row["source_mtime_ns"]) == now
+
+
+def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
+    """Whether a take's file has moved with its archive: the same place below another root, and none at the old one."""
+    same = row["source"] == motion.path and row["source_root"] != motion.root
+    return same and not (Path(row["source_root"]) / row["source"]).exists()
 
 
 def _refuse_stranger(row: dict[str, Any], motion: SourceFile) -> None:

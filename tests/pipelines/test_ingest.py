@@ -138,6 +138,21 @@ def test_a_stranger_of_the_same_name_does_not_replace_a_take(tmp_path: Path) -> 
     assert open_store(store).takes()["frames"].to_list() == [3]
 
 
+def test_an_archive_that_moved_is_the_same_archive(tmp_path: Path) -> None:
+    store, source = tmp_path / "store", write_archive(tmp_path / "old", TAKES)
+    bring_in(store, source)
+    ids = dict(open_store(store).takes().select("name", "take_id").rows())
+    source.rename(tmp_path / "new")
+    (tmp_path / "new" / "a" / "x_1.amc").unlink()
+    (tmp_path / "new" / "a" / "x_2.amc").write_text(human_amc(45, seed=99))
+    summary = bring_in(store, tmp_path / "new", prune=True)
+    assert (summary["left_out"], summary["dropped"], summary["takes"]) == (0, 1, 2)
+    takes = open_store(store).takes()
+    assert set(takes["source_root"]) == {str(tmp_path / "new")}
+    assert dict(takes.select("name", "take_id").rows()) == {name: ids[name] for name in ("x_2", "x_3")}
+    assert bring_in(store, tmp_path / "new")["read"] == 0
+
+
 def test_a_source_without_motions_and_a_pattern_that_is_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(KinedexError, match="no motion files"):
