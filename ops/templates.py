@@ -58,6 +58,11 @@ class QuantisedTemplate:
     def __len__(self) -> int:
         return len(self.mask)
 
+    @property
+    def fixed(self) -> float:
+        """How many entries of a column are no wildcards, on average."""
+        return float(np.bitwise_count(self.mask).mean())
+
     def values(self, features: int) -> F64:
         """The columns as numbers, float64 (N, f): 0, 1, and 0.5 for a wildcard."""
         fixed, ones = bits(self.mask, features), bits(self.value, features)

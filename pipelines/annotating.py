@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +33,10 @@ I64 = npt.NDArray[np.int64]
 BATCH_FRAMES = 50_000
 """Analysis frames (28 minutes) whose curves are held at once, 400 kB a subclass."""
 
+VAGUE = 1.0
+"""Fixed entries a column, on average, below which a template hardly tells motions apart: one feature of forty. (At
+δ = 0.05 the templates of HDM05's clip classes have 16 to 36.)"""
+
 
 @dataclass(frozen=True)
 class Annotator:
@@ -40,6 +44,7 @@ class Annotator:
 
     classes: names of the P classes. subclasses: names of the S templates; class_index: int64 (S,), their classes.
     queries: for each template the keyframe queries that preselect frames for it, none for all frames.
+    remarks: templates that say too little, in words.
     """
 
     feature_set: FeatureSet
@@ -49,6 +54,7 @@ class Annotator:
     templates: tuple[QuantisedTemplate, ...]
     queries: tuple[tuple[KeyframeQuery, ...], ...]
     tau: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def method(self) -> str:
@@ -89,19 +95,27 @@ def make_annotator(
 
     Parameters
     ----------
-    templates: those of subclasses without a class are left out.
+    templates: those of subclasses without a class are left out, and those of wildcards alone: they would fit anything
+        at no cost. Those with fewer than `VAGUE` fixed entries a column stay, with a remark.
     queries: a query whose target is a subclass preselects for it, one whose target is a class for those of its
         subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
 
     Raises
     ------
-    KinedexError: no template belongs to any class.
+    KinedexError: no template belongs to any class, or all of them are wildcards alone.
     """
     of_subclass = classes.of_subclass()
-    used = [one for one in templates if one.subclass in of_subclass]
-    if not used:
-        names = ", ".join(one.subclass for one in templates[:8])
+    known = [one for one in templates if one.subclass in of_subclass]
+    if not known:
+        names = few([one.subclass for one in templates])
         raise KinedexError(f"none of the classes {', '.join(classes.names)} has a template; there are: {names}")
+    quantised = {one.subclass: quantise(one.learned.template, delta) for one in known}
+    used = [one for one in known if quantised[one.subclass].fixed > 0]
+    if not used:
+        raise KinedexError(
+            f"at delta = {delta:g} every template is wildcards alone and would fit anything: in no column is a feature "
+            "within delta of 0 or 1; raise `delta`, or learn from clips that have more in common"
+        )
     by_target: dict[str, list[KeyframeQuery]] = {}
     for query in queries:
         by_target.setdefault(query.target, []).append(query)
@@ -110,10 +124,26 @@ def make_annotator(
         classes.names,
         tuple(one.subclass for one in used),
         np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64),
-        tuple(quantise(one.learned.template, delta) for one in used),
+        tuple(quantised[one.subclass] for one in used),
         tuple(tuple(by_target.get(one.subclass) or by_target.get(of_subclass[one.subclass]) or ()) for one in used),
         tau,
+        _remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
     )
+
+
+def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:
+    """What to say of templates by their fixed entries a column."""
+    empty = [subclass for subclass, entries in fixed.items() if not entries]
+    vague = [f"{subclass} ({entries:.2g})" for subclass, entries in fixed.items() if 0 < entries < VAGUE]
+    remarks = []
+    if empty:
+        remarks.append(f"templates of wildcards alone, which would fit anything, left out: {few(empty)}")
+    if vague:
+        remarks.append(
+            f"templates with less than {VAGUE:g} fixed entry a column on average, which fit almost anything: "
+            + few(vague)
+        )
+    return tuple(remarks)
 
 
 def targets_unknown(queries: Sequence[KeyframeQuery], classes: Classes) -> list[str]:

@@ -96,6 +96,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "searched": round(searched, 6),
         "delta": params.delta,
         "tau": params.tau,
+        "remarks": list(annotator.remarks),
     }
 
 
@@ -146,6 +147,8 @@ def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:
 def _say_what_is_left_out(
     context: StageContext, classes: Classes, annotator: Annotator, queries: Sequence[KeyframeQuery]
 ) -> None:
+    for remark in annotator.remarks:
+        context.say(remark)
     if classes.without_class:
         context.say(f"in no class and not annotated: {few(classes.without_class)}")
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]

@@ -94,7 +94,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         writer.put_results("metrics", metrics_rows(evaluation, context.run), stage=context.key(), run=context.run)
         writer.put_results("ground_truth", ground_truth_rows(truth, context.run), stage=context.key(), run=context.run)
         writer.commit()
-    about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": truth.remarks}
+    annotation = store.manifest.stages[context.key(context.inputs["annotations"])]
+    remarks = [*annotation.summary.get("remarks", ()), *truth.remarks]
+    about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": remarks}
     write_metrics(report, evaluation, context.run, **about)
     for remark in truth.remarks:
         context.say(remark)

@@ -179,6 +179,8 @@ def _evaluate_fold(
     store, params = setting.store, setting.params
     annotator = make_annotator(store.feature_set, templates, setting.classes, params.delta, params.tau, setting.queries)
     batches = annotate_takes(context.store_path, annotator, fold.takes, context.executor, keep_curves=False)
+    for remark in annotator.remarks:
+        context.say(f"{fold.value}: {remark}")
     found = [one for batch in batches for one in batch]
     names = dict(fold.takes.select("take_id", "name").iter_rows())
     table = annotations_table(found, annotator, names, store.rate_hz, context.run)

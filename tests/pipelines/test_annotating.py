@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from catalog.classes import Classes, MotionClass, load_classes
 from catalog.queries import Gap, Keyframe, KeyframeQuery
 from ops.errors import KinedexError
-from ops.templates import learn_soft
+from ops.templates import Learned, Template, learn_soft
 from ops.words import TakeWords
 from pipelines import annotating
 from pipelines.annotating import Annotator, annotate_words, make_annotator, split_takes, targets_unknown
@@ -113,6 +113,28 @@ def test_queries_that_fit_no_class_are_named_and_all_of_them_an_error():
 def test_classes_without_any_template_are_an_error():
     with pytest.raises(KinedexError, match="none of the classes dance has a template; there are: kick"):
         make_annotator(BODY, [template("kick")], Classes((MotionClass("dance", "", ()),)), 0.05, 0.13)
+
+
+def faint(subclass: str, fixed: int) -> SubclassTemplate:
+    """A template of four columns of which so many entries are no wildcards."""
+    values = np.full((4, 40), 0.5)
+    values.ravel()[:fixed] = 0
+    return SubclassTemplate(subclass, "soft", Learned(Template(values, np.ones(4)), 1, (0.0, 0.0)), ("clip",))
+
+
+def test_templates_that_fit_anything_are_left_out_and_those_that_nearly_do_are_named():
+    classes = load_classes("own", ["faint", "kick", "nothing", "walk"])
+    templates = [faint("nothing", 0), template("kick"), faint("faint", 3), faint("walk", 4)]
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13)
+    assert made.subclasses == ("kick", "faint", "walk")
+    assert made.classes == ("faint", "kick", "nothing", "walk")
+    assert made.remarks == (
+        "templates of wildcards alone, which would fit anything, left out: nothing",
+        "templates with less than 1 fixed entry a column on average, which fit almost anything: faint (0.75)",
+    )
+    assert not make_annotator(BODY, [template("kick")], classes, 0.05, 0.13).remarks
+    with pytest.raises(KinedexError, match=r"every template is wildcards alone .* raise `delta`"):
+        make_annotator(BODY, templates[:1], classes, 0.05, 0.13)
 
 
 def test_takes_are_divided_into_batches_and_none_is_lost(monkeypatch: pytest.MonkeyPatch):

@@ -173,6 +173,24 @@ def test_hard_templates_and_classes_of_a_file_are_a_matter_of_parameters(line: L
     assert "labels of no class, left out: wave" in line.said.getvalue()
 
 
+def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metrics(line: Line):
+    opposites = [np.full(20, word, np.uint64) for word in (0x5A5A5A5A5A, 0xA5A5A5A5A5)]
+    blur = [
+        {"name": f"ann_blur_{number}", "actor": "ann", "class": "blur", "words": words}
+        for number, words in enumerate(opposites)
+    ]
+    write_store(line.store, blur)
+    line.run(learn_templates, methods=["soft"])
+    summary = line.run(annotate)
+    line.run(evaluate)
+    line.run(leave_one_out)
+    remark = "templates of wildcards alone, which would fit anything, left out: blur"
+    assert summary["remarks"] == [remark]
+    assert line.said.getvalue().count(remark) == 3  # once for all, once for each of two actors
+    assert json.loads((line.store / "results/reports/test/metrics.json").read_text())["remarks"] == [remark]
+    assert "blur" not in open_store(line.store).result("distance_curves").column("class").to_pylist()
+
+
 def test_what_cannot_be_annotated_is_explained(line: Line, tmp_path: Path):
     line.run(learn_templates, methods=["hard"])
     with pytest.raises(KinedexError, match=r"learned no soft templates \(it has: hard\)"):
