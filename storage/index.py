@@ -75,7 +75,7 @@ def build(store: Store, threads: int | None = None, memory_mb: int | None = None
     folder.mkdir(exist_ok=True)
     with Lock(folder / "lock", "this build"):
         standing = current(store.path, store.manifest)
-        if standing is not None:
+        if standing is not None and _is_whole(standing):
             return standing
         for leftover in folder.glob(f"{BUILDING}*"):
             shutil.rmtree(leftover)
@@ -115,6 +115,16 @@ def read_generation(generation: Path) -> Generation | None:
         return Generation(**json.loads((generation / "generation.json").read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
+
+
+def _is_whole(generation: Path) -> bool:
+    """Whether the file is, byte by byte, the one that was published."""
+    says = read_generation(generation)
+    try:
+        with open(generation / "index.duckdb", "rb") as content:
+            return says is not None and hashlib.file_digest(content, "sha256").hexdigest() == says.sha256
+    except OSError:
+        return False
 
 
 def missing(store: Path) -> StoreError:

@@ -128,6 +128,14 @@ def test_a_damaged_index_is_built_again(store: Store) -> None:
     assert open_store(store.path).sql("SELECT count(*) AS n FROM takes").to_pylist() == [{"n": 4}]
 
 
+def test_an_index_that_was_damaged_without_changing_its_size_is_built_again(store: Store) -> None:
+    file = store.index_path()
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-5000] + bytes(5000))
+    assert index.build(store) == file.parent
+    assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary").to_pylist() == [{"n": 3 * 131}]
+
+
 def test_two_builds_at_once_are_kept_apart_and_leftovers_go(store: Store) -> None:
     later = change(store, 5)
     leftover = store.path / "index" / ".building-0"
