@@ -14,11 +14,13 @@ import polars as pl
 import pyarrow as pa
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from catalog.classes import Classes
 from ops.errors import KinedexError, did_you_mean
 from ops.metrics import Counts, compare, pooled
 from pipelines.wording import few
+from storage.disk import writing
 from storage.ground_truth import ManualSegment
 from storage.schemas import result_schema
 
@@ -281,8 +283,9 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
         if rows:
             content[key] = rows
     temporary = path.with_name(f".tmp-{path.name}")
-    temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    with writing(path):
+        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.replace(path)
 
 
 def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> Table:
@@ -309,7 +312,7 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
                 continue
             values = [counts.f1, counts.p1, counts.r1, counts.f2, counts.p2, counts.r2]
             table.add_row(
-                row.name.replace("[", r"\["),
+                Text(row.name),
                 *("–" if math.isnan(value) else f"{value:.2f}" for value in values),
                 f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
                 f"{counts.segments_manual_hit}/{counts.segments_manual}",

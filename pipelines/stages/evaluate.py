@@ -74,7 +74,7 @@ def external_digest(params: Params, store: Store | None) -> str:
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
     """Evaluate, store the metrics, and print them."""
-    report = context.report_dir / "metrics.json"
+    report = context.report_file("metrics.json")
     if params.ground_truth == NONE:
         report.unlink(missing_ok=True)
         with context.writer() as writer:

@@ -71,7 +71,7 @@ class Setting:
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
     """Annotate and evaluate every fold, store the pooled metrics, and print them."""
-    report = context.report_dir / "leave_one_out.json"
+    report = context.report_file("leave_one_out.json")
     report.unlink(missing_ok=True)
     name = f"leave one {params.column} out"
     folds = _evaluate_folds(context, params, name)

@@ -172,6 +172,16 @@ def test_metrics_are_stored_printed_and_written_with_what_is_undefined_left_empt
     assert list(written["takes"]) == ["a", "b"]
 
 
+def test_names_in_brackets_are_shown_and_a_report_that_cannot_be_written_is_an_error(tmp_path: Path):
+    truth = place_ground_truth([manual("[/a]\\", "kick", 0, 40)], takes("[/a]\\"), ["[/a]\\"], CLASSES)
+    out = io.StringIO()
+    Console(file=out, width=80).print(metrics_table(evaluate("x", annotations(), truth, CLASSES.names), "t"))
+    assert "[/a]\\ " in out.getvalue()
+    (tmp_path / "metrics.json").mkdir()
+    with pytest.raises(KinedexError, match=r"metrics\.json: cannot be written: Is a directory"):
+        write_metrics(tmp_path / "metrics.json", evaluation(), "r")
+
+
 def test_folds_add_up():
     rows = {(r.scope, r.name): r.counts for r in pool_folds("x", [("bd", evaluation()), ("bk", evaluation())]).rows}
     assert rows["fold", "bd"] == rows["fold", "bk"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -238,6 +239,16 @@ def test_ground_truth_that_changes_makes_the_evaluation_run_again(line: Line, tm
     assert {evaluate.external_digest(params, store) for params in ways} == {"none to be read"}
     assert evaluate.external_digest(ways[0], None) == "none to be read"
     assert evaluate.external_digest(evaluate.Params(ground_truth="class"), store) == ""
+
+
+def test_a_second_evaluation_of_one_pipeline_has_a_file_of_its_own(line: Line):
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate)
+    line.run(evaluate)
+    context = replace(line.context("evaluate"), stage="by_class", run="run-2")
+    summary = evaluate.run(context, evaluate.Params(unknown_labels="miss"))
+    assert summary["files"] == ["results/reports/test/by_class.metrics.json"]
+    assert (line.store / "results/reports/test/metrics.json").exists()
 
 
 def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: Line):
