@@ -7,80 +7,121 @@ import math
 from ops.synth.score import Score
 
 
-def squat(score: Score) -> None:
-    """Bend the knees deeply once and come up again."""
+def squat(score: Score, times: int) -> list[float]:
+    """Bend the knees deeply some times, with the arms held out in front.
+
+    Returns
+    -------
+    The times at which a squat begins, and the end of the last one, seconds.
+    """
     score.begin("squat")
     actor = score.actor
-    down, hold, up = score.beat(0.85), score.beat(0.10), score.beat(0.80)
-    deep = min(score.vary(actor.habit("squat.depth", 0.68, 0.84), 0.05), 0.86)
-    arms = actor.likes("squat.arms", "ahead", "ahead", "ahead", "head", steady=0.95, rng=score.rng)
+    ready, leave = score.beat(0.30), score.beat(0.36)
+    goal = (actor.habit("squat.out", -0.10, 0.12), actor.habit("squat.high", 0.22, 0.38), 0.86)
     heel = actor.habit("squat.heel", -10.0, 30.0)
-    back = 0.10 + 0.10 * deep
-    lean = score.vary(actor.habit("squat.lean", 14.0, 30.0))
-    goal = {"ahead": (0.0, score.about(0.28, 0.05), 0.86), "head": (-0.22, 0.40, 0.02)}[arms]
-    knees = actor.habit("squat.knees", 6.0, 26.0)
-    score.pelvis(0.0, down, 0.0, -back if heel < 8 else 0.02, 0.0, py=-deep, pitch=lean, lknee=knees, rknee=knees)
-    score.move(0.0, down, bend=score.vary(lean), nod=-0.6 * lean)
-    score.hands(-0.1, 0.5 * down, *goal)
-    if heel > 8:
-        score.move(0.1 * down, 0.8 * down, lpitch=heel, rpitch=heel)
-        score.move(down + hold + 0.2 * up, down + hold + 0.9 * up, lpitch=0.0, rpitch=0.0)
-    score.stand(down + hold, down + hold + up)
-    score.after(down + hold + up)
+    score.hands(0.0, ready, *goal)
+    score.after(0.55 * ready)
+    moments = [score.now]
+    for _ in range(times):
+        down, hold, up = score.beat(0.80), score.beat(0.12), score.beat(0.78)
+        deep = min(score.vary(actor.habit("squat.depth", 0.68, 0.84), 0.05), 0.86)
+        lean = score.vary(actor.habit("squat.lean", 14.0, 30.0))
+        knees = actor.habit("squat.knees", 6.0, 26.0)
+        back = 0.02 if heel > 8 else -0.10 - 0.10 * deep
+        score.pelvis(0.0, down, 0.0, back, 0.0, py=-deep, pitch=lean, lknee=knees, rknee=knees)
+        score.move(0.0, down, bend=score.vary(lean), nod=-0.6 * lean)
+        score.hands(0.0, down, *goal)
+        t = down + hold
+        if heel > 8:
+            score.move(0.1 * down, 0.8 * down, lpitch=heel, rpitch=heel)
+            score.move(t + 0.2 * up, t + 0.9 * up, lpitch=0.0, rpitch=0.0)
+        score.stand(t, t + up, "trunk")
+        score.hands(t, t + up, *goal)
+        score.after(t + up)
+        moments.append(score.now)
+    score.stand(-0.1, leave)
+    score.after(leave)
+    return moments
 
 
-def elbow_to_knee(score: Score, first: str = "l") -> None:
-    """With the hands at the head, bring each elbow once to the knee of the other side."""
+def elbow_to_knee(score: Score, times: int) -> list[float]:
+    """With the hands at the head, bring each elbow to the knee of the other side, left knee first.
+
+    Returns
+    -------
+    The times at which a pair begins, and the end of the last one, seconds.
+    """
     score.begin("elbow")
+    ready, leave = score.beat(0.30), score.beat(0.34)
+    score.hands(0.0, ready, -0.22, 0.38, 0.06)
+    score.move(0.0, ready, nod=6.0)
+    score.after(0.55 * ready)
+    moments = [score.now]
+    for _ in range(times):
+        for side in "lr":
+            _raise_knee(score, side)
+        moments.append(score.now)
+    score.stand(-0.1, leave)
+    score.after(leave)
+    return moments
+
+
+def _raise_knee(score: Score, side: str) -> None:
     actor = score.actor
-    raise_hands, down = score.beat(0.45), score.beat(0.45)
+    sign = 1.0 if side == "l" else -1.0
+    up, back = score.beat(0.44), score.beat(0.42)
     high = score.vary(actor.habit("elbow.high", 0.50, 0.66), 0.06)
     width = actor.stance
-    score.hands(0.0, raise_hands, -0.22, 0.38, 0.06)
-    score.move(0.0, raise_hands, nod=6.0)
-    t = raise_hands
-    for side in (first, "r" if first == "l" else "l"):
-        sign = 1.0 if side == "l" else -1.0
-        up, back = score.beat(0.42), score.beat(0.40)
-        x, z = score.room(0.35 * sign * width, 0.30)
-        knee = {"x": x, "z": z, "y": high, "free": 1.0, "pitch": 25.0, "knee": -8.0}
-        score.pelvis(t - 0.1, t + up, -0.8 * sign * width, 0.0, -8.0 * sign, py=-0.03, pitch=6.0)
-        score.move(t, t + up, **{side + name: value for name, value in knee.items()})
-        score.move(t, t + up, bend=score.vary(34.0, 0.1), twist=score.vary(42.0, 0.1) * sign, side=4.0 * sign)
-        t += up
-        x, z = score.room(sign * width + score.about(0.0, 0.02), score.about(0.0, 0.03))
-        foot = {"x": x, "z": z, "y": 0.0, "free": 0.0, "pitch": 0.0, "knee": 4.0}
-        score.move(t, t + back, **{side + name: value for name, value in foot.items()})
-        score.move(t, t + back, bend=actor.stoop, twist=0.0, side=0.0)
-        t += back
-    score.stand(t - 0.1, t + down)
-    score.after(t + down)
+    x, z = score.room(0.35 * sign * width, 0.30)
+    knee = {"x": x, "z": z, "y": high, "free": 1.0, "pitch": 25.0, "knee": -8.0}
+    score.pelvis(-0.05, up, -0.8 * sign * width, 0.0, -8.0 * sign, py=-0.03, pitch=6.0)
+    score.move(0.0, up, **{side + name: value for name, value in knee.items()})
+    score.move(0.0, up, bend=score.vary(34.0, 0.1), twist=score.vary(42.0, 0.1) * sign, side=4.0 * sign)
+    score.hands(0.0, up, -0.22, 0.36, 0.10)
+    x, z = score.room(sign * width + score.about(0.0, 0.02), score.about(0.0, 0.03))
+    foot = {"x": x, "z": z, "y": 0.0, "free": 0.0, "pitch": 0.0, "knee": 4.0}
+    score.move(up, up + back, **{side + name: value for name, value in foot.items()})
+    score.move(up, up + back, bend=actor.stoop, twist=0.0, side=0.0)
+    score.hands(up, up + back, -0.22, 0.38, 0.06)
+    score.after(up + back)
 
 
-def jumping_jack(score: Score) -> None:
-    """Jump with the legs apart and the arms up, and back again."""
+def jumping_jack(score: Score, times: int) -> list[float]:
+    """Jump with the legs apart and the arms up, and back again, some times.
+
+    Returns
+    -------
+    The times at which a jump apart begins, and the end of the last jump, seconds.
+    """
     score.begin("jack")
     actor = score.actor
-    dip, out, back, rest = score.beat(0.18), score.beat(0.42), score.beat(0.44), score.beat(0.12)
-    wide = score.vary(actor.habit("jack.wide", 0.48, 0.62), 0.08)
-    top = score.vary(actor.habit("jack.top", 0.78, 1.0), 0.07)
-    high = score.vary(0.10, 0.15)
+    dip = score.beat(0.14)
     score.move(0.0, dip, py=-0.09, bend=score.about(8.0, 2.0))
-    t = dip
-    score.move(t, t + 0.55 * out, py=high, bend=2.0)
-    score.move(t + 0.55 * out, t + out + 0.06, py=-0.07)
-    score.hands(t - 0.08, t + 0.55 * out, 0.92, score.about(0.0, 0.1), 0.1)
-    score.hands(t + 0.55 * out, t + out, max(-0.1, 0.62 - 0.8 * top), min(0.93, top), 0.10)
-    score.move(t, t + out, nod=-6.0)
-    _jump_sideways(score, t, out, wide, high)
-    t += out + 0.08
-    score.move(t, t + 0.5 * back, py=high)
-    score.move(t + 0.5 * back, t + back, py=-0.06)
-    score.hands(t, t + 0.5 * back, 0.92, score.about(0.0, 0.1), 0.1)
-    score.hands(t + 0.5 * back, t + back, actor.hang_out, -actor.hang_down, 0.05)
-    _jump_sideways(score, t, back, actor.stance, high)
-    score.stand(t + back, t + back + rest)
-    score.after(t + back + rest)
+    score.after(0.5 * dip)
+    moments = [score.now]
+    for _ in range(times):
+        out, back = score.beat(0.44), score.beat(0.46)
+        wide = score.vary(actor.habit("jack.wide", 0.48, 0.62), 0.07)
+        top = score.vary(actor.habit("jack.top", 0.78, 1.0), 0.06)
+        high = score.vary(0.10, 0.15)
+        score.move(0.0, 0.55 * out, py=high, bend=2.0)
+        score.move(0.55 * out, out + 0.06, py=-0.07)
+        score.hands(-0.06, 0.55 * out, 0.92, score.about(0.0, 0.1), 0.1)
+        score.hands(0.55 * out, out, max(-0.1, 0.62 - 0.8 * top), min(0.93, top), 0.10)
+        score.move(0.0, out, nod=-6.0)
+        _jump_sideways(score, 0.0, out, wide, high)
+        t = out + 0.06
+        score.move(t, t + 0.5 * back, py=high)
+        score.move(t + 0.5 * back, t + back, py=-0.07)
+        score.hands(t, t + 0.5 * back, 0.92, score.about(0.0, 0.1), 0.1)
+        score.hands(t + 0.5 * back, t + back, actor.hang_out, -0.95, 0.05)
+        _jump_sideways(score, t, back, actor.stance, high)
+        score.after(t + back + 0.05)
+        moments.append(score.now)
+    leave = score.beat(0.30)
+    score.stand(0.0, leave)
+    score.after(leave)
+    return moments
 
 
 def _jump_sideways(score: Score, start: float, span: float, width: float, high: float) -> None:
@@ -95,30 +136,49 @@ def _jump_sideways(score: Score, start: float, span: float, width: float, high: 
         score.move(land, land + 0.08, **{side + "pitch": 0.0})
 
 
-def arm_circles(score: Score) -> None:
-    """Turn both stretched arms once backwards: up in front, and down behind."""
+def arm_circles(score: Score, times: int) -> list[float]:
+    """Turn the stretched right arm backwards some times, with the feet apart and the left hand at the hip.
+
+    Returns
+    -------
+    The times at which a circle begins, and the end of the last one, seconds.
+    """
     score.begin("circles")
     actor = score.actor
-    span = score.beat(1.25)
     out = actor.habit("circles.out", 0.25, 0.5)
-    radius = score.vary(actor.habit("circles.radius", 0.78, 0.90), 0.04)
-    uneven = score.about(0.0, 0.06)
-    points = 8
-    for i in range(1, points + 1):
-        angle = 2 * math.pi * i / points
-        for side, sign in (("l", 1.0), ("r", -1.0)):
-            shifted = angle + sign * uneven * math.sin(angle / 2)
-            ahead = math.sin(shifted) * radius
-            height = -math.cos(shifted) * radius
-            # Behind the body the arms pass further out than in front of it.
-            wide = out + (0.35 if ahead < 0 else 0.0) * abs(math.sin(shifted))
-            score.hand(
-                side, (i - 1) / points * span, i / points * span, wide, height, ahead * (0.62 if ahead < 0 else 1.0)
-            )
-    sway = score.vary(7.0)
-    score.move(0.0, 0.5 * span, bend=actor.stoop - sway, py=-0.01)
-    score.move(0.5 * span, span, bend=actor.stoop + 0.5 * sway, py=-0.03)
-    score.after(span)
+    ready, leave = score.beat(0.34), score.beat(0.36)
+    _straddle(score, actor.habit("circles.straddle", 0.52, 0.64), ready)
+    score.hand("l", -0.1, ready, 0.05, -0.55, 0.03, swivel=60.0)
+    score.after(0.3 * ready)
+    moments = [score.now]
+    for _ in range(times):
+        span = score.beat(1.2)
+        radius = score.vary(actor.habit("circles.radius", 0.80, 0.92), 0.04)
+        points = 8
+        for i in range(1, points + 1):
+            angle = 2 * math.pi * i / points
+            ahead, height = math.sin(angle) * radius, -math.cos(angle) * radius
+            # Behind the body the arm passes further out than in front of it.
+            place = (out - 0.35 * min(ahead / radius, 0.0), height, ahead * (0.62 if ahead < 0 else 1.0))
+            score.hand("r", (i - 1) / points * span, i / points * span, *place)
+        score.hand("l", 0.0, span, 0.05, -0.55, 0.03, swivel=60.0)
+        sway = score.vary(7.0)
+        score.move(0.0, 0.5 * span, bend=actor.stoop - sway, twist=8.0, py=-0.02)
+        score.move(0.5 * span, span, bend=actor.stoop + 0.5 * sway, twist=-8.0, py=-0.03)
+        score.after(span)
+        moments.append(score.now)
+    _straddle(score, actor.stance, leave)
+    score.stand(-0.1, leave)
+    score.after(leave)
+    return moments
+
+
+def _straddle(score: Score, width: float, span: float) -> None:
+    """Step so far apart with both feet, one after the other."""
+    for side, sign, begin, end in (("l", 1.0, 0.0, 0.6), ("r", -1.0, 0.45, 1.0)):
+        score.step(
+            side, begin * span, end * span, sign * width, score.about(0.0, 0.02), lift=0.05, heel=10.0, strike=0.0
+        )
 
 
 def cartwheel(score: Score) -> None:
@@ -153,7 +213,7 @@ def _wheel_point(score: Score, start: float, stop: float, u: float, far: float, 
     turned = 360.0 * (u - math.sin(2 * math.pi * u) / (2 * math.pi) * 0.35)
     over = math.radians(turned)
     # Upside down the pelvis stands on trunk and arms instead of legs.
-    height = -0.06 - 0.14 * math.sin(over) ** 2 + 0.30 * (1 - math.cos(over)) / 2
+    height = -0.06 - 0.10 * math.sin(over) ** 2 + 0.38 * (1 - math.cos(over)) / 2
     x = 0.2 + far * u
     score.pelvis(start, stop, x, 0.0, 0.0, roll=-turned, py=height)
     pelvis = (x, 1.0 + height + 0.10)

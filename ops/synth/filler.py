@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ops.synth.gait import hop
+from ops.synth.floor import deposit_floor, grab_high
+from ops.synth.gait import hop, turn
 from ops.synth.score import Score
 from ops.synth.strikes import throw
 
@@ -105,6 +106,11 @@ def step_aside(score: Score) -> None:
     score.after(t)
     score.stand(0.0, score.beat(0.35), "trunk")
     score.after(0.15)
+
+
+def turn_away(score: Score) -> None:
+    """Turn to somebody at the side."""
+    turn(score, math.copysign(float(score.rng.uniform(50.0, 140.0)), score.about(0.0, 1.0)))
 
 
 def hands_on_hips(score: Score) -> None:
@@ -284,9 +290,12 @@ FILLERS: tuple[tuple[Callable[[Score], None], float], ...] = (
     (bow, 0.5),
     (wave, 0.7),
     (clap, 0.6),
-    (dance, 6.0),
-    (hop, 0.8),
-    (throw, 0.8),
+    (dance, 2.0),
+    (hop, 0.6),
+    (throw, 0.6),
+    (grab_high, 0.6),
+    (deposit_floor, 0.6),
+    (turn_away, 0.8),
     (twist_trunk, 1.2),
     (stretch, 1.1),
     (crouch, 0.5),

@@ -6,114 +6,128 @@ from ops.synth.score import Score
 
 
 def sit_down(score: Score) -> None:
-    """Sit down on a chair that stands behind."""
+    """Sit down on a chair that stands behind, with the arms folded."""
     score.begin("sit")
     actor = score.actor
-    down, settle = score.beat(0.95), score.beat(0.65)
+    down, settle = score.beat(0.80), score.beat(0.6)
     chair = 0.60 + actor.habit("chair", -0.04, 0.05)
     lean = score.vary(actor.habit("sit.lean", 36.0, 54.0))
-    arms = actor.likes("sit.arms", "knees", "sides", "knees", steady=0.8, rng=score.rng)
     score.pelvis(0.0, 0.55 * down, 0.0, -0.26, 0.0, py=-0.28, pitch=0.7 * lean)
     score.pelvis(0.55 * down, down, 0.0, -0.50, 0.0, py=-chair, pitch=0.3 * lean, lknee=8.0, rknee=8.0)
     score.move(0.0, 0.6 * down, bend=lean, nod=-0.3 * lean, look=score.about(0.0, 14.0))
-    if arms == "knees":
-        score.hands(0.2 * down, 0.9 * down, -0.05, -0.52, 0.52)
-    else:
-        score.hands(0.1 * down, 0.9 * down, 0.32, -0.78, -0.22)
+    _fold_arms(score, 0.0, 0.35 * down)
     rest = actor.habit("sit.rest", -12.0, 14.0)
     score.move(0.75 * down, down + settle, pitch=score.about(rest - 6.0, 3.0), bend=score.about(rest + 12.0, 4.0))
     score.move(0.75 * down, down + settle, nod=score.about(actor.nod, 5.0), look=0.0)
-    score.hands(down, down + settle, 0.02, score.about(-0.55, 0.04), score.about(0.47, 0.05))
+    _fold_arms(score, down, down + settle)
     score.after(down + settle)
 
 
+def _fold_arms(score: Score, start: float, stop: float) -> None:
+    """Fold the arms in front of the chest."""
+    high = score.actor.habit("fold", -0.36, -0.20)
+    score.hand("l", start, stop, -0.30, high - 0.04, 0.34)
+    score.hand("r", start, stop, -0.26, high + 0.04, 0.38)
+
+
 def sit(score: Score, seconds: float) -> None:
-    """Sit for a while: shift about, look around, move a hand."""
+    """Sit for a while and look around."""
     score.begin()
     t = 0.0
     while t < seconds:
-        span = score.beat(0.8)
-        score.move(t, t + span, bend=score.about(14.0, 7.0), side=score.about(0.0, 4.0), look=score.about(0.0, 22.0))
-        side = "lr"[int(score.rng.integers(2))]
-        if score.rng.random() < 0.45:
-            score.hand(side, t, t + 0.6 * span, score.about(0.1, 0.1), score.about(-0.2, 0.12), 0.5)
-        else:
-            score.hand(side, t, t + span, score.about(0.02, 0.05), -0.55, score.about(0.47, 0.05))
+        span = score.beat(0.6)
+        score.move(t, t + span, bend=score.about(14.0, 6.0), side=score.about(0.0, 3.0), look=score.about(0.0, 20.0))
         t += span
     score.after(t)
 
 
 def stand_up(score: Score) -> None:
-    """Stand up from a chair."""
+    """Stand up from a chair, with the arms folded."""
     score.begin("stand")
     actor = score.actor
     ready, up = score.beat(0.5), score.beat(0.95)
     lean = score.vary(actor.habit("stand.lean", 40.0, 56.0))
-    arms = actor.likes("stand.arms", "knees", "swing", "sides", steady=0.8, rng=score.rng)
     score.move(0.0, ready, bend=lean, pitch=0.6 * lean, nod=-10.0)
     score.pelvis(0.4 * ready, ready + 0.3 * up, 0.0, -0.28, 0.0, py=-0.36)
-    if arms == "knees":
-        score.hands(0.0, ready, 0.0, -0.42, 0.55)
-    elif arms == "swing":
-        score.hands(0.0, ready, 0.1, -0.3, 0.75)
-    else:
-        score.hands(0.0, ready, 0.3, -0.75, -0.2)
-    score.stand(ready + 0.2 * up, ready + up)
+    _fold_arms(score, 0.0, ready + 0.5 * up)
+    score.stand(ready + 0.2 * up, ready + up, "trunk")
+    score.relax(ready + 0.6 * up, ready + up + 0.1, "l", "r")
     score.after(ready + up)
 
 
 def lie_down(score: Score) -> None:
-    """Go down to the floor and lie on the back."""
+    """Go down on one knee, sit down on the floor over one hand, and lie down on the back."""
     score.begin("lie")
     actor = score.actor
-    crouch, seat, recline, flat = score.beat(0.9), score.beat(0.75), score.beat(1.0), score.beat(0.6)
-    score.pelvis(0.0, crouch, 0.0, -0.28, 0.0, py=-0.66, pitch=22.0, lknee=14.0, rknee=14.0)
-    score.move(0.0, crouch, bend=score.vary(34.0), nod=-6.0, lpitch=12.0, rpitch=12.0)
-    support = "r" if actor.habit("lie.support", 0.0, 1.0) < 0.7 else "l"
-    other = "l" if support == "r" else "r"
-    score.hand(support, 0.2 * crouch, crouch, 0.3, -0.8, score.about(-0.3, 0.06))
-    score.hand(other, 0.2 * crouch, crouch, 0.1, -0.3, 0.65)
-    t = crouch
+    side = "r" if actor.habit("lie.side", 0.0, 1.0) < 0.75 else "l"
+    sign = 1.0 if side == "l" else -1.0
+    other = "l" if side == "r" else "r"
+    width = actor.stance
+    kneel, lean, seat, recline, settle = (score.beat(t) for t in (0.95, 0.75, 0.85, 1.0, 0.8))
+    score.step(side, 0.0, 0.7 * kneel, sign * width, score.about(-0.42, 0.04), lift=0.08, heel=25.0, strike=40.0)
+    score.move(0.6 * kneel, kneel, **{side + "pitch": 58.0})
+    score.pelvis(0.1 * kneel, kneel, 0.0, -0.30, 0.0, py=-0.52, pitch=10.0)
+    score.move(0.0, kneel, bend=score.vary(26.0), nod=10.0)
+    score.hand(other, 0.1 * kneel, kneel, 0.0, -0.55, 0.55)
+    score.hand(side, 0.2 * kneel, kneel, 0.25, -0.90, 0.05)
+    t = kneel
+    score.pelvis(t, t + lean, -0.1 * sign, -0.44, -14.0 * sign, py=-0.76, pitch=4.0, roll=-14.0 * sign)
+    score.move(t, t + lean, twist=score.vary(-24.0) * sign, side=score.vary(14.0) * -sign)
+    score.hand(side, t, t + lean, 0.42, -0.82, score.about(-0.15, 0.05))
+    t += lean
     sat = -1.04
-    score.pelvis(t, t + seat, 0.0, -0.62, 0.0, py=sat, pitch=-18.0)
-    score.move(t, t + seat, bend=score.vary(30.0), nod=0.0, lpitch=0.0, rpitch=0.0)
+    score.pelvis(t, t + seat, 0.0, -0.62, 0.0, py=sat, pitch=-18.0, roll=0.0)
+    _ball(score, side, t, t + seat, sign * width * 1.2, 0.05)
+    score.move(t, t + seat, bend=score.vary(30.0), nod=0.0, twist=score.about(0.0, 6.0), side=0.0)
     score.hands(t, t + seat, 0.38, -0.72, -0.35)
     t += seat
-    score.move(t, t + recline, pitch=-82.0, bend=4.0, py=sat - 0.03, nod=6.0)
+    score.move(t, t + recline, pitch=-82.0, bend=4.0, py=sat - 0.03, nod=6.0, roll=score.about(0.0, 5.0))
     score.hands(t, t + recline, actor.habit("lie.out", 0.25, 0.6), -0.82, -0.05)
-    for side, sign, wait in (("l", 1.0, 0.0), ("r", -1.0, actor.habit("lie.wait", 0.0, 0.35))):
-        x, z = score.room(sign * actor.stance * 1.1, 0.36)
+    for foot, way, wait in ((other, -sign, 0.0), (side, sign, actor.habit("lie.wait", 0.2, 0.6))):
+        x, z = score.room(way * width * 1.1, 0.36)
         legs = {"x": x, "z": z, "y": 0.085, "free": 1.0, "pitch": 10.0, "knee": 12.0}
-        score.move(t + wait, t + wait + recline, **{side + name: value for name, value in legs.items()})
+        score.move(t + wait, t + wait + recline, **{foot + name: value for name, value in legs.items()})
     t += recline
-    score.move(t, t + flat, pitch=-88.0, bend=0.0, look=score.about(0.0, 12.0), tilt=0.0)
-    score.hands(t, t + flat, score.about(0.3, 0.08), -0.85, -0.03)
-    score.after(t + flat)
+    score.move(t, t + settle, pitch=-88.0, bend=0.0, look=score.about(0.0, 14.0), tilt=0.0, roll=0.0)
+    score.hands(t, t + settle, score.about(0.3, 0.08), -0.85, -0.03)
+    score.after(t + settle)
+
+
+def _ball(score: Score, side: str, start: float, stop: float, x: float, z: float) -> None:
+    """Slide a foot over the floor to a place given from the anchor, and put it down flat."""
+    room_x, room_z = score.room(x, z)
+    flat = {"x": room_x, "z": room_z, "y": 0.0, "free": 0.0, "pitch": 6.0, "knee": 14.0}
+    score.move(start, stop, **{side + name: value for name, value in flat.items()})
 
 
 def get_up(score: Score) -> None:
-    """Get up from lying on the back."""
+    """Sit up from lying on the back, turn over one hand onto one knee, and stand up."""
     score.begin("up")
     actor = score.actor
+    side = "r" if actor.habit("up.side", 0.0, 1.0) < 0.75 else "l"
+    sign = 1.0 if side == "l" else -1.0
+    other = "l" if side == "r" else "r"
+    width = actor.stance
+    sit_up, tuck, kneel, rise = (score.beat(t) for t in (0.95, 0.75, 0.9, 1.0))
     # Whoever lies has his feet in front of the place where he is going to stand.
-    x, z, yaw = score.standing()
-    score.anchor = (x, z, yaw)
-    sit_up, tuck, rise = score.beat(0.95), score.beat(0.7), score.beat(1.2)
     score.hands(0.0, 0.5 * sit_up, 0.3, -0.7, score.about(0.2, 0.1))
     score.move(0.0, sit_up, pitch=-12.0, bend=score.vary(36.0), nod=-4.0)
     t = sit_up
-    score.hand("l", t, t + tuck, 0.35, -0.75, -0.3)
-    score.hand("r", t, t + tuck, 0.2, -0.35, 0.5)
-    for side, sign, wait in (("l", 1.0, 0.0), ("r", -1.0, 0.15)):
-        fx, fz = score.room(sign * actor.stance, -0.38)
-        feet = {"x": fx, "z": fz, "y": 0.0, "free": 0.0, "pitch": 8.0, "knee": 12.0}
-        score.move(t - 0.5 * sit_up + wait, t + tuck, **{side + name: value for name, value in feet.items()})
+    score.hand(side, t, t + tuck, 0.45, -0.78, -0.2)
+    score.hand(other, t, t + tuck, 0.2, -0.35, 0.5)
+    _ball(score, other, t - 0.5 * sit_up, t + tuck, -sign * width, -0.38)
+    _ball(score, side, t - 0.5 * sit_up + 0.15, t + tuck, sign * width * 1.3, -0.42)
+    score.move(t, t + tuck, twist=score.vary(-22.0) * sign, side=-10.0 * sign)
     t += tuck
-    px, pz = score.room(0.0, -0.62)
-    score.move(t, t + 0.45 * rise, px=px, pz=pz, py=-0.62, pitch=28.0, bend=score.vary(38.0), lpitch=14.0, rpitch=14.0)
-    score.hands(t, t + 0.45 * rise, 0.0, -0.4, 0.7)
-    score.move(t + 0.5 * rise, t + rise, lpitch=0.0, rpitch=0.0)
-    score.stand(t + 0.45 * rise, t + rise)
+    px, pz = score.room(0.0, -0.78)
+    score.move(t, t + kneel, px=px, pz=pz, py=-0.52, pitch=16.0, bend=score.vary(30.0), twist=0.0, side=0.0, roll=0.0)
+    _ball(score, side, t, t + 0.9 * kneel, sign * width, -0.82)
+    score.move(t + 0.2 * kneel, t + kneel, **{side + "pitch": 58.0, side + "knee": 4.0})
+    score.hand(side, t, t + kneel, 0.25, -0.9, 0.1)
+    score.hand(other, t, t + kneel, 0.0, -0.55, 0.55)
+    t += kneel
+    score.step(side, t + 0.25 * rise, t + 0.9 * rise, sign * width, -0.38, lift=0.07, heel=58.0, strike=0.0)
+    score.stand(t, t + rise)
     score.after(t + rise)
 
 
@@ -151,7 +165,7 @@ def deposit_floor(score: Score) -> None:
     """Put something down on the floor in front with both hands."""
     score.begin("deposit")
     actor = score.actor
-    down, hold, up = score.beat(0.9), score.beat(0.30), score.beat(0.85)
+    down, hold, up = score.beat(0.75), score.beat(0.55), score.beat(0.75)
     bow = actor.habit("deposit.bow", 0.3, 1.0)
     deep = score.vary(0.42 + 0.26 * (1.0 - bow), 0.08)
     lean = score.vary(56.0 + 20.0 * bow, 0.07)

@@ -1,4 +1,4 @@
-"""Motions that go somewhere: walking, jogging, sneaking, turning on the spot, hopping."""
+"""Motions that go somewhere: walking, jogging, spinning, hopping."""
 
 from __future__ import annotations
 
@@ -34,9 +34,8 @@ class Gait:
     narrow: float
 
 
-WALK = Gait(0.52, 0.80, 0.76, 0.10, 38.0, -16.0, 0.045, 0.030, 0.5, 3.0, 0.24, 0.04, 0.085)
-JOG = Gait(0.36, 0.80, 1.25, 0.30, 58.0, -4.0, 0.075, 0.075, 0.95, 9.0, 0.32, 0.45, 0.07)
-SNEAK = Gait(0.98, 0.62, 0.72, 0.30, 22.0, 8.0, 0.18, 0.035, 0.4, 38.0, 0.10, 0.34, 0.12)
+WALK = Gait(0.52, 0.80, 0.76, 0.10, 38.0, -16.0, 0.045, 0.030, 0.5, 3.0, 0.36, 0.04, 0.085)
+JOG = Gait(0.36, 0.80, 1.25, 0.46, 70.0, -4.0, 0.075, 0.075, 0.95, 9.0, 0.20, 0.60, 0.07)
 
 
 def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, close: bool = True) -> list[float]:
@@ -118,11 +117,11 @@ def _swing_arms(score: Score, gait: Gait, side: str, span: float, outwards: floa
     swing = gait.arms * actor.swing * score.size
     low = -0.955 + gait.elbow * actor.habit("gait.elbow" + str(gait.elbow), 0.7, 1.2)
     out = actor.hang_out + 0.2 * gait.elbow * actor.habit("gait.out", -0.5, 1.0)
-    ahead = 0.06 + 0.62 * gait.elbow
+    ahead = 0.06 + 0.50 * gait.elbow
     rise = 0.22 * swing if gait.elbow < 0.2 else 0.6 * swing
     score.hand(other, 0.0, span, out - 0.1 * gait.elbow, low + rise, ahead + swing)
     score.hand(side, 0.0, span, out, low + 0.2 * rise, ahead - 1.1 * swing)
-    twist = outwards * 12.0 * gait.arms / 0.25 * actor.swing
+    twist = outwards * 12.0 * min(gait.arms, 0.26) / 0.25 * actor.swing
     bend = gait.bend * actor.habit("gait.bend", 0.5, 1.4) + 0.6 * actor.stoop
     score.move(0.0, span, twist=score.about(twist, 2.0), bend=score.about(bend, 1.5), side=score.about(0.0, 1.0))
     score.move(0.0, span, pitch=score.about(0.15 * gait.bend, 0.8), nod=score.about(actor.nod - 0.4 * bend, 2.0))
@@ -143,26 +142,29 @@ def _close(score: Score, gait: Gait, side: str, span: float, place: tuple[float,
 
 
 def spin(score: Score) -> None:
-    """Turn once around to the left with the arms stretched out."""
+    """Turn once around to the left, with the arms stretched out."""
     score.begin("spin")
     actor = score.actor
     rise = score.beat(0.45)
-    arms = actor.likes("spin.arms", "out", "out", "high", steady=0.8, rng=score.rng)
-    out, high = (0.86, actor.habit("spin.arms.high", -0.3, 0.12)) if arms == "out" else (0.55, 0.66)
-    score.hands(0.0, rise, out, score.about(high, 0.08), score.about(0.12, 0.08))
+    place = (actor.habit("spin.out", 0.86, 0.95), actor.habit("spin.high", -0.28, 0.02), 0.10)
+    arms = {"l": place, "r": place}
+    for side, place in arms.items():
+        score.hand(side, 0.0, rise, *place)
     score.move(0.0, rise, py=-0.04, twist=-14.0, yaw=score.anchor[2] - 8.0)
     score.after(0.8 * rise)
-    turn(score, score.about(360.0, 14.0), 0.30, (out, high))
+    turn(score, score.about(360.0, 14.0), 0.30, arms)
     score.stand(0.0, score.beat(0.4))
     score.after(score.beat(0.25))
 
 
-def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float, float] | None = None) -> None:
+def turn(
+    score: Score, degrees: float, seconds: float = 0.46, arms: dict[str, tuple[float, float, float]] | None = None
+) -> None:
     """Turn on the spot by some steps, to the left where the angle is positive.
 
     Parameters
     ----------
-    seconds: how long a step takes. arms: how far out and how high they are held; they hang where nothing is said.
+    seconds: how long a step takes. arms: where the hands are held; they hang where nothing is said.
     """
     score.begin()
     width = score.actor.stance
@@ -193,7 +195,7 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
                 if arms is None:
                     score.hand(hand, 0.0, span, *_hanging(score, 0.05 * way))
                 else:
-                    score.hand(hand, 0.0, span, arms[0], score.about(arms[1], 0.06), score.about(0.1, 0.08))
+                    score.hand(hand, 0.0, span, *arms[hand])
             score.after(span)
         done = goal
     if arms is None:

@@ -31,13 +31,34 @@ class Motion:
     after: str = "stand"
 
 
-def _timed(write: Callable[[Score], None], times: int) -> Callable[[Score], Span]:
-    """Perform a motion some times in a row."""
+def _once(write: Callable[[Score], None]) -> Callable[[Score], Span]:
+    """Perform a motion that is not repeated."""
 
     def perform(score: Score) -> Span:
         begin = score.now
-        for _ in range(times):
-            write(score)
+        write(score)
+        return begin, score.now
+
+    return perform
+
+
+def _some_of(write: Callable[[Score, int], list[float]], times: int) -> Callable[[Score], Span]:
+    """Perform a motion more often than that, and cut so many repetitions out."""
+
+    def perform(score: Score) -> Span:
+        before, behind = (int(value) for value in score.rng.integers(0, 2, size=2))
+        moments = write(score, before + times + behind)
+        return moments[before], moments[before + times]
+
+    return perform
+
+
+def _all_of(write: Callable[[Score, int], list[float]], least: int, most: int) -> Callable[[Score], Span]:
+    """Perform a motion several times, from standing to standing."""
+
+    def perform(score: Score) -> Span:
+        begin = score.now
+        write(score, int(score.rng.integers((least + most) // 2, most + 1)))
         return begin, score.now
 
     return perform
@@ -55,56 +76,68 @@ def _cut_from_gait(style: gait.Gait, first: str, steps: int) -> Callable[[Score]
     return perform
 
 
-def _go_somewhere(style: gait.Gait, least: int, most: int) -> Callable[[Score], Span]:
+def _go_somewhere(style: gait.Gait, first: str, least: int, most: int) -> Callable[[Score], Span]:
     """Go so many steps, from standing to standing, on a curve that leads back to the middle of the room."""
 
     def perform(score: Score) -> Span:
-        steps = int(score.rng.integers(least, most + 1))
+        steps = 2 * int(score.rng.integers(least, most + 1))
         x, z, yaw = score.standing()
         away = (math.degrees(math.atan2(-x, -z)) - yaw + 180.0) % 360.0 - 180.0
         homewards = min(max(away, -140.0), 140.0) / steps * min(1.0, math.hypot(x, z) / 3.0)
-        times = gait.go(score, style, "lr"[int(score.rng.integers(2))], steps, curve=score.about(homewards, 4.0))
+        times = gait.go(score, style, first, steps, curve=score.about(homewards, 4.0))
         return times[0], times[-1]
 
     return perform
 
 
+def _kick(score: Score, times: int, side: str) -> list[float]:
+    return strikes.kick(score, side, times)
+
+
+def _punch(score: Score, times: int, side: str) -> list[float]:
+    return strikes.punch(score, side, times)
+
+
 def _gaits() -> list[Motion]:
     kinds = [
-        ("walk4StepsLstart", "walk", gait.WALK, "l", 4, 2.1, (5, 9)),
-        ("jog4StepsLstart", "jog", gait.JOG, "l", 4, 1.5, (5, 10)),
-        ("sneak2StepsLstart", "sneak", gait.SNEAK, "l", 2, 2.0, (3, 5)),
+        ("walk4StepsLstart", "walk", gait.WALK, "l", 4, 2.1, (4, 7)),
+        ("jog4StepsLstart", "jog", gait.JOG, "l", 4, 1.5, (6, 9)),
     ]
     return [
-        Motion(name, label, seconds, _cut_from_gait(style, first, steps), _go_somewhere(style, *scene))
+        Motion(name, label, seconds, _cut_from_gait(style, first, steps), _go_somewhere(style, first, *scene))
         for name, label, style, first, steps, seconds, scene in kinds
     ]
 
 
+def _single(
+    name: str, seconds: float, write: Callable[[Score], None], before: str = "stand", after: str = "stand"
+) -> Motion:
+    perform = _once(write)
+    return Motion(name, name, seconds, perform, perform, before, after)
+
+
 def _repeated(
-    name: str, seconds: float, write: Callable[[Score], None], times: int = 1, label: str = "",
-    before: str = "stand", after: str = "stand",
-) -> Motion:  # fmt: skip
-    perform = _timed(write, times)
-    return Motion(name, label or name, seconds, perform, perform, before, after)
+    name: str, label: str, seconds: float, write: Callable[[Score, int], list[float]], times: int, most: int
+) -> Motion:
+    full = f"{name}{times}Reps"
+    return Motion(full, label, seconds * times, _some_of(write, times), _all_of(write, times, most))
 
 
 MOTIONS: tuple[Motion, ...] = (
     *_gaits(),
-    _repeated("spinLeft", 3.0, gait.spin),
-    _repeated("kickLeft2Reps", 3.1, partial(strikes.kick, side="l"), 2, "kickLeft"),
-    _repeated("kickRight2Reps", 3.1, partial(strikes.kick, side="r"), 2, "kickRight"),
-    _repeated("punchLeft2Reps", 2.8, partial(strikes.punch, side="l"), 2, "punch"),
-    _repeated("punchRight2Reps", 2.8, partial(strikes.punch, side="r"), 2, "punch"),
-    _repeated("elbowToKnee", 2.4, exercises.elbow_to_knee),
-    _repeated("squat2Reps", 3.6, exercises.squat, 2, "squat"),
-    _repeated("jumpingJack3Reps", 3.5, exercises.jumping_jack, 3, "jumpingJack"),
-    _repeated("armCircles3Reps", 3.7, exercises.arm_circles, 3, "armCircles"),
-    _repeated("cartwheelLeft", 2.4, exercises.cartwheel),
-    _repeated("depositFloor", 2.1, floor.deposit_floor),
-    _repeated("sitDown", 1.7, floor.sit_down, after="sit"),
-    _repeated("standUp", 1.5, floor.stand_up, before="sit"),
-    _repeated("lieDown", 3.4, floor.lie_down, after="lie"),
-    _repeated("getUp", 3.1, floor.get_up, before="lie"),
+    _repeated("kickLeft", "kickLeft", 1.5, partial(_kick, side="l"), 1, 5),
+    _repeated("kickRight", "kickRight", 1.5, partial(_kick, side="r"), 1, 5),
+    _repeated("punchLeft", "punch", 0.9, partial(_punch, side="l"), 1, 8),
+    _repeated("punchRight", "punch", 0.9, partial(_punch, side="r"), 1, 8),
+    _repeated("elbowToKnee", "elbowToKnee", 1.7, exercises.elbow_to_knee, 1, 5),
+    _repeated("squat", "squat", 1.7, exercises.squat, 1, 6),
+    _repeated("jumpingJack", "jumpingJack", 1.0, exercises.jumping_jack, 1, 8),
+    _repeated("armCirclesRight", "armCircles", 1.25, exercises.arm_circles, 1, 7),
+    _single("spinLeft", 3.0, gait.spin),
+    _single("cartwheelLeft", 2.4, exercises.cartwheel),
+    _single("sitDown", 1.7, floor.sit_down, after="sit"),
+    _single("standUp", 1.5, floor.stand_up, before="sit"),
+    _single("lieDown", 4.3, floor.lie_down, after="lie"),
+    _single("getUp", 3.6, floor.get_up, before="lie"),
 )
 """All subclasses, in the order in which they are written."""

@@ -10,7 +10,7 @@ from ops.synth.channels import CHANNELS
 # Sway of the channels: spread in their own units (leg lengths, arm lengths, degrees).
 _SWAY = {
     "px": 0.008, "py": 0.004, "pz": 0.010, "yaw": 1.2, "pitch": 1.0, "roll": 0.7,
-    "bend": 1.6, "side": 1.0, "twist": 1.6, "nod": 2.5, "look": 4.0, "tilt": 1.5,
+    "bend": 2.4, "side": 1.6, "twist": 3.2, "nod": 2.5, "look": 4.0, "tilt": 1.5,
     "hx": 0.030, "hy": 0.022, "hz": 0.034, "swivel": 5.0, "wrist": 6.0, "hroll": 8.0, "knee": 1.0,
 }  # fmt: skip
 
@@ -52,8 +52,8 @@ def _spread(name: str) -> float:
 def capture(rng: np.random.Generator, angles: F64, rate_hz: float, amount: float) -> F64:
     """Add what a capture system adds to angles: slow drift and fine jitter; the root moves by millimetres."""
     drift = coloured(rng, len(angles), angles.shape[1], rate_hz, 0.15, 2.0)
-    jitter = coloured(rng, len(angles), angles.shape[1], rate_hz, 9.0, 2.0)
-    noise = amount * (0.45 * drift + 0.16 * jitter)
+    jitter = coloured(rng, len(angles), angles.shape[1], rate_hz, 5.0, 2.0)
+    noise = amount * (0.45 * drift + 0.07 * jitter)
     noise[:, :3] *= 0.0035
     noise[:, 3:6] *= 0.5
     return angles + noise

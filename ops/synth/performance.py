@@ -20,8 +20,10 @@ from ops.synth.solve import solve
 
 RATE_HZ = 120.0
 
-FILLED = 0.22
-"""How often something unasked happens between two labelled motions of a long take."""
+UNASKED = 0.02
+"""Share of a long take in which something unasked happens between the labelled motions."""
+HURRY = (0.10, 0.30)
+"""Seconds by which the next thing begins before a motion has come to rest, from and to."""
 INTERRUPTED = 0.6
 """How often the performer of a clip comes out of some other movement instead of standing."""
 
@@ -67,7 +69,10 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
     what = motion(name)
     score = Score(actor, rng)
     _prepare(score, what.before)
+    score.hurry(_overlap(rng))
     begin, end = what.example(score)
+    if what.scene is what.example:
+        end -= _overlap(rng)
     score.after(0.5)
     table = _captured(score, rng)
     start, stop = _as_cut(rng, begin, end, len(table))
@@ -91,15 +96,18 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
     score = Score(actor, rng)
     _wait(score, 0.2)
     pool: list[Motion] = []
+    unasked = -float(rng.uniform(0.0, 2.0))
     spans: list[tuple[Motion, float, float]] = []
     while score.now < seconds:
         if not pool:
             # Every motion has its turn before one comes again, in an order of its own.
             pool = [MOTIONS[i] for i in rng.permutation(len(MOTIONS)) if MOTIONS[i].before == "stand"]
-        _between(score)
+        if unasked < UNASKED * score.now:
+            unasked += _pause(score)
         what = pool.pop()
-        spans.append((what, *what.scene(score)))
-        _afterwards(score, what, spans)
+        _perform(score, what, spans)
+        if what.after != "stand":
+            _perform(score, motion("standUp" if what.after == "sit" else "getUp"), spans)
     _wait(score, 0.3)
     table = _captured(score, rng)
     return Performance(table, _labels(rng, spans, len(table)))
@@ -125,24 +133,23 @@ def _wait(score: Score, seconds: float) -> None:
     score.after(span)
 
 
-def _between(score: Score) -> None:
-    """Fill the time until the next labelled motion."""
-    while score.rng.random() < FILLED:
-        fill(score)
-    if score.rng.random() < 0.2:
-        _wait(score, 0.25)
+def _pause(score: Score) -> float:
+    """Do this or that until the next labelled motion; return how long it took, seconds."""
+    begin = score.now
+    fill(score)
+    score.hurry(_overlap(score.rng))
+    return score.now - begin
 
 
-def _afterwards(score: Score, what: Motion, spans: list[tuple[Motion, float, float]]) -> None:
-    """Come back to standing from a motion that ends elsewhere."""
-    if what.after == "sit":
-        floor.sit(score, float(score.rng.uniform(0.02, 0.1)))
-        up = motion("standUp")
-        spans.append((up, *up.scene(score)))
-    elif what.after == "lie":
-        score.after(float(score.rng.uniform(0.0, 0.25)))
-        up = motion("getUp")
-        spans.append((up, *up.scene(score)))
+def _perform(score: Score, what: Motion, spans: list[tuple[Motion, float, float]]) -> None:
+    """Perform a labelled motion; the next thing begins before it has quite come to rest."""
+    begin, end = what.scene(score)
+    score.hurry(_overlap(score.rng))
+    spans.append((what, begin, min(end, score.now)))
+
+
+def _overlap(rng: np.random.Generator) -> float:
+    return float(rng.uniform(*HURRY))
 
 
 def _captured(score: Score, rng: np.random.Generator) -> F64:

@@ -15,7 +15,7 @@ _SHORTEST = 0.035
 
 # How far trunk, head and hands are off in a repetition: spreads in the channels' own units.
 _OFF = {
-    "bend": 4.0, "side": 2.5, "twist": 5.0, "nod": 6.0, "look": 8.0, "tilt": 2.5, "pitch": 2.5, "roll": 1.2,
+    "bend": 7.0, "side": 5.0, "twist": 12.0, "nod": 6.0, "look": 8.0, "tilt": 2.5, "pitch": 2.5, "roll": 1.2,
     "lhx": 0.04, "lhy": 0.03, "lhz": 0.05, "lswivel": 10.0, "lhroll": 15.0,
     "rhx": 0.04, "rhy": 0.03, "rhz": 0.05, "rswivel": 10.0, "rhroll": 15.0,
 }  # fmt: skip
@@ -61,10 +61,10 @@ class Score:
         self.manner = {name: self._manner(what, name) for name in _OFF}
 
     def _manner(self, what: str, name: str) -> float:
-        """Return how far a channel is off in this repetition: half of it habit, half of it chance."""
+        """Return how far a channel is off in this repetition: most of it habit, some of it chance."""
         spread = _OFF[name] * self.actor.manner
         lasting = self.actor.habit(f"{what}.{name}", -1.7, 1.7) if what else 0.0
-        return spread * (0.7 * lasting + 0.7 * float(self.rng.normal()))
+        return spread * (0.9 * lasting + 0.6 * float(self.rng.normal()))
 
     def beat(self, seconds: float) -> float:
         """Return how long this performer takes for what takes others so many seconds."""
@@ -97,7 +97,19 @@ class Score:
             last, held = self.keys[INDEX[name]][-1]
             if begin > last + 0.06:
                 self._put(name, begin, held)
+            elif begin < last - 0.06:
+                self._interrupt(name, begin)
             self._put(name, self.now + stop + late, value)
+
+    def _interrupt(self, name: str, time: float) -> None:
+        """Give up the movement that is under way: what comes next goes on from where it has got to."""
+        keys = self.keys[INDEX[name]]
+        while len(keys) > 2 and keys[-2][0] + _SHORTEST >= time:
+            keys.pop()
+        if len(keys) > 1 and keys[-2][0] + _SHORTEST < time:
+            (begin, first), (end, last) = keys[-2:]
+            done = (time - begin) / (end - begin)
+            keys[-1] = (time, first + (last - first) * done * done * (3.0 - 2.0 * done))
 
     def _put(self, name: str, time: float, value: float) -> None:
         keys = self.keys[INDEX[name]]
@@ -191,6 +203,10 @@ class Score:
             roll=self.about(0.0, 1.0), lknee=self.about(4.0, 2.0), rknee=self.about(4.0, 2.0),
         )  # fmt: skip
         self.relax(start, stop, *parts)
+
+    def hurry(self, seconds: float) -> None:
+        """Begin the next motion so many seconds before the last one has come to rest."""
+        self.now -= seconds
 
     def after(self, seconds: float) -> None:
         """Let time pass: the next motion begins so many seconds later."""

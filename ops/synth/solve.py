@@ -138,8 +138,13 @@ def _calm(values: F64) -> F64:
     width = 6
     padded = np.pad(values, width, mode="edge")
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1).max(axis=1)
+    return _averaged(highest, width)
+
+
+def _averaged(values: F64, width: int) -> F64:
+    """Smooth a curve by a bell of so many frames to both sides."""
     weights = np.hanning(2 * width + 3)[1:-1]
-    padded = np.pad(highest, width, mode="edge")
+    padded = np.pad(values, width, mode="edge")
     return np.convolve(padded, weights / weights.sum(), mode="valid")
 
 
@@ -207,7 +212,7 @@ def _foot(pose: _Pose, side: str) -> None:
     pitch = math.pi - np.arcsin(height) - math.atan2(rest[2], rest[1])
     pitch = (pitch + math.pi) % (2 * math.pi) - math.pi
     swing = np.arctan2(wanted[:, 0], -wanted[:, 1])
-    pose.turn(side + "foot", np.stack([np.clip(pitch, -1.2, 1.3), np.clip(swing, -1.0, 1.0)], axis=1))
+    pose.turn(side + "foot", np.stack([np.clip(pitch, -1.45, 1.3), np.clip(swing, -1.0, 1.0)], axis=1))
     on_floor = np.clip(1.5 - pose.of(side + "y") / 0.06, 0.0, 1.0) * (1 - free[:, 0])
     flat = np.clip(pose.radians(side + "pitch"), -0.3, 1.1) * on_floor
     pose.turn(side + "toes", -flat[:, None])
@@ -242,6 +247,8 @@ def _arm(pose: _Pose, side: str) -> None:
     elbow = unit(elbow - line * (elbow * line).sum(axis=1, keepdims=True))
     swivel = outwards * pose.radians(side + "swivel")[:, None]
     elbow = elbow * np.cos(swivel) + np.cross(line, elbow) * np.sin(swivel)
+    # Where the hand passes the shoulder's blind spot the elbow must swing over, not jump.
+    elbow = np.stack([_averaged(elbow[:, i], 14) for i in range(3)], axis=1)
     forearm = body.length(side + "radius", side + "wrist")
     direction, hinge, flexion = _two_bones(pose, side + "humerus", forearm, goal, apply(chest, elbow))
     _aim(pose, side + "humerus", hinge, direction)

@@ -13,87 +13,115 @@ def _sign(side: str) -> float:
     return 1.0 if side == "l" else -1.0
 
 
-def kick(score: Score, side: str) -> None:
-    """Kick forwards with one foot and put it back."""
+def kick(score: Score, side: str, times: int) -> list[float]:
+    """Kick forwards with one foot some times, with the arms spread for balance.
+
+    Returns
+    -------
+    The times at which a kick begins, and the end of the last one, seconds.
+    """
     score.begin("kick")
     actor = score.actor
-    sign = _sign(side)
-    shift, chamber, strike, hold, back, down = (score.beat(t) for t in (0.30, 0.32, 0.24, 0.12, 0.32, 0.28))
-    height = score.vary(actor.habit("kick.height", 0.90, 1.15), 0.10)
+    ready = score.beat(0.28)
+    arms = (actor.habit("kick.out", 0.78, 0.92), actor.habit("kick.arms", -0.30, 0.05))
+    _kick_arms(score, arms, 0.0, ready)
+    score.move(0.0, ready, py=-0.04, bend=score.about(8.0, 3.0))
+    score.after(0.55 * ready)
+    moments = [score.now]
+    for _ in range(times):
+        _kick_once(score, side, arms)
+        moments.append(score.now)
+    back = score.beat(0.34)
+    score.stand(-0.1, back)
+    score.after(back)
+    return moments
+
+
+def _kick_once(score: Score, side: str, arms: tuple[float, float]) -> None:
+    actor, sign = score.actor, _sign(side)
+    shift, chamber, strike, hold, back, down = (score.beat(t) for t in (0.24, 0.30, 0.24, 0.12, 0.30, 0.28))
+    height = score.vary(actor.habit("kick.height", 0.90, 1.15), 0.08)
     reach = score.about(actor.habit("kick.reach", 0.62, 0.80), 0.04)
     lean = actor.habit("kick.lean", -22.0, -4.0)
-    arms = actor.likes("kick.arms", "guard", "guard", "guard", "guard", "open", steady=0.95, rng=score.rng)
+    wind = actor.habit("kick.wind", 0.0, 0.15)
     width = actor.stance
     score.pelvis(0.0, shift, -0.75 * sign * width, 0.0, 0.0, roll=-3.0 * sign, py=-0.03)
-    t = shift
     # The way of the ankle: up in front of the body with a bent knee, out, back, down.
-    wind = actor.habit("kick.wind", 0.0, 0.15)
-    x, z = score.room(sign * width, -wind - 0.1)
-    score.move(
-        0.4 * shift,
-        t,
-        **{side + "x": x, side + "z": z, side + "y": 0.21 + 0.2 * wind, side + "free": 1.0, side + "pitch": 25.0},
-    )
-    x, z = score.room(sign * 0.7 * width, 0.25)
-    score.move(t, t + chamber, **{side + "x": x, side + "z": z, side + "y": 0.62 * height + 0.08})
+    _ankle(score, side, 0.3 * shift, shift, sign * width, 0.21 + 0.2 * wind, -wind - 0.1, free=1.0, pitch=25.0)
+    t = shift
+    _ankle(score, side, t, t + chamber, 0.7 * sign * width, 0.62 * height + 0.08, 0.25)
     t += chamber
-    x, z = score.room(sign * 0.3 * width, reach)
-    score.move(
-        t, t + strike, **{side + "x": x, side + "z": z, side + "y": height, side + "pitch": score.about(5.0, 10.0)}
-    )
+    _ankle(score, side, t, t + strike, 0.3 * sign * width, height, reach, pitch=score.about(5.0, 10.0))
     score.pelvis(shift, t + strike, -0.85 * sign * width, 0.08, -12.0 * sign, pitch=lean, py=-0.02)
     score.move(shift, t + strike, bend=score.vary(12.0), twist=score.about(10.0 * sign, 4.0), nod=8.0)
     _kick_arms(score, arms, shift, t + strike)
     t += strike + hold
-    x, z = score.room(sign * 0.8 * width, 0.22)
-    score.move(t, t + back, **{side + "x": x, side + "z": z, side + "y": 0.62 * height})
+    _ankle(score, side, t, t + back, 0.8 * sign * width, 0.62 * height, 0.22)
     t += back
-    x, z = score.room(sign * width + score.about(0.0, 0.03), score.about(0.02, 0.06))
-    score.move(t, t + down, **{side + "x": x, side + "z": z, side + "y": 0.0, side + "free": 0.0, side + "pitch": 0.0})
-    score.stand(t, t + down + 0.15)
-    score.after(t + down + 0.1)
+    _ankle(score, side, t, t + down, sign * width, 0.0, score.about(0.0, 0.04), free=0.0, pitch=0.0)
+    score.pelvis(t, t + down, 0.0, 0.0, 0.0, pitch=0.0, roll=0.0, py=-0.04)
+    score.move(t, t + down, bend=score.about(8.0, 3.0), twist=0.0, nod=actor.nod)
+    score.after(t + down)
 
 
-def _kick_arms(score: Score, arms: str, shift: float, stop: float) -> None:
-    if arms == "guard":
-        score.hands(-0.1, 0.7 * shift, 0.02, 0.20, 0.38)
-        score.hands(shift, stop, 0.05, score.about(0.18, 0.05), 0.38)
-    else:
-        score.hands(0.1, shift, 0.4, -0.75, 0.1)
-        score.hands(shift, stop, score.about(0.65, 0.1), -0.55, 0.0)
+def _ankle(score: Score, side: str, start: float, stop: float, x: float, y: float, z: float, **others: float) -> None:
+    """Move a lifted foot to a place given from the anchor."""
+    room_x, room_z = score.room(x, z)
+    targets = {"x": room_x, "y": y, "z": room_z} | others
+    score.move(start, stop, **{side + name: value for name, value in targets.items()})
 
 
-def punch(score: Score, side: str) -> None:
-    """Punch straight forwards with one fist out of a guard, and let the guard go."""
+def _kick_arms(score: Score, arms: tuple[float, float], start: float, stop: float) -> None:
+    score.hands(start, stop, arms[0], score.about(arms[1], 0.05), 0.12)
+
+
+def punch(score: Score, side: str, times: int) -> list[float]:
+    """Punch straight forwards with one fist some times, out of a guard.
+
+    Returns
+    -------
+    The times at which a punch begins, and the end of the last one, seconds.
+    """
     score.begin("punch")
     actor = score.actor
     sign, other = _sign(side), _other(side)
-    ready, wind, strike, hold, back, down = (score.beat(t) for t in (0.32, 0.24, 0.18, 0.10, 0.27, 0.32))
-    guard = actor.habit("punch.guard", 0.08, 0.24)
-    high = score.about(actor.habit("punch.height", 0.06, 0.26), 0.05)
-    stance = actor.likes("punch.stance", "step", "step", "step", "square", steady=0.85, rng=score.rng)
+    ready, leave = score.beat(0.32), score.beat(0.36)
+    guard = actor.habit("punch.guard", -0.30, -0.16)
+    score.hands(0.0, ready, 0.0, guard, 0.36, swivel=55.0)
+    score.move(0.0, ready, bend=score.about(8.0, 3.0), nod=4.0, twist=sign * 8.0)
+    lunge = score.about(actor.habit("punch.lunge", 0.66, 0.82), 0.03)
+    score.step(other, 0.0, ready, -sign * actor.stance, lunge, lift=0.06, heel=15.0)
+    score.pelvis(0.0, ready, 0.0, 0.5 * lunge, py=-score.about(actor.habit("punch.deep", 0.20, 0.27), 0.015))
+    score.move(0.0, ready, **{side + "pitch": 40.0})
+    score.after(0.65 * ready)
+    moments = [score.now]
+    for _ in range(times):
+        _punch_once(score, side, guard)
+        moments.append(score.now)
+    score.move(0.0, 0.6 * leave, **{side + "pitch": 0.0})
+    score.step(other, 0.0, leave, -sign * actor.stance, score.about(0.0, 0.03), lift=0.06, heel=15.0)
+    score.stand(-0.05, leave)
+    score.after(leave)
+    return moments
+
+
+def _punch_once(score: Score, side: str, guard: float) -> None:
+    actor = score.actor
+    sign, other = _sign(side), _other(side)
+    wind, strike, hold, back, wait = (score.beat(t) for t in (0.24, 0.18, 0.10, 0.28, 0.10))
+    high = score.about(actor.habit("punch.height", -0.22, -0.06), 0.05)
     turn = score.vary(actor.habit("punch.turn", 30.0, 50.0))
-    score.hands(0.0, ready, 0.0, guard, 0.36)
-    score.move(0.0, ready, bend=score.about(8.0, 3.0), nod=4.0, py=-0.05, twist=sign * 6.0)
-    if stance == "step":
-        place = score.about(0.34, 0.05)
-        score.step(other, 0.05, ready, -sign * actor.stance, place, lift=0.06, heel=15.0)
-        score.pelvis(0.0, ready, 0.0, 0.35 * place)
-    t = ready
-    score.hand(side, t, t + wind, 0.1, guard - 0.12, score.about(0.12, 0.05))
-    score.move(t, t + wind, twist=sign * 0.6 * turn)
-    t += wind
-    score.hand(side, t, t + strike, -0.16, high, 0.97, swivel=score.about(30.0, 10.0), hroll=40.0)
-    score.hand(other, t, t + strike, 0.05, guard - 0.04, 0.24)
+    score.hand(side, 0.0, wind, 0.1, guard - 0.08, score.about(0.12, 0.05), swivel=60.0)
+    score.move(0.0, wind, twist=sign * 0.6 * turn)
+    t = wind
+    score.hand(side, t, t + strike, -0.16, high, 0.97, swivel=score.about(50.0, 10.0), hroll=40.0)
+    score.hand(other, t, t + strike, 0.05, guard - 0.03, 0.26, swivel=55.0)
     score.move(t, t + strike, twist=-sign * turn, yaw=score.anchor[2] - sign * 0.4 * turn, bend=12.0)
     t += strike + hold
-    score.hand(side, t, t + back, 0.02, guard, 0.36, swivel=10.0, hroll=0.0)
-    score.move(t, t + back, twist=0.0, yaw=score.anchor[2])
-    t += back
-    if stance == "step":
-        score.step(other, t, t + down, -sign * actor.stance, score.about(0.0, 0.03), lift=0.06, heel=15.0)
-    score.stand(t, t + down)
-    score.after(t + down)
+    score.hand(side, t, t + back, 0.02, guard, 0.36, swivel=55.0, hroll=0.0)
+    score.hand(other, t, t + back, 0.02, guard, 0.36, swivel=55.0)
+    score.move(t, t + back, twist=sign * 8.0, yaw=score.anchor[2], bend=8.0)
+    score.after(t + back + wait)
 
 
 def throw(score: Score) -> None:
