@@ -13,7 +13,8 @@ class Gait:
     """How somebody goes. Lengths in leg lengths, times in seconds, angles in degrees.
 
     seconds: from one step to the next. stride: how far a step goes ahead of the last one. swing: how long a foot
-    is in the air, in steps. lift: how high it goes. heel: how far it is bent back then. sink: how low the pelvis
+    is in the air, in steps. lift: how high it goes. heel: how far it is bent back then.
+    strike: its pitch at landing, negative for heel first. sink: how low the pelvis
     goes. bob: up and down. high_when: when in a step the pelvis is highest, 0 at landing. bend: the trunk
     forwards. arms: how far the hands swing; elbow: how far they are lifted by bent elbows. narrow: half the
     distance between the feet.
@@ -34,8 +35,14 @@ class Gait:
     narrow: float
 
 
-WALK = Gait(0.52, 0.80, 0.76, 0.10, 38.0, -16.0, 0.045, 0.030, 0.5, 3.0, 0.36, 0.04, 0.085)
-JOG = Gait(0.36, 0.80, 1.25, 0.46, 70.0, -4.0, 0.075, 0.075, 0.95, 9.0, 0.20, 0.60, 0.07)
+WALK = Gait(
+    seconds=0.52, stride=0.80, swing=0.76, lift=0.10, heel=38.0, strike=-16.0, sink=0.045, bob=0.030, high_when=0.5,
+    bend=3.0, arms=0.36, elbow=0.04, narrow=0.085,
+)  # fmt: skip
+JOG = Gait(
+    seconds=0.36, stride=0.80, swing=1.25, lift=0.46, heel=70.0, strike=-4.0, sink=0.075, bob=0.075, high_when=0.95,
+    bend=9.0, arms=0.20, elbow=0.60, narrow=0.07,
+)  # fmt: skip
 
 
 def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, close: bool = True) -> list[float]:
@@ -146,10 +153,8 @@ def spin(score: Score) -> None:
     score.begin("spin")
     actor = score.actor
     rise = score.beat(0.45)
-    place = (actor.habit("spin.out", 0.86, 0.95), actor.habit("spin.high", -0.28, 0.02), 0.10)
-    arms = {"l": place, "r": place}
-    for side, place in arms.items():
-        score.hand(side, 0.0, rise, *place)
+    arms = (actor.habit("spin.out", 0.86, 0.95), actor.habit("spin.high", -0.28, 0.02), 0.10)
+    score.hands(0.0, rise, *arms)
     score.move(0.0, rise, py=-0.04, twist=-14.0, yaw=score.anchor[2] - 8.0)
     score.after(0.8 * rise)
     turn(score, score.about(360.0, 14.0), 0.30, arms)
@@ -157,9 +162,7 @@ def spin(score: Score) -> None:
     score.after(score.beat(0.25))
 
 
-def turn(
-    score: Score, degrees: float, seconds: float = 0.46, arms: dict[str, tuple[float, float, float]] | None = None
-) -> None:
+def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float, float, float] | None = None) -> None:
     """Turn on the spot by some steps, to the left where the angle is positive.
 
     Parameters
@@ -167,41 +170,37 @@ def turn(
     seconds: how long a step takes. arms: where the hands are held; they hang where nothing is said.
     """
     score.begin()
-    width = score.actor.stance
-    first = "l" if degrees > 0 else "r"
+    first, second = ("l", "r") if degrees > 0 else ("r", "l")
     pairs = max(1, math.ceil(abs(degrees) / score.actor.habit("turn.step", 80.0, 130.0)))
     done = 0.0
     for _ in range(pairs):
         goal = done + degrees / pairs
-        for side in (first, "r" if first == "l" else "l"):
-            span = score.beat(seconds)
-            sign = 1.0 if side == "l" else -1.0
-            angle = math.radians(goal)
-            off = score.about(0.0, 0.04)
-            place = (sign * width * math.cos(angle) + off, -sign * width * math.sin(angle) + off)
-            score.step(
-                side, 0.05 * span, 0.8 * span, *place, yaw=score.about(goal, 3.0), lift=0.08, heel=22.0, strike=0.0
-            )
-            half = goal if side != first else (done + goal) / 2
-            lead = math.copysign(12.0, degrees)
-            turned = math.radians(half)
-            over = score.actor.over_toes
-            score.pelvis(
-                0.0, span, over * math.sin(turned) - 0.025 * sign, over * math.cos(turned) - over, half + 0.4
-                * lead, py=-0.03, roll=score.about(0.0, 1.5),
-            )  # fmt: skip
-            score.move(0.0, 0.7 * span, look=score.about(2.0 * lead, 6.0), twist=score.about(0.8 * lead, 3.0))
-            for hand, way in (("l", sign), ("r", -sign)):
-                if arms is None:
-                    score.hand(hand, 0.0, span, *_hanging(score, 0.05 * way))
-                else:
-                    score.hand(hand, 0.0, span, *arms[hand])
-            score.after(span)
+        for side, over in ((first, (done + goal) / 2), (second, goal)):
+            _turning_step(score, side, score.beat(seconds), goal, over, math.copysign(12.0, degrees), arms)
         done = goal
     if arms is None:
         span = score.beat(0.4)
         score.stand(0.0, span)
         score.after(0.8 * span)
+
+
+def _turning_step(
+    score: Score, side: str, span: float, goal: float, over: float, lead: float, arms: tuple[float, float, float] | None
+) -> None:
+    """Put one foot down in its new direction `goal`, and turn the pelvis to `over`; the head leads."""
+    actor = score.actor
+    sign = 1.0 if side == "l" else -1.0
+    angle, turned = math.radians(goal), math.radians(over)
+    off = score.about(0.0, 0.04)
+    place = (sign * actor.stance * math.cos(angle) + off, -sign * actor.stance * math.sin(angle) + off)
+    score.step(side, 0.05 * span, 0.8 * span, *place, yaw=score.about(goal, 3.0), heel=22.0, strike=0.0)
+    x = actor.over_toes * math.sin(turned) - 0.025 * sign
+    z = actor.over_toes * (math.cos(turned) - 1.0)
+    score.pelvis(0.0, span, x, z, over + 0.4 * lead, py=-0.03, roll=score.about(0.0, 1.5))
+    score.move(0.0, 0.7 * span, look=score.about(2.0 * lead, 6.0), twist=score.about(0.8 * lead, 3.0))
+    for hand, way in (("l", sign), ("r", -sign)):
+        score.hand(hand, 0.0, span, *(arms or _hanging(score, 0.05 * way)))
+    score.after(span)
 
 
 def _hanging(score: Score, ahead: float) -> tuple[float, float, float]:

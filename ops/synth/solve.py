@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from ops.kinematics import euler
 from ops.synth.body import BALL_HEIGHT, F64, FOOT_SLOPE, NECK, PARENTS, SPINE, Body
 from ops.synth.channels import INDEX
-from ops.synth.turning import about, apply, apply_inverse, unit, xyz, xyz_angles
+from ops.synth.turning import about, apply, apply_inverse, unit, xyz_angles
 
 _SPINE_SHARES = (0.40, 0.32, 0.28)
 _REACH = 0.995
@@ -48,7 +49,7 @@ class _Pose:
     def turn(self, name: str, angles: F64) -> None:
         """Turn a bone by the angles of its dofs, radians (T, number of dofs)."""
         bone = self.body.bone(name)
-        axis = xyz(bone.axis)
+        axis = euler(bone.axis, "XYZ")
         local = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
         for column, dof in enumerate(bone.dofs):
             local = about(dof[1], angles[:, column]) @ local
@@ -57,7 +58,7 @@ class _Pose:
 
     def point_to(self, name: str, rotation: F64) -> None:
         """Give a bone with three dofs this global rotation."""
-        axis = xyz(self.body.bone(name).axis)
+        axis = euler(self.body.bone(name).axis, "XYZ")
         parent = self.rotation[PARENTS[name]]
         local = axis.T @ (np.swapaxes(parent, 1, 2) @ rotation) @ axis
         self.angles[name] = xyz_angles(local)
@@ -180,7 +181,7 @@ def _frame(hinge: F64, direction: F64) -> F64:
 def _aim(pose: _Pose, name: str, hinge: F64, direction: F64) -> None:
     """Turn a bone so that it points along a direction and its x axis lies along the hinge."""
     bone = pose.body.bone(name)
-    rest = _frame(xyz(bone.axis)[:, 0], np.array(bone.direction))
+    rest = _frame(euler(bone.axis, "XYZ")[:, 0], np.array(bone.direction))
     pose.point_to(name, _frame(hinge, direction) @ rest.T)
 
 
@@ -200,7 +201,7 @@ def _leg(pose: _Pose, side: str) -> None:
 def _foot(pose: _Pose, side: str) -> None:
     """Aim the foot: held in the room or hanging from the shin; the toes stay flat while the ball is on the floor."""
     bone = pose.body.bone(side + "foot")
-    axis = xyz(bone.axis)
+    axis = euler(bone.axis, "XYZ")
     free = pose.of(side + "free")[:, None]
     slope = np.array([0.0, -math.sin(FOOT_SLOPE), math.cos(FOOT_SLOPE)])
     held = apply_inverse(pose.rotation[side + "tibia"] @ axis, apply(_foot_frame(pose, side), slope))

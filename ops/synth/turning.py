@@ -20,13 +20,6 @@ def about(axis: str, radians: F64 | float) -> F64:
     return result
 
 
-def xyz(degrees: tuple[float, float, float]) -> F64:
-    """Return the rotation of Acclaim axis angles in order XYZ: Rz·Ry·Rx, (3, 3)."""
-    x, y, z = np.radians(degrees)
-    product: F64 = about("z", z) @ about("y", y) @ about("x", x)
-    return product
-
-
 def xyz_angles(rotations: F64) -> F64:
     """Return the angles (rx, ry, rz) in radians of rotations Rz·Ry·Rx, (T, 3), without jumps between frames."""
     y = np.arcsin(np.clip(-rotations[:, 2, 0], -1.0, 1.0))
