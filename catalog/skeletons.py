@@ -18,7 +18,7 @@ from catalog.configs import Located, config_names, config_path, load_yaml
 from ops.errors import SourceError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
-Format: TypeAlias = Literal["acclaim", "bvh"]
+Format: TypeAlias = Literal["acclaim", "bvh", "positions"]
 Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
@@ -52,6 +52,7 @@ class _SkeletonFile(BaseModel):
     unit_m: Any  # a number of metres or `guess`; pydantic's messages about either-or are of no use to anybody
     strip_prefix: str | None = None
     bones: dict[str, dict[str, float]] = Field(default_factory=dict)
+    order: list[str] = Field(default_factory=list)
     joints: dict[str, Any]  # see `_mix`
 
 
@@ -79,6 +80,7 @@ class SkeletonMapping:
     unit_m: metres of one unit, None where it is to be guessed. axes: (3, 3), turns source coordinates into X, Y up, Z
     (right-handed). root_axes: (3, 3), the same for the axes of the root node itself.
     bones: node → weights over the offsets of other nodes, which it is given where the file leaves its own at zero.
+    order: the points of files that do not name theirs, in order; empty where these cannot be read.
     """
 
     name: str
@@ -91,6 +93,7 @@ class SkeletonMapping:
     strip_prefix: str | None
     bones: dict[str, dict[str, float]]
     joints: dict[str, tuple[Mix | None, ...]]
+    order: tuple[str, ...] = ()
 
     def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
         """Node name → index, by the names that the mapping uses; what a stripped prefix makes ambiguous is left out."""
@@ -246,6 +249,24 @@ class Mappings:
             f"{_listed(list(nodes))}; {way_out}",
         )
 
+    def names_in_order(self, source: str | Path, count: int) -> tuple[str, ...]:
+        """The names of the points of a file that does not name them: those of the mapping with as many in its `order`.
+
+        Raises
+        ------
+        SourceError: no mapping has as many, or several have and give them different names.
+        """
+        orders = {mapping.order for mapping in self.of_format.get("positions", ()) if mapping.order}
+        fitting = [order for order in orders if len(order) == count]
+        if len(fitting) == 1:
+            return fitting[0]
+        known = ", ".join(str(number) for number in sorted({len(order) for order in orders})) or "none"
+        raise SourceError(
+            source,
+            f"does not name its {count} joints, and {'no' if not fitting else 'more than one'} mapping has as many in "
+            f"its `order` (there are: {known}); give one of your own by `skeleton`, or add an array `names`",
+        )
+
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
         """The mapping that lacks the least in a skeleton, and of these the one that finds the most joints."""
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
@@ -303,6 +324,9 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
         raise located.error(f"must be a positive number of metres, or guess; got {unit_m!r}", "unit_m")
     if parsed.format == "acclaim" and parsed.unit_m == "guess":
         raise located.error("an ASF file states its unit; give the metres of one inch, 0.0254", "unit_m")
+    for key in ("bones", "root_axes") if parsed.format == "positions" else ("order",):
+        if getattr(parsed, key):
+            raise located.error(f"means nothing for format {parsed.format}", key)
     if parsed.strip_prefix is not None:
         try:
             re.compile(parsed.strip_prefix)
@@ -321,6 +345,7 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
         strip_prefix=parsed.strip_prefix,
         bones=parsed.bones,
         joints={joint: _choices(located, parsed, joint) for joint in parsed.joints},
+        order=tuple(parsed.order),
     )
 
 

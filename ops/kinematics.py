@@ -194,6 +194,22 @@ def _forward(
                 orientation[k, start + t] = h[oriented, k, t]
 
 
+def frames_along(across: F64, up: F64) -> F64:
+    """Rotation matrices (9, T), row by row, whose X axis lies along `across` and whose Y axis is nearest to `up`.
+
+    Parameters
+    ----------
+    across, up: float64 (3, T), of any length. Where one is zero or both lie on one line, the matrix is NaN.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = across / np.linalg.norm(across, axis=0)
+        z = np.cross(x, up / np.linalg.norm(up, axis=0), axis=0)
+        length = np.linalg.norm(z, axis=0)
+        z = z / np.where(length > 1e-9, length, 0.0)
+    matrices: F64 = np.stack([x, np.cross(z, x, axis=0), z], axis=1)  # columns are the axes
+    return np.ascontiguousarray(matrices.reshape(9, -1))
+
+
 def quaternions(matrices: F64) -> F64:
     """Unit quaternions (4, T) w x y z of rotation matrices (9, T), without jumps of sign.
 

@@ -190,6 +190,7 @@ def inspect(
         Path | None, typer.Option(metavar="DIR", help="source root: the ASF of an AMC file is looked for up to there")
     ] = None,
     rate: RateOption = None,
+    fill_gap_frames: Annotated[int, typer.Option(min=0, help="longest gap of a point that is closed")] = 0,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
     ] = None,
@@ -198,7 +199,7 @@ def inspect(
     from pipelines.inspect import inspect_file, show, write_picture
     from storage.bodies import Given
 
-    found = inspect_file(file, skeleton, source, Given(override_rate_hz=rate))
+    found = inspect_file(file, skeleton, source, Given(None, rate, fill_gap_frames))
     path = picture or Path(f"{file.stem}.png")
     if write_picture(found, path):
         found.say("picture", str(path))

@@ -17,12 +17,14 @@ from catalog.skeletons import Format, Mappings, load_mappings
 from catalog.units import body_height
 from ops import kinematics
 from ops.errors import KinedexError, SourceError
+from ops.gaps import find_gaps
 from pipelines.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
 from storage.acclaim import INCH_M, read_asf
-from storage.bodies import NOTHING_GIVEN, Body, Given, read_body
+from storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
 from storage.bvh import parse_bvh
 from storage.export import TREE
+from storage.positions import parse_positions
 from storage.sources import UNREAD, SourceFile, skeleton_of
 
 F64 = npt.NDArray[np.float64]
@@ -33,6 +35,11 @@ SHOWN = 6
 ABOVE = 3
 """How many folders above an AMC file its ASF is looked for in, where no source root is given."""
 
+_READ = f"kinedex reads {', '.join(FORMS)}"
+_FORMATS = {
+    ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".trc": "TRC, positions",
+    ".csv": "CSV, positions", ".npz": "NPZ, positions", ".npy": "NPY, positions",
+}  # fmt: skip
 _AXES = ("x to the right, y up", "z to the right, y up")
 _DRAWN = 1e9  # units; a joint farther away than this is a fault, and would leave nothing else to be seen
 _RATE_HZ = 30.0  # the analysis rate of a store
@@ -81,18 +88,16 @@ def inspect_file(
     ending = file.suffix.lower()
     if not file.is_file():
         raise KinedexError(f"{file}: no such file")
-    if ending not in (".amc", ".bvh"):
-        raise SourceError(
-            file, f"is not read: {UNREAD.get(ending, 'kinedex reads .amc (with its .asf) and .bvh files')}"
-        )
+    if ending not in FORMS:
+        raise SourceError(file, f"is not read: {UNREAD.get(ending, _READ)}")
     feature_set = load_feature_set()
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
     found.say("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    found.say("format", {".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH"}[ending])
+    found.say("format", _FORMATS[ending])
     try:
         asf = _asf(found, file, source) if ending == ".amc" else None
-        raw = _raw(found, file, asf)
+        raw = _raw(found, file, asf, mappings)
         _say_mapping(found, raw, mappings)
         found.figure = raw.figure
         body = read_body(file, asf, mappings, feature_set.joints, given)
@@ -148,31 +153,61 @@ def _source(root: Path, path: Path) -> SourceFile:
     return SourceFile(str(root), path.relative_to(root).as_posix(), 0, 0)
 
 
-def _raw(found: Inspection, file: Path, asf: Path | None) -> _Skeleton:
+def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings) -> _Skeleton:
     """What the file holds before any mapping, said and returned."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
         _say_nodes(found, nodes)
         return _Skeleton("acclaim", nodes)
+    if form_of(file) == "positions":
+        return _raw_points(found, file, mappings)
     bvh = parse_bvh(file)
     _say_nodes(found, bvh.places)
     _say_time(found, bvh.rate_hz, len(bvh.channels))
     shown = _shown(len(bvh.channels))
     positions, _ = kinematics.forward(bvh.nodes, bvh.channels[shown])
-    if not np.abs(positions).max() < _DRAWN:
-        return _Skeleton("bvh", bvh.places)
     bones = [(i, node.parent, MIDDLE) for i, node in enumerate(bvh.nodes) if node.parent >= 0]
-    figure = Figure(
-        points=positions,
+    return _Skeleton("bvh", bvh.places, _raw_figure(file, positions, bones, _times(shown, bvh.rate_hz)))
+
+
+def _raw_points(found: Inspection, file: Path, mappings: Mappings) -> _Skeleton:
+    points = parse_positions(file)
+    count, frames = len(points.positions), points.positions.shape[2]
+    if points.names:
+        _say_nodes(found, points.names)
+    else:
+        found.say("nodes", f"{count}, which the file does not name")
+    shown = _shown(frames)
+    times = _times(shown, points.rate_hz) if points.rate_hz else [f"frame {frame}" for frame in shown]
+    if points.rate_hz:
+        _say_time(found, points.rate_hz, frames)
+    else:
+        found.say("length", f"{frames} frames; the file does not say how many a second")
+    gaps = find_gaps(points.positions)
+    if gaps:
+        longest = max(gap.frames for gap in gaps)
+        found.say("gaps", f"{len(gaps)} in {len({gap.point for gap in gaps})} points, the longest of {longest} frames")
+    names = points.names or mappings.names_in_order(file, count)
+    dots = [(i, i, MIDDLE) for i in range(count)]
+    return _Skeleton("positions", points.places(names), _raw_figure(file, points.positions[:, :, shown], dots, times))
+
+
+def _raw_figure(file: Path, points: F64, bones: list[tuple[int, int, str]], times: list[str]) -> Figure | None:
+    """The file's own joints, as they stand in it; None where there is nothing to be seen."""
+    known = np.isfinite(points).all(axis=1)
+    if not known.any(axis=0).all() or not np.nanmax(np.abs(points)) < _DRAWN:
+        return None
+    ground = float(np.nanmin(points[:, 1]))
+    return Figure(
+        points=points,
         bones=bones,
-        times=_times(shown, bvh.rate_hz),
+        times=times,
         views=[(_AXES[0], 0, 1), (_AXES[1], 2, 1)],
-        ground=float(positions[:, 1].min()),
+        ground=ground,
         title=f"{file.name}: the file's own joints and axes",
         legend=[],
-        note=f"ground line: lowest joint, y = {positions[:, 1].min():.4g} units",
+        note=f"ground line: lowest joint, y = {ground:.4g} units",
     )
-    return _Skeleton("bvh", bvh.places, figure)
 
 
 def _say_nodes(found: Inspection, nodes: Iterable[str]) -> None:
@@ -204,7 +239,9 @@ def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
 
 def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
     if not any(what == "rate" for what, _ in found.lines):
-        how = "given" if given.rate_hz or given.override_rate_hz else "assumed: Acclaim files do not say it"
+        found.lines = [line for line in found.lines if line[0] != "length"]
+        said = given.rate_hz or given.override_rate_hz
+        how = "given" if said else "assumed: Acclaim files do not say it"
         _say_time(found, body.rate_hz, body.frames, f" ({how})")
     found.say("unit", body.unit)
     height = body_height(body.positions, feature_set.joints)

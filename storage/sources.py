@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ops.errors import SourceError, StoreError
+from storage.positions import is_positions_csv
+
+MOTIONS = (".amc", ".bvh", ".trc", ".csv", ".npz", ".npy")
+"""Endings of motion files; a .csv is one where its header names joint positions."""
 
 UNREAD = {
     ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
     ".c3d": "markers are not read; export the solved skeleton as BVH or ASF/AMC",
-    ".trc": "markers are not read; export the solved skeleton as BVH or ASF/AMC",
     ".htr": "export it as BVH",
     ".bip": "export it as BVH",
     ".glb": "convert it to BVH first, for instance with Blender (import glTF, export BVH)",
@@ -104,7 +107,7 @@ class Scan:
 
 
 def scan(root: str | Path) -> Scan:
-    """List the motion files (.amc, .bvh) and skeleton files (.asf) below a source root, in any letter case.
+    """List the motion files (`MOTIONS`) and skeleton files (.asf) below a source root, in any letter case.
 
     Folders are not entered by way of links, so links that form a loop do no harm; a folder that a link leads to inside
     the root is found where it is. Links to files are followed inside the root. What leads out of it, leads nowhere, or
@@ -123,12 +126,14 @@ def scan(root: str | Path) -> Scan:
     skeletons: list[SourceFile] = []
     unread: list[SourceFile] = []
     refused: list[Refused] = []
-    kinds = {".amc": motions, ".bvh": motions, ".asf": skeletons} | dict.fromkeys(UNREAD, unread)
+    kinds = dict.fromkeys(MOTIONS, motions) | {".asf": skeletons} | dict.fromkeys(UNREAD, unread)
     for path in _entries(root, refused):
         kind = kinds.get(path.suffix.lower())
         if kind is not None:
             try:
-                kind.append(_source_file(root, path))
+                file = _source_file(root, path)
+                if path.suffix.lower() != ".csv" or is_positions_csv(path):
+                    kind.append(file)
             except SourceError as fault:
                 refused.append(Refused(readable(path.relative_to(root).as_posix()), fault))
     return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused))

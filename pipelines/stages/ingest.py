@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from catalog.features import FeatureSet, load_feature_set
-from catalog.skeletons import Mappings, load_mappings
+from catalog.skeletons import Format, Mappings, load_mappings
 from ops import features, kinematics, textnumbers
 from ops.errors import KinedexError, SourceError, StoreError
 from pipelines.analysis import analyse, blind
@@ -25,13 +25,13 @@ from pipelines.context import StageContext
 from pipelines.executors import WorkerDied
 from pipelines.failures import Failure, failure, killer, log_table, refusal
 from pipelines.plan import code_digest
-from storage.bodies import Body, Given, read_body
+from storage.bodies import FORMS, Body, Given, read_body
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 from storage.compaction import compact
 from storage.manifest import Part
 from storage.parts import FramesWriter, frames_table
 from storage.schemas import frames_schema, takes_schema
-from storage.sources import Scan, SourceFile, checksum, path_groups, scan, skeleton_of
+from storage.sources import MOTIONS, Scan, SourceFile, checksum, path_groups, scan, skeleton_of
 from storage.store import Store
 from storage.writer import StoreWriter
 
@@ -62,13 +62,19 @@ class Params(BaseModel):
         None,
         ge=SLOWEST_HZ,
         le=FASTEST_HZ,
-        description="frames per second of files that do not say it: Acclaim files, 120 unless given",
+        description="frames per second of files that do not say it: Acclaim (120 unless given), CSV, NPY, some NPZ",
     )
     override_rate_hz: float | None = Field(
         None,
         ge=SLOWEST_HZ,
         le=FASTEST_HZ,
         description="frames per second of every file of the source, whatever the file says (`kinedex ingest --rate`)",
+    )
+    fill_gap_frames: int = Field(
+        0,
+        ge=0,
+        description="longest gap of a point, in source frames, that is closed along a straight line (TRC, CSV, NPZ, "
+        "NPY); a file with a longer one does not come in",
     )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
@@ -87,14 +93,15 @@ class Params(BaseModel):
     @property
     def given(self) -> Given:
         """What the files are told by the user."""
-        return Given(self.rate_hz, self.override_rate_hz)
+        return Given(self.rate_hz, self.override_rate_hz, self.fill_gap_frames)
 
 
 def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: source files by path, size and time, mappings, and features."""
     feature_set = load_feature_set()
     mappings = load_mappings(params.skeleton, feature_set.joints)
-    return _digest([scan(params.source).digest, feature_set.digest, mappings.digest("acclaim"), mappings.digest("bvh")])
+    forms = [mappings.digest(form) for form in sorted(set(FORMS.values()))]
+    return _digest([scan(params.source).digest, feature_set.digest, *forms])
 
 
 @dataclass(frozen=True)
@@ -143,7 +150,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     found = scan(params.source)
     if not found.motions:
         raise KinedexError(
-            f"no motion files (.amc, .bvh) below {params.source}. kinedex reads Acclaim ASF/AMC and BVH; is this the "
+            f"no motion files ({', '.join(MOTIONS)}) below {params.source}; is this the "
             "right folder?"
             + "".join(f" {line}." for line in found.unread_lines())
             + "".join(f" {refused.fault}." for refused in found.refused[:3])
@@ -202,9 +209,9 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
     """Compare the source with the store: what is new or changed, what is unchanged, what is gone, what has no place."""
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
     patterns = [re.compile(pattern) for pattern in params.patterns]
-    recipes: dict[str, str] = {
-        "amc": _recipe(feature_set, mappings.digest("acclaim"), params.given.acclaim_hz),
-        "bvh": _recipe(feature_set, mappings.digest("bvh"), params.override_rate_hz),
+    recipes = {
+        ending[1:]: _recipe(feature_set, mappings.digest(form), _matters(params.given, form))
+        for ending, form in FORMS.items()
     }
     skeleton_sums: dict[str, str] = {}
     tasks: list[Task] = []
@@ -293,10 +300,17 @@ def _refuse_stranger(row: dict[str, Any], motion: SourceFile) -> None:
         )
 
 
-def _recipe(feature_set: FeatureSet, mappings: str, rate_hz: float | None) -> str:
+def _matters(given: Given, form: Format) -> object:
+    """What of the user's word changes a take of a format."""
+    if form == "positions":
+        return astuple(given)
+    return given.acclaim_hz if form == "acclaim" else given.override_rate_hz
+
+
+def _recipe(feature_set: FeatureSet, mappings: str, given: object) -> str:
     """What a take's rows depend on besides its own files; when it changes, the take is read again."""
     code = [code_digest(module) for module in ("storage.bodies", "pipelines.analysis")]
-    return _digest([feature_set.digest, mappings, rate_hz, code])
+    return _digest([feature_set.digest, mappings, given, code])
 
 
 def _digest(parts: object) -> str:

@@ -19,6 +19,7 @@ from storage.export import export_take
 from storage.parts import joint_positions
 from storage.store import Store, open_store
 from storage.verify import verify
+from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.pipelines.archives import context, write_archive
 
@@ -105,7 +106,7 @@ def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, sou
     assert "1 file of a format not read (.c3d)" in said
     (tmp_path / "only").mkdir()
     (tmp_path / "only" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
-    with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh\) below .* \(.fbx\): convert it to BVH"):
+    with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh, .* below .* \(.fbx\): convert it to BVH"):
         bring_in(tmp_path / "other", tmp_path / "only")
 
 
@@ -147,15 +148,39 @@ def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_
     assert verify(store) == []
 
 
-def test_a_take_that_was_exported_comes_back(tmp_path: Path, source: Path) -> None:
+@pytest.mark.parametrize(("form", "skeleton"), [("bvh", "named"), ("csv", "named-positions")])
+def test_a_take_that_was_exported_comes_back(tmp_path: Path, source: Path, form: str, skeleton: str) -> None:
     bring_in(tmp_path / "store", source)
     store = open_store(tmp_path / "store")
     (tmp_path / "out").mkdir()
     for take in ("wave", "x_1"):
-        export_take(store, take, "bvh", tmp_path / "out" / f"{take}.bvh")
-    bring_in(tmp_path / "again", tmp_path / "out")
+        export_take(store, take, form, tmp_path / "out" / f"{take}.{form}")
+    (tmp_path / "out" / "ground_truth.csv").write_text("take,class,start,stop\n")
+    assert bring_in(tmp_path / "again", tmp_path / "out", rate_hz=30.0)[0]["left_out"] == 0
     again = open_store(tmp_path / "again")
-    assert set(again.takes()["skeleton"]) == {"named"}
+    assert set(again.takes()["skeleton"]) == {skeleton}
+    assert verify(again) == []
     for take in ("wave", "x_1"):
         before, after = (joint_positions(opened.frames(take), JOINTS) for opened in (store, again))
         np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_positions_come_in_beside_other_formats_and_their_gaps_are_logged_until_they_may_be_closed(
+    tmp_path: Path, source: Path
+) -> None:
+    track = np.moveaxis(standing(20), 2, 0).copy()
+    track[5:8, JOINTS.index("rwrist")] = np.nan
+    np.savez(source / "b" / "seen.npz", positions=track, names=np.array(JOINTS), rate_hz=60)
+    summary, said = bring_in(tmp_path / "store", source)
+    assert (summary["takes"], summary["left_out"]) == (3, 1)
+    assert "`fill_gap_frames: 3` closes them" in said
+    summary, _ = bring_in(tmp_path / "store", source, fill_gap_frames=3)
+    assert (summary["takes"], summary["read"]) == (4, 1)
+    (seen,) = (row for row in rows(open_store(tmp_path / "store")) if row["name"] == "seen")
+    assert (seen["format"], seen["skeleton"], seen["source_rate_hz"], seen["frames"]) == (
+        "npz",
+        "named-positions",
+        60.0,
+        10,
+    )
+    assert bring_in(tmp_path / "store", source, fill_gap_frames=3)[0]["read"] == 0

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
+from catalog.features import load_feature_set
 from ops.errors import KinedexError, SourceError
 from pipelines.inspect import Inspection, inspect_file, write_picture
 from pipelines.picture import LEFT, MIDDLE, RIGHT
+from storage.bodies import Given
+from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.pipelines.archives import write_archive
+
+JOINTS = load_feature_set().joints
 
 
 def said(found: Inspection, what: str) -> str:
@@ -101,6 +106,22 @@ def test_a_number_out_of_this_world_is_said_and_not_drawn(tmp_path: Path) -> Non
     found = inspect_file(path)
     assert "km away in source frame 39" in str(found.fault)
     assert not write_picture(found, tmp_path / "far.png")
+
+
+def test_positions_are_described_with_their_gaps_and_drawn_as_dots_until_they_come_in(tmp_path: Path) -> None:
+    track = np.moveaxis(standing(30), 2, 0).copy()
+    track[3:5, JOINTS.index("lknee")] = np.nan
+    np.savez(tmp_path / "a.npz", positions=track, names=np.array(JOINTS))
+    found = inspect_file(tmp_path / "a.npz")
+    assert said(found, "length") == "30 frames; the file does not say how many a second"
+    assert said(found, "gaps") == "1 in 1 points, the longest of 2 frames"
+    assert said(found, "mapping").startswith("named-positions")
+    assert "give `rate_hz`, or --rate" in str(found.fault)
+    assert write_picture(found, tmp_path / "dots.png")
+    found = inspect_file(tmp_path / "a.npz", given=Given(override_rate_hz=30.0, fill_gap_frames=2))
+    assert found.fault is None
+    assert said(found, "rate") == "30 Hz (given)"
+    assert "lknee 2 frames" in said(found, "warnings")
 
 
 def test_what_is_no_motion_file_is_refused_with_the_way_out(tmp_path: Path) -> None:

@@ -1,0 +1,67 @@
+"""Gaps in trajectories: stretches of frames in which a point was not seen, and how short ones are closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A point that is missing from frame `start` up to, not including, `stop`."""
+
+    point: int
+    start: int
+    stop: int
+
+    @property
+    def frames(self) -> int:
+        """How long it is."""
+        return self.stop - self.start
+
+
+def find_gaps(positions: F64) -> list[Gap]:
+    """All gaps, by point and then by frame.
+
+    Parameters
+    ----------
+    positions: float64 (points, 3, T); a point is missing where any of its coordinates is NaN.
+    """
+    missing = np.count_nonzero(np.isnan(positions), axis=1) > 0
+    found = []
+    for point in np.flatnonzero(np.count_nonzero(missing, axis=1)):
+        edges = np.flatnonzero(np.diff(missing[point], prepend=False, append=False))
+        found += [Gap(int(point), int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+    return found
+
+
+def fill_gaps(positions: F64, longest: int) -> tuple[F64, list[Gap], list[Gap]]:
+    """Close gaps of up to `longest` frames along straight lines; at a take's ends the nearest place is held.
+
+    Parameters
+    ----------
+    positions: float64 (points, 3, T) with NaN in the gaps.
+
+    Returns
+    -------
+    filled: a copy. closed: the gaps that were filled. left: those that are too long, or without any frame to go by.
+    """
+    filled = positions.copy()
+    frames = np.arange(positions.shape[2])
+    closed, left = [], []
+    for gap in find_gaps(positions):
+        if gap.frames > longest or gap.frames == len(frames):
+            left.append(gap)
+            continue
+        seen = ~np.isnan(positions[gap.point]).any(axis=0)
+        for axis in range(3):
+            track = positions[gap.point, axis]
+            filled[gap.point, axis, gap.start : gap.stop] = np.interp(
+                frames[gap.start : gap.stop], frames[seen], track[seen]
+            )
+        closed.append(gap)
+    return filled, closed, left
