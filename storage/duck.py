@@ -24,9 +24,7 @@ _READING = {
     duckdb.StatementType.PRAGMA,
     duckdb.StatementType.MULTI,  # what PIVOT becomes
 }
-_READING_WORDS = set(
-    "select from with values table pivot unpivot explain show describe desc summarize pragma".split()
-)  # fmt: skip
+_READING_WORDS = set("select from with values table pivot unpivot explain show describe desc summarize pragma".split())
 _PRAGMAS = set(
     "collations database_list database_size functions metadata_info platform show show_databases show_tables "
     "show_tables_expanded storage_info table_info user_agent version".split()
