@@ -165,7 +165,10 @@ def _fixed(values: F64, decimals: int) -> tuple[U8, npt.NDArray[np.bool_]]:
 
 
 def _scientific(values: F64, decimals: int) -> tuple[U8, npt.NDArray[np.bool_]]:
-    """Write numbers with one digit before the point and an exponent of three digits, as old Windows programs do."""
+    """Write numbers with one digit before the point and an exponent of three digits, as old Windows programs do.
+
+    What is smaller than 1e-99 is written as zero.
+    """
     sizes = np.abs(values)
     exponent = np.floor(np.log10(np.maximum(sizes, 1e-99))).astype(np.int64)
     exponent[sizes < 1e-99] = 0

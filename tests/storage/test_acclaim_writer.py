@@ -51,7 +51,7 @@ def text(pair: tuple[np.ndarray, np.ndarray]) -> str:
 def test_numbers_read_as_they_were_to_the_last_decimal(value: float, decimals: int) -> None:
     row = np.array([value])
     assert abs(float(text(_fixed(row, decimals))) - value) <= 0.5000001 * 10.0**-decimals
-    assert abs(float(text(_scientific(row, decimals))) - value) <= 0.5000001 * 10.0**-decimals * max(abs(value), 1e-99)
+    assert abs(float(text(_scientific(row, decimals))) - value) <= 0.5000001 * 10.0**-decimals * abs(value) + 1e-99
 
 
 def test_numbers_are_written_as_usual() -> None:
