@@ -201,7 +201,8 @@ class Fit:
                 tracks[joint] = positions[self.places[mix.node]]
             else:
                 of = tracks if mix.of_joints else {name: positions[self.places[name]] for name, _ in mix.weights}
-                tracks[joint] = np.sum([weight * of[name] for name, weight in mix.weights], axis=0)
+                with np.errstate(over="ignore", invalid="ignore"):  # faulty numbers become infinite, and are refused
+                    tracks[joint] = np.sum([weight * of[name] for name, weight in mix.weights], axis=0)
         result = np.stack([tracks[joint] for joint in joints])
         if not np.array_equal(self.mapping.axes, np.eye(3)):
             result = np.einsum("ab,jbt->jat", self.mapping.axes, result)

@@ -69,4 +69,5 @@ def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
 
 def _length(points: Mapping[str, F64], chain: Iterable[str]) -> float:
     path = [points[joint] for joint in chain]
-    return float(sum(np.linalg.norm(b - a) for a, b in pairwise(path)))
+    with np.errstate(over="ignore"):  # a faulty number's length is infinite, which no unit makes human
+        return float(sum(np.linalg.norm(b - a) for a, b in pairwise(path)))

@@ -159,23 +159,7 @@ def parse_arrays(path: Path) -> Points:
     ------
     SourceError: no such array; of AMASS files, which hold joint angles, this is said.
     """
-    try:
-        if (
-            path.suffix.lower() == ".npz"
-            and (size := sum(entry.file_size for entry in zipfile.ZipFile(path).filelist)) > _MOST_BYTES
-        ):
-            raise SourceError(
-                path, f"unpacks to {size / 1e9:.1f} GB; write shorter takes, of {_MOST_BYTES / 1e9:.1f} GB at most"
-            )
-        loaded: Any = np.load(path, allow_pickle=False)
-        arrays = (
-            {"positions": loaded} if isinstance(loaded, np.ndarray) else {key: loaded[key] for key in _keys(loaded)}
-        )
-        if not isinstance(loaded, np.ndarray):
-            others = list(loaded.files)
-            loaded.close()
-    except (ValueError, OSError, EOFError, KeyError, MemoryError, zipfile.BadZipFile) as fault:
-        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+    arrays, others = _load(path)
     key = next((key for key in ARRAYS if key in arrays), None)
     if key is None:
         if {"poses", "trans"} <= set(others):
@@ -200,8 +184,23 @@ def parse_arrays(path: Path) -> Points:
     return Points(str(path), names, _whole(positions), rate_hz)
 
 
-def _keys(loaded: Any) -> list[str]:
-    return [key for key in loaded.files if key in (*ARRAYS, *NAMES, *RATES)]
+def _load(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """The arrays of a file that mean something here, and the names of all that there are; nothing in it is run."""
+    try:
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as file:
+                return {"positions": np.lib.format.read_array(file, allow_pickle=False)}, []
+        with zipfile.ZipFile(path) as packed:
+            size = sum(entry.file_size for entry in packed.filelist)
+        if size > _MOST_BYTES:
+            most = f"{_MOST_BYTES / 1e9:.1f} GB"
+            raise SourceError(path, f"unpacks to {size / 1e9:.1f} GB; write shorter takes, of {most} at most")
+        with np.load(path, allow_pickle=False) as loaded:
+            return {key: loaded[key] for key in loaded.files if key in (*ARRAYS, *NAMES, *RATES)}, loaded.files
+    except SourceError:
+        raise
+    except Exception as fault:  # NumPy, zipfile, zlib and tokenize have an error of their own for every broken byte
+        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
 
 
 def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, ...]:

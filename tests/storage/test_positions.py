@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -205,6 +206,15 @@ def test_what_is_no_array_file_is_refused_and_nothing_in_it_is_run(tmp_path: Pat
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SourceError):
         parse_positions(tmp_path / name)
+
+
+def test_a_broken_byte_in_an_archive_of_arrays_is_a_fault_of_the_file(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", positions=keypoints(COCO, 3))
+    whole = (tmp_path / "a.npz").read_bytes()
+    for at in range(0, len(whole), 3):
+        (tmp_path / "b.npz").write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
+        with contextlib.suppress(SourceError):
+            parse_positions(tmp_path / "b.npz")
 
 
 def test_only_tables_of_positions_are_motion_files(tmp_path: Path) -> None:
