@@ -24,5 +24,5 @@ def archive() -> Path:
 def store() -> Store:
     """A store of that archive with its index."""
     path = BUILD / "store"
-    run_pipeline("ingest", path, assignments={"source": f"'{archive()}'"}, terminal=silent())
+    run_pipeline("ingest", path, assignments={"source": str(archive())}, terminal=silent())
     return open_store(path)

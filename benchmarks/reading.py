@@ -65,7 +65,7 @@ def _ingesting(root: Path) -> Figure:
 
     def ingest() -> None:
         shutil.rmtree(store, ignore_errors=True)
-        run_pipeline("ingest", store, assignments={"source": f"'{root}'"}, executor="serial", terminal=silent())
+        run_pipeline("ingest", store, assignments={"source": str(root)}, executor="serial", terminal=silent())
 
     def read_only() -> int:
         return sum(len(file.read_bytes()) for file in root.rglob("*.amc"))

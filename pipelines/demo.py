@@ -29,10 +29,7 @@ def run_demo(
     settings = {}
     if data is None:
         data = store.parent / f"{store.name}-archive-{minutes:g}min"
-        if _is_whole(data):
-            console.print(f"synthetic archive: {data} (made before)")
-        else:
-            make_archive(data, minutes, ACTORS, SEED, workers, console)
+        make_archive(data, minutes, ACTORS, SEED, workers, console)
         settings = {"classes": "synthetic"}
     elif not data.is_dir():
         raise KinedexError(f"--data {data}: no such folder")
@@ -49,23 +46,18 @@ def run_demo(
 def make_archive(
     directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
 ) -> None:
-    """Make a synthetic archive and say what is in it.
+    """Make a synthetic archive, or finish one that was interrupted, and say what is in it.
 
     Raises
     ------
-    KinedexError: the folder holds something already.
+    KinedexError: the folder holds something else already.
     """
-    if directory.exists() and any(directory.iterdir()):
-        raise KinedexError(f"{directory} is not empty; name a folder that is empty or does not exist")
     begin = time.perf_counter()
-    console.print(f"making a synthetic archive of {minutes:g} minutes in {directory} …", style="bold")
-    with Progress(console, "writing takes", None) as progress:
+    console.print(f"synthetic archive of {minutes:g} minutes in {directory}", style="bold", markup=False)
+    with Progress(console, "writing files", None) as progress:
         summary = write_archive(
             directory, minutes=minutes, actors=actors, seed=seed, jobs=workers or cores(), progress=progress.advance
         )
-    console.print(f"    {summary} ({time.perf_counter() - begin:.0f} s)", markup=False)
-
-
-def _is_whole(directory: Path) -> bool:
-    """Whether the archive was finished: its ground truth is written last."""
-    return (directory / "takes" / "ground_truth.csv").is_file()
+    console.print(f"    {summary}", markup=False)
+    took = f"made in {time.perf_counter() - begin:.0f} s" if summary.made else "made before"
+    console.print(f"    {took}", markup=False)

@@ -153,7 +153,7 @@ def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
         f"{field.name}.{child.name}" for field in schema if pa.types.is_struct(field.type) for child in field.type
     ]
     return pq.ParquetWriter(
-        path,
+        path.absolute(),  # a relative path that begins with ~ would be looked for in the home folder
         schema,
         compression="zstd",
         compression_level=3,
@@ -191,7 +191,7 @@ def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> Part |
             with writing(store / folder):
                 if writer is None:
                     (store / folder).mkdir(parents=True, exist_ok=True)
-                    writer = pq.ParquetWriter(temporary, piece.schema, compression="zstd")
+                    writer = pq.ParquetWriter(temporary.absolute(), piece.schema, compression="zstd")
                 writer.write_table(piece)
             rows += piece.num_rows
         if writer is None:
