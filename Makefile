@@ -43,10 +43,10 @@ test: lint types
 	$(BIN)/pytest -n auto
 	@$(MAKE) --no-print-directory check-kernels
 
-# The compiled kernels once with bounds checks, and once as plain Python.
+# The compiled kernels once with bounds checks, and once as plain Python, which warns where compiled code does not.
 check-kernels: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto -m "not slow" tests/ops
-	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto -m "not slow and not shared" tests/ops
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto -W ignore::RuntimeWarning -m "not slow and not shared" tests/ops
 
 bench: setup
 	$(BIN)/python -m benchmarks
