@@ -344,6 +344,8 @@ def _explain(fault: t.Fault, data: bytes, skeleton: Skeleton) -> str:
         case t.TOO_MANY:
             return f"unexpected {token!r} at the end of the line: more numbers than {asf} gives this bone"
         case t.UNKNOWN_NAME:
+            if fault.stop == len(data):
+                return f"the file ends in '{token}', in the middle of a frame: is it cut off?"
             return f"bone '{token}' is not in {asf}, or has no dof there{did_you_mean(token, names)}"
         case t.TWICE:
             return f"bone '{token}' stands twice in one frame"

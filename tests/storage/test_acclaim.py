@@ -126,6 +126,7 @@ AMC_FAULTS = {
         17,
         "bone 'spine' has 1 numbers, a.asf gives it 2",
     ),
+    "cut off in a name": (lambda text: text[: text.rindex("spine") + 3], 17, "the file ends in 'spi'"),
     "a missing bone": (lambda text: text.replace("shin 0.0\n", "", 1), 7, "lacks bone 'shin'"),
     "a bone twice": (lambda text: text.replace("shin 0.0\n", "shin 0.0\nshin 0.0\n", 1), 7, "'shin' stands twice"),
     "a non-number": (lambda text: text.replace("17.0", "17.O", 1), 4, "not a number: '17.O'"),
