@@ -18,19 +18,17 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Format, Mappings, load_mappings
 from ops import features, kinematics, textnumbers
-from ops.errors import KinedexError, SourceError, StoreError
-from pipelines.analysis import analyse, blind
+from ops.errors import KinedexError, SourceError
 from pipelines.batches import run_batches
 from pipelines.context import StageContext
 from pipelines.executors import WorkerDied
 from pipelines.failures import Failure, failure, killer, log_table, refusal
 from pipelines.plan import code_digest
-from storage.bodies import FORMS, Body, Given, read_body
+from pipelines.reading import Batch, Task, Written, read_batch
+from storage.bodies import FORMS, Given
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 from storage.compaction import compact
-from storage.manifest import Part
-from storage.parts import FramesWriter, frames_table
-from storage.schemas import frames_schema, takes_schema
+from storage.schemas import takes_schema
 from storage.sources import MOTIONS, Scan, SourceFile, checksum, path_groups, scan, skeleton_of
 from storage.store import Store
 from storage.writer import StoreWriter
@@ -102,47 +100,6 @@ def external_digest(params: Params, store: Store | None) -> str:
     mappings = load_mappings(params.skeleton, feature_set.joints)
     forms = [mappings.digest(form) for form in sorted(set(FORMS.values()))]
     return _digest([scan(params.source).digest, feature_set.digest, *forms])
-
-
-@dataclass(frozen=True)
-class Task:
-    """One motion file to bring in."""
-
-    name: str
-    take_id: int
-    motion: SourceFile
-    skeleton: SourceFile | None
-    groups: dict[str, str]
-    recipe: str
-    checksum: str
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Batch:
-    """The files that one task reads and writes as one frames part."""
-
-    store: Path
-    feature_set: FeatureSet
-    rate_hz: float
-    mappings: Mappings
-    given: Given
-    strict: bool
-    tasks: tuple[Task, ...]
-
-    @property
-    def subject(self) -> str:
-        """What the batch is about, for messages."""
-        return ", ".join(str(task.motion.absolute) for task in self.tasks)
-
-
-@dataclass(frozen=True)
-class Written:
-    """What a batch left: rows of `takes`, the frames part (None where every file failed), and the failures."""
-
-    takes: list[dict[str, Any]]
-    part: Part | None
-    failures: list[Failure]
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
@@ -388,70 +345,3 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])
     textnumbers.parse_rows(b"0\n", 0, 1, 1)
     features.words(np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2)), 30.0, feature_set.rules)
-
-
-def read_batch(batch: Batch) -> Written:
-    """Read the files of one batch and write their frames as one part; runs in any process."""
-    takes: list[dict[str, Any]] = []
-    failures: list[Failure] = []
-    writer: FramesWriter | None = None
-    try:
-        for task in batch.tasks:
-            try:
-                asf = task.skeleton.absolute if task.skeleton is not None else None
-                joints = batch.feature_set.joints
-                body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.given)
-                rows = _frames(batch, task, body)
-                take = _take_row(batch, task, body, rows.num_rows)
-            except StoreError:
-                raise
-            except Exception as fault:
-                # whatever one file brings about, even a defect or a lack of memory, must not cost the others
-                failures.append(failure(task.motion, fault))
-                if batch.strict:
-                    break
-                continue
-            if writer is None:
-                writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
-            writer.add_table(task.take_id, rows)
-            takes.append(take)
-        return Written(takes, writer.close() if writer is not None else None, failures)
-    except BaseException:
-        if writer is not None:
-            writer.__exit__(None, None, None)
-        raise
-
-
-def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
-    """The rows of one take, at the analysis rate."""
-    positions, orientation, words = analyse(body, batch.feature_set, batch.rate_hz)
-    schema = frames_schema(batch.feature_set, batch.rate_hz)
-    return frames_table(task.take_id, positions, orientation, words, schema)
-
-
-def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, Any]:
-    groups = dict(task.groups)
-    return {
-        "take_id": task.take_id,
-        "name": task.name,
-        "source": task.motion.path,
-        "source_root": task.motion.root,
-        "checksum": task.checksum,
-        "source_bytes": task.motion.size,
-        "source_mtime_ns": task.motion.mtime_ns,
-        "format": task.motion.format,
-        "skeleton": body.skeleton,
-        "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
-        "recipe": task.recipe,
-        "unit": body.unit,
-        "source_rate_hz": body.rate_hz,
-        "source_frames": body.frames,
-        "rate_hz": batch.rate_hz,
-        "frames": frames,
-        "seconds": body.frames / body.rate_hz,
-        "actor": groups.pop("actor", None),
-        "class": groups.pop("class", None),
-        "clip": groups.pop("clip", None),
-        "groups": json.dumps(groups, sort_keys=True),
-        "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body)],
-    }

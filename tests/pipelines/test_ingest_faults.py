@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from ops.errors import KinedexError, StoreError
+from pipelines import reading
 from pipelines.executors import SerialExecutor, WorkerDied
 from pipelines.stages import ingest
 from storage import index
@@ -54,7 +55,7 @@ def names(store: Path | Store) -> list[str]:
     return (store if isinstance(store, Store) else open_store(store)).takes()["name"].to_list()
 
 
-def reading(monkeypatch: pytest.MonkeyPatch, bad: str, fault: BaseException) -> None:
+def meet(monkeypatch: pytest.MonkeyPatch, bad: str, fault: BaseException) -> None:
     """Let the reader meet an error in one file."""
 
     def read(path: Path, *rest: Any) -> Body:
@@ -62,7 +63,7 @@ def reading(monkeypatch: pytest.MonkeyPatch, bad: str, fault: BaseException) -> 
             raise fault
         return read_body(path, *rest)
 
-    monkeypatch.setattr(ingest, "read_body", read)
+    monkeypatch.setattr(reading, "read_body", read)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def reading(monkeypatch: pytest.MonkeyPatch, bad: str, fault: BaseException) -> 
 def test_whatever_one_file_brings_about_is_logged_and_the_others_come_in(
     store: Path, source: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception, error: str, says: str
 ) -> None:
-    reading(monkeypatch, "x_2.amc", fault)
+    meet(monkeypatch, "x_2.amc", fault)
     summary = bring_in(store, source)
     assert (summary["takes"], summary["read"], summary["left_out"]) == (4, 4, 1)
     (row,) = log(store)
@@ -92,7 +93,7 @@ def test_whatever_one_file_brings_about_is_logged_and_the_others_come_in(
 
 
 def test_a_stop_by_the_user_is_a_stop(store: Path, source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    reading(monkeypatch, "x_2.amc", KeyboardInterrupt())
+    meet(monkeypatch, "x_2.amc", KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         bring_in(store, source)
     assert list(store.rglob(".tmp-*")) == []
@@ -143,7 +144,7 @@ def test_strict_stops_at_the_first_failure_keeps_what_came_before_and_logs_it(
         opened.append(path.stem)
         return read_body(path, *rest)
 
-    monkeypatch.setattr(ingest, "read_body", read)
+    monkeypatch.setattr(reading, "read_body", read)
     with pytest.raises(KinedexError, match=r"x_2\.amc:1: .*\n\(strict: stopped at this file"):
         bring_in(store, source, strict=True)
     assert opened == [*names(store), "x_2"] == ["x_0", "x_1", "x_2"]
