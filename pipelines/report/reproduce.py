@@ -7,8 +7,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import yaml
-
 from ops.errors import KinedexError
 from pipelines.config import load_pipeline
 from pipelines.report.data import StageRow
@@ -23,7 +21,7 @@ def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str
     words = ["kinedex", "run", pipeline, "--store", str(store_path)]
     recorded = {record.stage: record.params for record in records}
     source = recorded.get("ingest", {}).get("source")
-    settings = {} if source is None else {"source": _yaml(source)}
+    settings = {} if source is None else {"source": _text(source)}
     try:
         planned = load_pipeline(pipeline, settings)
     except KinedexError:
@@ -40,16 +38,10 @@ def _differing(stage: str, own: Mapping[str, object], recorded: Mapping[str, obj
     words = []
     for key, value in recorded.items():
         if own.get(key) != value:
-            words += ["--set", f"{stage}.{key}={_yaml(value)}"]
+            words += ["--set", f"{stage}.{key}={_text(value)}"]
     return words
 
 
-def _yaml(value: object) -> str:
-    """Write a value as YAML text in one line: a text as it is where YAML reads it so, anything else as JSON."""
-    if isinstance(value, str):
-        try:
-            if yaml.safe_load(value) == value:
-                return value
-        except yaml.YAMLError:
-            pass
-    return json.dumps(value, ensure_ascii=False)
+def _text(value: object) -> str:
+    """A value as `--set` takes it: a text as it is, anything else as JSON, which is YAML."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
