@@ -12,13 +12,20 @@ from ops.errors import ParameterError
 U64 = npt.NDArray[np.uint64]
 I64 = npt.NDArray[np.int64]
 
+NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
+"""Stands in the place of the word of an invalid frame, of which nothing is known: it takes part in no run, no template
+and no hit. A word has at most 63 features, so no word equals it, and `cut` leaves it as it is. In Parquet it is null."""
+
+MOST_FEATURES = 63
+"""The most features a word can have."""
+
 
 @dataclass(frozen=True)
 class TakeWords:
     """The words of T takes, one take after the other.
 
     take_ids: int64 (T,), ascending. offsets: int64 (T + 1,), take i has frames offsets[i] .. offsets[i + 1].
-    words: uint64 (N,), bit i − 1 is feature F_i.
+    words: uint64 (N,), bit i − 1 is feature F_i; `NO_WORD` for an invalid frame.
     """
 
     take_ids: I64
@@ -51,16 +58,16 @@ def cut(words: U64, first_feature: int, features: int) -> U64:
     ----------
     words: uint64 (N,).
     first_feature: number of the set's lowest feature, from 1.
-    features: how many features the set has, 1 to 64.
+    features: how many features the set has, 1 to 63.
 
     Returns
     -------
-    uint64 (N,).
+    uint64 (N,); `NO_WORD` stays what it is.
     """
-    if not 1 <= first_feature <= 64 or not 1 <= features <= 65 - first_feature:
-        raise ParameterError("feature set", "within bits 1 to 64", (first_feature, features))
+    if not 1 <= first_feature <= MOST_FEATURES or not 1 <= features <= MOST_FEATURES + 1 - first_feature:
+        raise ParameterError("feature set", f"within bits 1 to {MOST_FEATURES}", (first_feature, features))
     mask = np.uint64((1 << features) - 1)
-    return (words >> np.uint64(first_feature - 1)) & mask
+    return np.where(words == NO_WORD, NO_WORD, (words >> np.uint64(first_feature - 1)) & mask)
 
 
 def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:

@@ -1,0 +1,110 @@
+"""Commands that ask a store: search, sql, takes, export."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ops.errors import KinedexError, did_you_mean
+from pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
+from pipelines.terminal import make_console
+
+
+@command
+def search(
+    store: StorePath,
+    queries: Annotated[str, typer.Argument(help="a query file: a shipped name, or a path to a .yaml or .json file")],
+    name: Annotated[list[str] | None, typer.Option("--query", "-q", help="only this query; may be repeated")] = None,
+    where: Where = None,
+    explain: Annotated[bool, typer.Option(help="show list sizes per keyframe and the share of frames kept")] = False,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Search keyframe queries over the index; prints the ranges that hold hits."""
+    from pipelines.search import explain_search, load_query_file, search_store
+    from storage.store import open_store
+
+    opened = open_store(store)
+    loaded = load_query_file(queries, opened.feature_set, name)
+    if explain:
+        show_table(explain_search(opened, loaded, where), form, output)
+        return
+    show_table(search_store(opened, loaded, where), form, output)
+
+
+@command
+def sql(
+    store: StorePath,
+    query: Annotated[
+        str | None, typer.Argument(help="one SQL statement; without it, standard input or a prompt")
+    ] = None,
+    file: Annotated[Path | None, typer.Option("--file", "-f", help="read the statement from this file")] = None,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
+    from storage.store import open_store
+
+    if query is not None and file is not None:
+        raise KinedexError("give the SQL as an argument or with --file, not both")
+    if file is not None:
+        if not file.is_file():
+            raise KinedexError(f"--file {file}: no such file")
+        try:
+            query = file.read_text(encoding="utf-8")
+        except UnicodeDecodeError as fault:
+            raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
+    opened = open_store(store)
+    if query is None and sys.stdin.isatty():
+        from pipelines.prompt import run_prompt
+
+        run_prompt(opened, make_console())
+        return
+    show_table(opened.sql(query if query is not None else sys.stdin.read()), form, output)
+
+
+@command
+def takes(
+    store: StorePath,
+    where: Where = None,
+    columns: Annotated[str, typer.Option(help="columns to show, separated by commas; * for all")] = (
+        "name,actor,class,clip,frames,seconds,source_rate_hz,warnings"
+    ),
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """List the takes of a store."""
+    from storage.store import open_store
+
+    frame = open_store(store).takes(where)
+    wanted = frame.columns if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
+    for column in wanted:
+        if column not in frame.columns:
+            raise KinedexError(f"--columns: takes have no column '{column}'{did_you_mean(column, frame.columns)}")
+    show_table(frame.select(wanted).to_arrow(), form, output)
+    if form == "table" and output is None:
+        make_console().print(f"{len(frame)} takes, {frame['seconds'].sum() / 60:.1f} minutes")
+
+
+@command
+def export(
+    store: StorePath,
+    take: Annotated[str, typer.Argument(help="name of the take")],
+    form: Annotated[
+        str, typer.Option("--format", help="bvh, csv or parquet; by default what the output's ending says")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="file to write; TAKE.FORMAT unless given")
+    ] = None,
+) -> None:
+    """Write a take's joint positions (metres, Y up) as BVH, CSV or Parquet."""
+    from storage.export import export_take
+    from storage.store import open_store
+
+    form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
+    path = output or Path(f"{Path(take).name}.{form}")
+    export_take(open_store(store), take, form, path)
+    print(path)

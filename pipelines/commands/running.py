@@ -1,0 +1,130 @@
+"""Commands that run pipelines: demo, run, plan, ingest, synth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipelines.commands.shell import (
+    ExecutorOption,
+    ForceOption,
+    RateOption,
+    SchedulerOption,
+    SetOption,
+    StoreOption,
+    StorePath,
+    WorkersOption,
+    assignments_of,
+    command,
+    finish,
+)
+from pipelines.terminal import make_console
+
+
+@command
+def demo(
+    store: StoreOption = Path("build/demo-store"),
+    data: Annotated[
+        Path | None, typer.Option(help="an archive of your own; a synthetic one is made without it")
+    ] = None,
+    minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in the synthetic archive")] = 30.0,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+) -> None:
+    """Run the main job, from motion files to a report, on a synthetic archive or on your own."""
+    from pipelines.demo import run_demo
+
+    console = make_console()
+    outcome = run_demo(store, data, minutes, executor, workers, console)
+    finish(outcome, store, console)
+
+
+@command
+def run(
+    pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
+    store: StoreOption,
+    assign: SetOption = None,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    force: ForceOption = None,
+) -> None:
+    """Run a pipeline: every stage whose code, parameters or inputs changed since it last ran."""
+    from pipelines.runner import run_pipeline
+
+    outcome = run_pipeline(
+        pipeline,
+        store,
+        assignments=assignments_of(assign),
+        executor=executor,
+        workers=workers,
+        scheduler=scheduler,
+        force=frozenset(force or ()),
+    )
+    finish(outcome, store, make_console())
+
+
+@command
+def plan(
+    pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
+    store: StoreOption,
+    assign: SetOption = None,
+    force: ForceOption = None,
+) -> None:
+    """Show what `run` would do, and why, without doing it."""
+    from rich import box
+    from rich.table import Table
+
+    from pipelines.config import load_pipeline
+    from pipelines.plan import make_plan
+
+    loaded = load_pipeline(pipeline, assignments_of(assign))
+    table = Table(
+        box=box.SIMPLE_HEAD, pad_edge=False, title=f"{loaded.name}: {loaded.description}", title_justify="left"
+    )
+    for column in ("stage", "inputs", "runs because", "last run"):
+        table.add_column(column)
+    steps = make_plan(loaded, store, frozenset(force or ()))
+    for step in steps:
+        last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
+        inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
+        table.add_row(step.stage.name, inputs, step.reason or "– (nothing to do)", last)
+    make_console().print(table)
+
+
+@command
+def ingest(
+    store: StorePath,
+    source: Annotated[Path, typer.Argument(help="folder that holds the motion files")],
+    rate: RateOption = None,
+    assign: SetOption = None,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Bring motion files into a store and index them (the pipeline `ingest`)."""
+    from pipelines.runner import run_pipeline
+
+    assignments = {"source": str(source), **assignments_of(assign)}
+    if rate is not None:
+        assignments["ingest.override_rate_hz"] = str(rate)
+    outcome = run_pipeline(
+        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
+    )
+    finish(outcome, store, make_console())
+
+
+@command
+def synth(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder to make; must be empty or missing")],
+    minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in all")] = 30.0,
+    actors: Annotated[int, typer.Option(min=2, help="how many actors")] = 5,
+    seed: Annotated[int, typer.Option(help="the same seed makes the same bytes")] = 2026,
+    workers: WorkersOption = None,
+) -> None:
+    """Make a synthetic archive: ASF/AMC files of example clips and long takes, with ground truth."""
+    from pipelines.demo import make_archive
+
+    make_archive(directory, minutes, actors, seed, workers, make_console())
