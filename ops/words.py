@@ -14,7 +14,7 @@ I64 = npt.NDArray[np.int64]
 
 NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """Stands in the place of the word of an invalid frame, of which nothing is known: it takes part in no run, no template
-and no hit. A word has at most 63 features, so no word equals it, and `cut` leaves it as it is. In Parquet it is null."""
+and no hit. A word has at most 63 features, so none equals it, and `cut` leaves it as it is. In Parquet it is null."""
 
 MOST_FEATURES = 63
 """The most features a word can have."""

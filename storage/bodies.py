@@ -35,8 +35,8 @@ class Body:
     orientation: float64 (4, T), the root's unit quaternion w x y z; NaN where the root is unknown.
     rate_hz: frames per second. unit: what the file's lengths are in, in words. skeleton: the name of the mapping.
     unknown: the joints that the skeleton does not have. warnings: what a reader should know.
-    valid: bool (T,), the frames in which all joints but the unknown ones are known; None: all. Other frames are invalid:
-    they get no word, and their positions are NaN where they are not known.
+    valid: bool (T,), the frames in which all joints but the unknown ones are known; None: all. Other frames are
+    invalid: they get no word, and their positions are NaN where they are not known.
     """
 
     positions: F64
