@@ -6,15 +6,19 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.configs import Located, config_path, load_yaml
 from ops.errors import KinedexError, did_you_mean
 from ops.features import COMPARISONS, JOINTS_OF, Rule, Term
+from ops.mirroring import rearrange
+from ops.words import MOST_FEATURES
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,10 @@ class WordSet:
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """The features of a kind of body and the sets they are split into."""
+    """The features of a kind of body and the sets they are split into.
+
+    mirror: pairs of feature numbers that change places where left and right do; every other feature stays.
+    """
 
     name: str
     version: int
@@ -52,6 +59,27 @@ class FeatureSet:
     joints: tuple[str, ...]
     features: tuple[Feature, ...]
     sets: dict[str, WordSet]
+    mirror: tuple[tuple[int, int], ...] = ()
+
+    @cached_property
+    def mirror_order(self) -> npt.NDArray[np.int64]:
+        """Where each bit of a mirrored word comes from, int64 (f,), counted from 0; it is its own inverse."""
+        order = np.arange(len(self.features))
+        for one, other in self.mirror:
+            order[[one - 1, other - 1]] = other - 1, one - 1
+        return order
+
+    def mirrored(self, words: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+        """The words of the same motion with left and right exchanged; invalid frames stay invalid.
+
+        Where a rule names a limb or a joint of one side for both twins, as the papers' do (F1 and F2 measure both hands
+        against the left hip), the words of the motion in a true mirror can differ from these by a few frames.
+        """
+        return rearrange(words, self.mirror_order)
+
+    def mirrored_number(self, number: int) -> int:
+        """The feature that takes this one's place in the mirror; itself where it has no twin."""
+        return int(self.mirror_order[number - 1]) + 1
 
     @property
     def rules(self) -> tuple[Rule, ...]:
@@ -113,6 +141,7 @@ class _FeatureFile(BaseModel):
     joints: list[str]
     lengths: dict[str, list[tuple[str, str]]]
     sets: dict[str, tuple[int, int]]
+    mirror: list[tuple[int, int]] = []
     features: dict[int, dict[str, Any]]
 
 
@@ -139,8 +168,8 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     located.mapping()
     parsed = located.model(_FeatureFile)
     numbers = sorted(parsed.features)
-    if numbers != list(range(1, len(numbers) + 1)) or len(numbers) > 64:
-        raise located.error("features must be numbered 1, 2, 3, … without gaps, at most 64", "features")
+    if numbers != list(range(1, len(numbers) + 1)) or len(numbers) > MOST_FEATURES:
+        raise located.error(f"features must be numbered 1, 2, 3, … without gaps, at most {MOST_FEATURES}", "features")
     features = tuple(_feature(located, parsed, number) for number in numbers)
     names = [feature.name for feature in features]
     for feature in features:
@@ -154,12 +183,13 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
         joints=tuple(parsed.joints),
         features=features,
         sets=_sets(located, parsed, len(features)),
+        mirror=_mirror(located, parsed, len(features)),
     )
 
 
 def _digest(parsed: _FeatureFile) -> str:
-    """A hash of what the words depend on; comments and layout of the file do not count."""
-    text = json.dumps(parsed.model_dump(), sort_keys=True, separators=(",", ":"))
+    """A hash of what the words depend on; comments, layout and the mirror pairs do not count."""
+    text = json.dumps(parsed.model_dump(exclude={"mirror"}), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -178,6 +208,18 @@ def _sets(located: Located, parsed: _FeatureFile, count: int) -> dict[str, WordS
     if expected != count + 1:
         raise located.error(f"features {expected} to {count} are in no set", "sets")
     return result
+
+
+def _mirror(located: Located, parsed: _FeatureFile, count: int) -> tuple[tuple[int, int], ...]:
+    seen: set[int] = set()
+    for place, pair in enumerate(parsed.mirror):
+        for number in pair:
+            if not 1 <= number <= count:
+                raise located.error(f"no feature {number}: there are F1 to F{count}", "mirror", place)
+            if number in seen:
+                raise located.error(f"feature {number} stands twice; a feature has one twin at most", "mirror", place)
+            seen.add(number)
+    return tuple(parsed.mirror)
 
 
 def _feature(located: Located, parsed: _FeatureFile, number: int) -> Feature:

@@ -1,0 +1,38 @@
+"""Left and right exchanged: words and template columns with their features in another order."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+from ops.words import MOST_FEATURES, NO_WORD, U64
+
+I64 = npt.NDArray[np.int64]
+
+
+def rearrange(words: U64, order: I64) -> U64:
+    """Put the bits of words into another order.
+
+    Parameters
+    ----------
+    words: uint64 (N,), bits beyond the order's length are 0; `NO_WORD` for an invalid frame.
+    order: int64 (f,), a permutation of 0 … f − 1: bit i of a result is bit order[i] of its word.
+
+    Returns
+    -------
+    uint64 (N,); `NO_WORD` stays what it is.
+
+    Raises
+    ------
+    ParameterError: the order is no permutation.
+    """
+    if len(order) > MOST_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
+        raise ParameterError("order", f"a permutation of at most {MOST_FEATURES} bits", order.tolist())
+    moved = np.zeros_like(words)
+    # Bits that move by the same distance move together: a body has a handful of distances.
+    shifts = np.asarray(order) - np.arange(len(order))
+    for shift in np.unique(shifts).tolist():
+        mask = np.uint64(sum(1 << i for i in np.flatnonzero(shifts == shift).tolist()))
+        moved |= (words >> np.uint64(shift) if shift >= 0 else words << np.uint64(-shift)) & mask
+    return np.where(words == NO_WORD, NO_WORD, moved)
