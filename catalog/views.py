@@ -121,7 +121,11 @@ VIEWS = (
             Column("example", "VARCHAR", "a query that runs"),
         ),
     ),
-    View("frames", "parts", "One row per analysis frame: 24 joints (rwrist.y), root_orientation, and the whole word."),
+    View(
+        "frames",
+        "parts",
+        "One row per analysis frame: 24 joints (rwrist.y), root_orientation, the whole word (null if invalid).",
+    ),
     View("templates", "results", "Motion templates, soft and hard, per subclass."),
     View("annotated_takes", "results", "The takes that were annotated, also those in which nothing was found."),
     View("distance_curves", "results", "The distance curve of a subclass over a take, one cost per frame."),

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ops import primitives as p
 from ops.errors import ParameterError
+from ops.words import MOST_FEATURES, NO_WORD
 
 F64 = npt.NDArray[np.float64]
 
@@ -78,19 +79,30 @@ def window_samples(window_ms: float, rate_hz: float) -> int:
     return max(1, math.ceil(round(window_ms / 1000.0 * rate_hz, 9)))
 
 
-def words(positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule]) -> npt.NDArray[np.uint64]:
+def words(
+    positions: F64,
+    orientation: F64,
+    rate_hz: float,
+    rules: Sequence[Rule],
+    valid: npt.NDArray[np.bool_] | None = None,
+) -> npt.NDArray[np.uint64]:
     """Compute the word of every frame.
+
+    Invalid frames cut the take: what lies between them is a stretch of its own, where velocities and hysteresis begin
+    anew. Limb lengths are those of the first valid frame for the whole take.
 
     Parameters
     ----------
     positions: float64 (J, 3, T) in metres, Y up; NaN where a joint is unknown.
     orientation: float64 (4, T), the root's unit quaternion w, x, y, z.
     rate_hz: frames per second.
-    rules: one per feature, the first is bit 0; at most 64.
+    rules: one per feature, the first is bit 0; at most 63.
+    valid: bool (T,), the frames of which everything is known that is ever known; None: all.
 
     Returns
     -------
-    uint64 (T,): bit i − 1 is F_i. A feature that meets a NaN, or a vector without length, is off there.
+    uint64 (T,): bit i − 1 is F_i; `NO_WORD` in an invalid frame. A feature that meets a NaN, or a vector without
+    length, is off there.
 
     Raises
     ------
@@ -105,12 +117,29 @@ def words(positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule
         raise ParameterError("orientation", f"of shape (4, {frames})", orientation.shape)
     if not (math.isfinite(rate_hz) and rate_hz > 0):
         raise ParameterError("rate_hz", "positive and finite", rate_hz)
-    if len(rules) > 64:
-        raise ParameterError("rules", "at most 64", len(rules))
-    out = np.zeros(frames, dtype=np.uint64)
-    if frames == 0:
+    if len(rules) > MOST_FEATURES:
+        raise ParameterError("rules", f"at most {MOST_FEATURES}", len(rules))
+    if valid is None or valid.all():
+        return _stretch(positions, orientation, rate_hz, rules, positions[:, :, :1])
+    if valid.shape != (frames,):
+        raise ParameterError("valid", f"of shape ({frames},)", valid.shape)
+    out = np.full(frames, NO_WORD)
+    first = positions[:, :, valid.argmax() :][:, :, :1]
+    edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        part = np.ascontiguousarray(positions[:, :, start:stop]), np.ascontiguousarray(orientation[:, start:stop])
+        out[start:stop] = _stretch(*part, rate_hz, rules, first)
+    return out
+
+
+def _stretch(
+    positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule], measured: F64
+) -> npt.NDArray[np.uint64]:
+    """The words of frames of which everything is known; limb lengths are measured in one frame, (J, 3, 1)."""
+    out = np.zeros(positions.shape[2], dtype=np.uint64)
+    if not len(out):
         return out
-    body = _Body(positions, orientation, rate_hz)
+    body = _Body(positions, orientation, rate_hz, measured[:, :, 0])
     for bit, rule in enumerate(rules):
         scale = body.length(rule.length) if rule.length else 1.0
         quantity = body.quantity(rule.terms)
@@ -121,18 +150,18 @@ def words(positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule
 
 
 class _Body:
-    """The trajectories of one take, with the quantities that several features share computed once."""
+    """The trajectories of one stretch, with the quantities that several features share computed once."""
 
-    def __init__(self, positions: F64, orientation: F64, rate_hz: float) -> None:
+    def __init__(self, positions: F64, orientation: F64, rate_hz: float, measured: F64) -> None:
         self.positions = positions
+        self.measured = measured
         self.orientation = orientation
         self.rate_hz = rate_hz
         self._terms: dict[Term, F64] = {}
         self._velocities: dict[tuple[int, int, float], F64] = {}
 
     def length(self, pairs: tuple[tuple[int, int], ...]) -> float:
-        start = self.positions[:, :, 0]
-        return float(sum(np.linalg.norm(start[a] - start[b]) for a, b in pairs))
+        return float(sum(np.linalg.norm(self.measured[a] - self.measured[b]) for a, b in pairs))
 
     def quantity(self, terms: tuple[Term, ...]) -> F64:
         total = self._term(terms[0])

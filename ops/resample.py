@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+_ON_A_FRAME = 1e-9  # a share of the next frame below this is float noise
 
 
 def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
@@ -20,27 +25,42 @@ def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
     return rate_hz * max(1, int(np.floor(source_rate_hz / rate_hz + 0.5)))
 
 
-def resample(positions: F64, orientation: F64, source_rate_hz: float, rate_hz: float) -> tuple[F64, F64]:
+class Sampled(NamedTuple):
+    """A take at another rate: positions (J, 3, T'), orientation (4, T'), valid bool (T',) or None where all are."""
+
+    positions: F64
+    orientation: F64
+    valid: Bool | None
+
+
+def resample(
+    positions: F64, orientation: F64, source_rate_hz: float, rate_hz: float, valid: Bool | None = None
+) -> Sampled:
     """Sample a take at another rate; frame 0 stays where it is, and nothing is extrapolated past the last frame.
 
     Parameters
     ----------
     positions: float64 (J, 3, T), metres. orientation: float64 (4, T), unit quaternions.
     source_rate_hz, rate_hz: frames per second of the input and of the result.
+    valid: bool (T,), the frames that are to be believed; None: all.
 
     Returns
     -------
-    positions (J, 3, T'), orientation (4, T') with T' = floor((T − 1) · rate / source_rate) + 1; unchanged for one rate.
+    The take with T' = floor((T − 1) · rate / source_rate) + 1 frames; unchanged for one rate. A frame is valid where
+    all that it is made of (one frame, or the two beside it) are.
     """
     frames = positions.shape[2]
     if source_rate_hz == rate_hz or frames < 2:
-        return positions, orientation
+        return Sampled(positions, orientation, valid)
     count = int(np.floor(round((frames - 1) * rate_hz / source_rate_hz, 9))) + 1
     at = np.minimum(np.arange(count) * (source_rate_hz / rate_hz), frames - 1)
     left = np.minimum(np.floor(np.round(at, 9)).astype(np.int64), frames - 2)
     share = at - left
-    moved = positions[:, :, left] * (1.0 - share) + positions[:, :, left + 1] * share
-    return np.ascontiguousarray(moved), _slerp(orientation[:, left], orientation[:, left + 1], share)
+    # a frame that is hit asks nothing of the ones beside it
+    left, right = np.where(share > 1.0 - _ON_A_FRAME, left + 1, left), np.where(share > _ON_A_FRAME, left + 1, left)
+    moved = positions[:, :, left] * (1.0 - share) + positions[:, :, right] * share
+    turned = _slerp(orientation[:, left], orientation[:, right], share)
+    return Sampled(np.ascontiguousarray(moved), turned, None if valid is None else valid[left] & valid[right])
 
 
 def _slerp(a: F64, b: F64, share: F64) -> F64:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from ops.errors import ParameterError
+from ops.words import MOST_FEATURES, NO_WORD
 
 I64 = npt.NDArray[np.int64]
 U64 = npt.NDArray[np.uint64]
@@ -44,11 +45,12 @@ def word_runs(words: U64, offsets: I64) -> WordRuns:
     Parameters
     ----------
     words: uint64 (N,), the words of T takes, one take after the other (cut down to one feature set by `ops.words.cut`).
+        `NO_WORD` stands for an invalid frame.
     offsets: int64 (T + 1,), take i has the words offsets[i] to offsets[i + 1]. Takes may be empty.
 
     Returns
     -------
-    The runs; they cover every frame once and never cross from one take to the next.
+    The runs; they cover every valid frame once and never cross from one take to the next.
 
     Raises
     ------
@@ -67,9 +69,10 @@ def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
 
     Parameters
     ----------
-    words: uint64 (N,), whole words; bit i − 1 is F_i. Bits from `features` on are ignored.
+    words: uint64 (N,), whole words; bit i − 1 is F_i. Bits from `features` on are ignored. In an invalid frame
+        (`NO_WORD`) no feature is on.
     offsets: int64 (T + 1,), as in `word_runs`.
-    features: number of features, 1 to 64.
+    features: number of features, 1 to 63.
 
     Returns
     -------
@@ -80,8 +83,8 @@ def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
     ParameterError: the offsets do not fit the words, or the number of features is out of range.
     """
     words, offsets = _checked(words, offsets)
-    if not 1 <= features <= 64:
-        raise ParameterError("features", "from 1 to 64", features)
+    if not 1 <= features <= MOST_FEATURES:
+        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
     mask = np.uint64((1 << features) - 1)
     counts = np.zeros(features, np.int64)
     _count_feature_runs(words, offsets, mask, counts)
@@ -110,7 +113,7 @@ def _count_word_runs(words: U64, offsets: I64) -> int:
     count = 0
     for take in range(len(offsets) - 1):
         for i in range(offsets[take], offsets[take + 1]):
-            if i == offsets[take] or words[i] != words[i - 1]:
+            if words[i] != NO_WORD and (i == offsets[take] or words[i] != words[i - 1]):
                 count += 1
     return count
 
@@ -121,6 +124,8 @@ def _fill_word_runs(words: U64, offsets: I64, take: I64, start: I64, stop: I64, 
     for t in range(len(offsets) - 1):
         first = offsets[t]
         for i in range(first, offsets[t + 1]):
+            if words[i] == NO_WORD:
+                continue
             if i == first or words[i] != words[i - 1]:
                 run += 1
                 take[run] = t
@@ -134,7 +139,7 @@ def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) 
     for take in range(len(offsets) - 1):
         before = np.uint64(0)
         for i in range(offsets[take], offsets[take + 1]):
-            now = words[i] & mask
+            now = words[i] & mask if words[i] != NO_WORD else np.uint64(0)
             rising = now & ~before
             feature = 0
             while rising:
@@ -155,7 +160,7 @@ def _fill_feature_runs(
         before = np.uint64(0)
         for i in range(first, offsets[t + 1] + 1):
             # one step past the take's end everything is off
-            now = words[i] & mask if i < offsets[t + 1] else np.uint64(0)
+            now = words[i] & mask if i < offsets[t + 1] and words[i] != NO_WORD else np.uint64(0)
             changed = now ^ before
             feature = 0
             while changed:

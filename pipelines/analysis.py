@@ -18,13 +18,13 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
 
     Returns
     -------
-    positions (J, 3, T), the root's orientation (4, T), and words (T,), at `rate_hz`.
+    positions (J, 3, T), the root's orientation (4, T), and words (T,), at `rate_hz`; `NO_WORD` in invalid frames.
     """
     rate = feature_rate(body.rate_hz, rate_hz)
-    positions, orientation = resample(body.positions, body.orientation, body.rate_hz, rate)
-    words = features.words(positions, orientation, rate, feature_set.rules)
+    at_rate = resample(body.positions, body.orientation, body.rate_hz, rate, body.valid)
+    words = features.words(at_rate.positions, at_rate.orientation, rate, feature_set.rules, at_rate.valid)
     step = round(rate / rate_hz)
-    return positions[:, :, ::step], orientation[:, ::step], words[::step]
+    return at_rate.positions[:, :, ::step], at_rate.orientation[:, ::step], words[::step]
 
 
 def blind(feature_set: FeatureSet, body: Body) -> list[str]:

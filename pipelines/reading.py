@@ -74,7 +74,7 @@ def read_batch(batch: Batch) -> Written:
                 joints = batch.feature_set.joints
                 body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.given)
                 rows = _frames(batch, task, body)
-                take = _take_row(batch, task, body, rows.num_rows)
+                take = _take_row(batch, task, body, rows)
             except StoreError:
                 raise
             except Exception as fault:
@@ -101,7 +101,7 @@ def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
     return frames_table(task.take_id, positions, orientation, words, schema)
 
 
-def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, Any]:
+def _take_row(batch: Batch, task: Task, body: Body, rows: pa.Table) -> dict[str, Any]:
     groups = dict(task.groups)
     return {
         "take_id": task.take_id,
@@ -119,8 +119,9 @@ def _take_row(batch: Batch, task: Task, body: Body, frames: int) -> dict[str, An
         "source_rate_hz": body.rate_hz,
         "source_frames": body.frames,
         "rate_hz": batch.rate_hz,
-        "frames": frames,
+        "frames": rows.num_rows,
         "seconds": body.frames / body.rate_hz,
+        "invalid_frames": rows.column("word").null_count,
         "actor": groups.pop("actor", None),
         "class": groups.pop("class", None),
         "clip": groups.pop("clip", None),

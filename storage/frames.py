@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ops.errors import StoreError
-from ops.words import TakeWords
+from ops.words import NO_WORD, TakeWords
 from storage.manifest import Manifest, Part
 from storage.parts import part_file
 
@@ -44,12 +44,18 @@ def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) 
 def _part_words(store: Path, part: Part, takes: list[int]) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
     table = _read(store, part, ["take_id", "word"], min(takes), max(takes))
     ids = table.column("take_id").to_numpy()
-    words = table.column("word").to_numpy()
+    words = words_of(table)
     asked = np.array(takes, np.int64)
     starts = np.searchsorted(ids, asked, side="left")
     stops = np.searchsorted(ids, asked, side="right")
     for take, start, stop in zip(takes, starts, stops, strict=True):
         yield take, words[start:stop]
+
+
+def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
+    """The words of rows of a frames part, uint64; `NO_WORD` where a frame is invalid."""
+    words: npt.NDArray[np.uint64] = frames.column("word").fill_null(NO_WORD.item()).to_numpy()
+    return words
 
 
 def read_frames(store: Path, manifest: Manifest, take_id: int, start: int, stop: int) -> pa.Table:

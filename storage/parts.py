@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 from catalog.features import FeatureSet
 from ops.errors import ParameterError, StoreError
+from ops.words import NO_WORD
 from storage.disk import sync_folder, writing
 from storage.manifest import TEMPORARY, Part
 from storage.schemas import frames_schema
@@ -39,7 +40,7 @@ def frames_table(
     take_id: the take's id in the store.
     positions: (J, 3, T) in metres, joints in the order of the feature set; stored as float32, NaN where unknown.
     orientation: (4, T), the root's unit quaternion w, x, y, z.
-    words: uint64 (T,).
+    words: uint64 (T,); `NO_WORD`, in an invalid frame, becomes null.
     schema: `frames_schema` of the store.
     """
     joints = len(schema) - 4
@@ -55,7 +56,8 @@ def frames_table(
     ]
     columns += [pa.StructArray.from_arrays([pa.array(axis) for axis in joint], ["x", "y", "z"]) for joint in packed]
     columns.append(pa.StructArray.from_arrays([pa.array(axis) for axis in turned], list("wxyz")))
-    columns.append(pa.array(np.ascontiguousarray(words, dtype=np.uint64)))
+    words = np.ascontiguousarray(words, dtype=np.uint64)
+    columns.append(pa.array(words, mask=words == NO_WORD))
     return pa.Table.from_arrays(columns, schema=schema)
 
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 from catalog.features import FeatureSet
 from ops.errors import KinedexError, StoreError, did_you_mean
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Version of the store's layout. A store of another version is refused, never guessed at."""
 
 _METADATA = "kinedex."
@@ -37,13 +37,15 @@ _TAKES = _fields(
     ("rate_hz", pa.float64()),
     ("frames", pa.int64()),
     ("seconds", pa.float64()),
+    ("invalid_frames", pa.int64()),
     ("actor", pa.string()),
     ("class", pa.string()),
     ("clip", pa.string()),
     ("groups", pa.string()),
     ("warnings", pa.list_(pa.string())),
 )
-"""One row per take. `groups` is a JSON object with the further named groups of the source pattern."""
+"""One row per take. `invalid_frames` of its frames have no word. `groups` is a JSON object with the further named
+groups of the source pattern."""
 
 _RUN = ("run", pa.string())
 _COUNTS = (
@@ -151,13 +153,15 @@ def takes_schema() -> pa.Schema:
 def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
     """The schema of a frames part: take and frame, the joints in metres, the root's orientation, the word.
 
+    The word of an invalid frame (one in which a joint was not seen that is known otherwise) is null.
+
     Its metadata say which bit of the word is which feature, so that a part explains itself to any reader.
     """
     point = pa.struct([("x", pa.float32()), ("y", pa.float32()), ("z", pa.float32())])
     quaternion = pa.struct([(axis, pa.float32()) for axis in "wxyz"])
     fields = [pa.field("take_id", pa.int64(), nullable=False), pa.field("frame", pa.int32(), nullable=False)]
     fields += [pa.field(joint, point) for joint in feature_set.joints]
-    fields += [pa.field("root_orientation", quaternion), pa.field("word", pa.uint64(), nullable=False)]
+    fields += [pa.field("root_orientation", quaternion), pa.field("word", pa.uint64())]
     bits = {
         str(feature.number - 1): {
             "number": feature.number,

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from catalog.features import load_feature_set
 from ops import features
 from ops.errors import ParameterError
+from ops.words import NO_WORD
 from tests.bodies import index, standing, turned, upright, x_axes
 from tests.oracles import features as oracle
 
@@ -270,6 +271,31 @@ def test_random_motion_has_the_words_of_the_naive_twin(frames: int, rate: float,
     # A quantity that rounding alone decides may fall on either side.
     if np.nanmin(oracle.margins(naive)) > 1e-9:
         assert words(positions, orientation, rate).tolist() == oracle.words(naive)
+
+
+def test_an_invalid_stretch_has_no_word_and_cuts_the_take() -> None:
+    random = np.random.default_rng(5)
+    positions = standing(60) + np.cumsum(random.normal(0, 0.05, (24, 3, 60)), axis=2)
+    orientation = turned(np.cumsum(random.normal(0, 9, 60)))
+    valid = np.ones(60, bool)
+    valid[[0, 1, 20, 21, 22, 59]] = False
+    positions[3, :, ~valid] = np.nan
+    found = features.words(positions, orientation, RATE, FEATURES.rules, valid)
+    assert (found == NO_WORD).tolist() == (~valid).tolist()
+    # the stretch that begins the measuring stands for itself
+    alone = features.words(positions[:, :, 2:20], orientation[:, 2:20], RATE, FEATURES.rules)
+    assert found[2:20].tolist() == alone.tolist()
+    # later stretches take the limb lengths of the first valid frame
+    long = positions.copy()
+    long[:, :, 23:59] *= 2.0
+    doubled = features.words(long, orientation, RATE, FEATURES.rules, valid)
+    assert doubled[2:20].tolist() == found[2:20].tolist()
+    assert doubled[23:59].tolist() != found[23:59].tolist()
+
+
+def test_a_take_without_a_valid_frame_has_no_words() -> None:
+    found = features.words(standing(3), upright(3), RATE, FEATURES.rules, np.zeros(3, bool))
+    assert (found == NO_WORD).all()
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from itertools import groupby
 
+INVALID = 2**64 - 1
+
 
 def word_runs(takes: list[list[int]]) -> list[tuple[int, int, int, int]]:
     """(take, start, stop, word) of every run."""
@@ -12,7 +14,8 @@ def word_runs(takes: list[list[int]]) -> list[tuple[int, int, int, int]]:
         start = 0
         for word, group in groupby(words):
             stop = start + len(list(group))
-            runs.append((take, start, stop, word))
+            if word != INVALID:
+                runs.append((take, start, stop, word))
             start = stop
     return runs
 
@@ -21,6 +24,6 @@ def feature_runs(takes: list[list[int]], features: int) -> list[tuple[int, int, 
     """(feature, take, start, stop) of every run where the feature is on."""
     runs = []
     for feature in range(1, features + 1):
-        flags = [[word >> (feature - 1) & 1 for word in words] for words in takes]
+        flags = [[word != INVALID and word >> (feature - 1) & 1 for word in words] for words in takes]
         runs += [(feature, take, start, stop) for take, start, stop, on in word_runs(flags) if on]
     return runs

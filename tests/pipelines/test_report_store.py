@@ -42,7 +42,7 @@ def store(tmp_path: Path) -> Path:
         ids = writer.assign_take_ids(names)
         takes = [
             {"take_id": ids[name], "name": name, "source": f"{name}.amc", "source_root": "/archive", "rate_hz": 30.0,
-             "frames": FRAMES, "seconds": 3.0, "actor": "ann", "class": label, "groups": "{}",
+             "frames": FRAMES, "seconds": 3.0, "invalid_frames": 0, "actor": "ann", "class": label, "groups": "{}",
              "warnings": ["odd header"] if name == "long_1" else []}
             for name, label in names.items()
         ]  # fmt: skip

@@ -46,6 +46,7 @@ def take_row(take_id: int, name: str, frames: int, **columns: object) -> dict[st
         "rate_hz": 30.0,
         "frames": frames,
         "seconds": frames / 30.0,
+        "invalid_frames": 0,
         "actor": name[:2],
         "class": None,
         "clip": None,

@@ -12,6 +12,7 @@ import pytest
 from ops.errors import KinedexError, ParameterError, StoreError
 from storage.manifest import manifest_path
 from storage.parts import ROW_GROUP, joint_positions
+from storage.schemas import FORMAT_VERSION
 from storage.store import open_store
 from storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
@@ -151,8 +152,8 @@ def test_no_store_and_other_directories_are_told_apart(tmp_path: Path) -> None:
 
 def test_a_store_of_another_format_is_refused(path: Path) -> None:
     newest = manifest_path(path, 2)
-    newest.write_text(newest.read_text().replace('"format_version": 2', '"format_version": 7'))
-    with pytest.raises(StoreError, match="format version 7, this kinedex reads version 2"):
+    newest.write_text(newest.read_text().replace(f'"format_version": {FORMAT_VERSION}', '"format_version": 7'))
+    with pytest.raises(StoreError, match=f"format version 7, this kinedex reads version {FORMAT_VERSION}"):
         open_store(path)
 
 
