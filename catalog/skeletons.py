@@ -172,6 +172,12 @@ class Fit:
         return self.places[mix.node] if mix is not None and mix.node is not None else 0
 
     @property
+    def nodes(self) -> tuple[int, ...]:
+        """The indices of the nodes that the named joints are made of."""
+        own = [mix for mix in self.joints.values() if mix is not None and not mix.of_joints]
+        return tuple(sorted({self.places[name] for mix in own for name, _ in mix.weights}))
+
+    @property
     def unknown(self) -> tuple[str, ...]:
         """The joints that the skeleton does not have."""
         return tuple(joint for joint, mix in self.joints.items() if mix is None)

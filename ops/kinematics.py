@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ops.angles import LARGEST, sincos, sincos_far
 from ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -65,22 +67,26 @@ def euler(degrees: tuple[float, float, float], order: str) -> F64:
     return matrix
 
 
-def forward(nodes: tuple[Node, ...], channels: F64, oriented: int = 0) -> tuple[F64, F64]:
-    """Positions of all nodes and the orientation of one of them, the root's where nothing else is said.
+def forward(
+    nodes: tuple[Node, ...], channels: F64, oriented: int = 0, wanted: Iterable[int] | None = None
+) -> tuple[F64, F64]:
+    """Positions of nodes and the orientation of one of them, the root's where nothing else is said.
 
     Parameters
     ----------
     nodes: parents before children.
     channels: float64 (T, C); rotations in radians, moves and stretches in metres.
     oriented: index of the node whose orientation is wanted.
+    wanted: indices of the nodes whose positions are wanted, None: all. What none of these hangs on is not computed.
 
     Returns
     -------
-    positions: float64 (nodes, 3, T), metres. orientation: float64 (9, T), the node's rotation matrix, row by row.
+    positions: float64 (nodes, 3, T), metres; NaN for nodes that are not computed.
+    orientation: float64 (9, T), the node's rotation matrix, row by row.
 
     Raises
     ------
-    ParameterError: a parent stands after its child, or a step or `oriented` names what is not there.
+    ParameterError: a parent stands after its child, or a step, `oriented` or `wanted` names what is not there.
     """
     if not 0 <= oriented < len(nodes):
         raise ParameterError("oriented", f"the index of one of {len(nodes)} nodes", oriented)
@@ -90,108 +96,141 @@ def forward(nodes: tuple[Node, ...], channels: F64, oriented: int = 0) -> tuple[
         for step in node.steps:
             if not 0 <= step.column < channels.shape[1]:
                 raise ParameterError(f"channel of '{node.name}'", f"below {channels.shape[1]}", step.column)
-    by_channel = np.ascontiguousarray(channels.T, dtype=np.float64)
-    counts = np.cumsum([0, *(len(node.steps) for node in nodes)]).astype(np.int32)
+    channels = np.ascontiguousarray(channels, dtype=np.float64)
+    needed = _needed(nodes, range(len(nodes)) if wanted is None else (*wanted, oriented))
+    counts = np.cumsum([0, *(len(node.steps) for node in nodes)], dtype=np.int32)
     kinds = np.array([step.kind for node in nodes for step in node.steps], dtype=np.int32)
     columns = np.array([step.column for node in nodes for step in node.steps], dtype=np.int32)
     parents = np.array([node.parent for node in nodes], dtype=np.int32)
-    frames = np.stack([node.frame.ravel() for node in nodes])
-    plain = np.array([np.array_equal(node.frame, np.eye(3)) for node in nodes])
-    offsets = np.stack([np.concatenate([node.before, node.after, node.direction]) for node in nodes])
+    frames = np.array([node.frame for node in nodes]).reshape(-1, 9)
+    plain = np.all(frames == np.eye(3).ravel(), axis=1)
+    offsets = np.array([(node.before, node.after, node.direction) for node in nodes])
+    near = channels.size == 0 or bool(channels.min() >= -LARGEST and channels.max() <= LARGEST)
     positions = np.empty((len(nodes), 3, channels.shape[0]))
+    positions[~needed] = np.nan
     orientation = np.empty((9, channels.shape[0]))
     _forward(
-        by_channel, np.sin(by_channel), np.cos(by_channel), parents, counts, kinds, columns,
-        frames, plain, offsets, oriented, positions, orientation,
+        channels, near, needed, parents, counts, kinds, columns, frames, plain, offsets,
+        oriented, positions, orientation,
     )  # fmt: skip
     return positions, orientation
 
 
-@njit(cache=True)
+def _needed(nodes: tuple[Node, ...], wanted: Iterable[int]) -> npt.NDArray[np.bool_]:
+    """Which nodes are wanted, or stand between one that is and the root."""
+    needed = np.zeros(len(nodes), dtype=np.bool_)
+    for index in wanted:
+        if not 0 <= index < len(nodes):
+            raise ParameterError("wanted", f"indices of {len(nodes)} nodes", index)
+        while index >= 0 and not needed[index]:
+            needed[index] = True
+            index = nodes[index].parent
+    return needed
+
+
+@njit(cache=True, nogil=True)
+def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
+    """Turn a row of a matrix about an axis, a and b being its other two numbers, in every frame."""
+    for t in range(a.shape[0]):
+        p, q = a[t], b[t]
+        a[t] = p * cosines[t] + q * sines[t]
+        b[t] = q * cosines[t] - p * sines[t]
+
+
+@njit(cache=True, nogil=True)
+def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
+    """A row (a, b, c) of a matrix times a fixed one, in every frame, into x, y, z."""
+    f0, f1, f2, f3, f4, f5, f6, f7, f8 = matrix
+    for t in range(a.shape[0]):
+        p, q, r = a[t], b[t], c[t]
+        x[t] = p * f0 + q * f3 + r * f6
+        y[t] = p * f1 + q * f4 + r * f7
+        z[t] = p * f2 + q * f5 + r * f8
+
+
+@njit(cache=True, nogil=True)
+def _shift(out: F64, turns: F64, offset: F64) -> None:
+    """Move positions (3, T) by a fixed offset, turned by matrices (9, T)."""
+    x, y, z = offset
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        return
+    for axis in range(3):
+        place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
+        for t in range(place.shape[0]):
+            place[t] += a[t] * x + b[t] * y + c[t] * z
+
+
+@njit(cache=True, nogil=True)
+def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> None:
+    """Move positions (3, T) along a fixed direction by as much as a channel says, turned by matrices (9, T)."""
+    for axis in range(3):
+        place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
+        for t in range(place.shape[0]):
+            place[t] += (a[t] * x + b[t] * y + c[t] * z) * lengths[t]
+
+
+@njit(cache=True, nogil=True)
 def _forward(
-    channels: F64, sines: F64, cosines: F64, parents: I32, counts: I32, kinds: I32, columns: I32,
+    channels: F64, near: bool, needed: npt.NDArray[np.bool_], parents: I32, counts: I32, kinds: I32, columns: I32,
     frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
 ) -> None:  # fmt: skip
-    total = channels.shape[1]
+    total, width = channels.shape
     nodes = len(parents)
     h = np.empty((nodes, 9, BLOCK))  # rotation of every node, row by row
-    move = np.zeros((3, BLOCK))
-    stretch = np.zeros(BLOCK)
+    of_channel = np.empty((width, BLOCK))
+    sine, cosine = np.empty(BLOCK), np.empty(BLOCK)
+    axes = np.eye(3)
     for start in range(0, total, BLOCK):
         size = min(BLOCK, total - start)
+        stop = start + size
+        for t in range(size):
+            for column in range(width):
+                of_channel[column, t] = channels[start + t, column]
+        s, c = sine[:size], cosine[:size]
         for node in range(nodes):
+            if not needed[node]:
+                continue
             parent = parents[node]
-            own = h[node]
-            for k in range(9):
-                row, column = k // 3, k % 3
-                if parent < 0:
-                    for t in range(size):
-                        own[k, t] = frames[node, k]
-                elif plain[node]:
-                    for t in range(size):
-                        own[k, t] = h[parent, k, t]
+            own, out = h[node, :, :size], positions[node, :, start:stop]
+            # Where the node starts: the parent's end and the fixed offset, then what its own channels move it by.
+            if parent < 0:
+                for k in range(9):
+                    own[k] = frames[node, k]
+                for axis in range(3):
+                    out[axis] = offsets[node, 0, axis]
+            else:
+                up = h[parent, :, :size]
+                if plain[node]:
+                    own[:] = up
                 else:
-                    f0, f1, f2 = frames[node, column], frames[node, 3 + column], frames[node, 6 + column]
-                    a, b, c = h[parent, 3 * row], h[parent, 3 * row + 1], h[parent, 3 * row + 2]
-                    for t in range(size):
-                        own[k, t] = a[t] * f0 + b[t] * f1 + c[t] * f2
-            move[:, :size] = 0.0
-            stretch[:size] = 0.0
-            moves = False
+                    for k in (0, 3, 6):
+                        _times(up[k], up[k + 1], up[k + 2], frames[node], own[k], own[k + 1], own[k + 2])
+                out[:] = positions[parent, :, start:stop]
+                _shift(out, up, offsets[node, 0])
             for step in range(counts[node], counts[node + 1]):
-                kind, column = kinds[step], columns[step]
-                if kind >= MOVE_X:
-                    for t in range(size):
-                        if kind == STRETCH:
-                            stretch[t] += channels[column, start + t]
-                        else:
-                            move[kind - MOVE_X, t] += channels[column, start + t]
-                    moves = moves or kind != STRETCH
-            # Where the node starts: the parent's end, the fixed offset, and what its own channels move it by.
-            out = positions[node]
-            for axis in range(3):
-                for t in range(size):
-                    x = 0.0
-                    if parent >= 0:
-                        x = (
-                            positions[parent, axis, start + t]
-                            + h[parent, 3 * axis, t] * offsets[node, 0]
-                            + h[parent, 3 * axis + 1, t] * offsets[node, 1]
-                            + h[parent, 3 * axis + 2, t] * offsets[node, 2]
-                        )
+                kind, along = kinds[step], of_channel[columns[step], :size]
+                if MOVE_X <= kind <= MOVE_Z:
+                    axis = kind - MOVE_X
+                    if parent < 0:
+                        out[axis] += along
                     else:
-                        x = offsets[node, axis]
-                    if moves:
-                        if parent >= 0:
-                            x += (
-                                own[3 * axis, t] * move[0, t]
-                                + own[3 * axis + 1, t] * move[1, t]
-                                + own[3 * axis + 2, t] * move[2, t]
-                            )
-                        else:
-                            x += move[axis, t]
-                    out[axis, start + t] = x
+                        _move(out, own, axes[axis, 0], axes[axis, 1], axes[axis, 2], along)
             for step in range(counts[node], counts[node + 1]):
-                kind, column = kinds[step], columns[step]
+                kind, angles = kinds[step], of_channel[columns[step], :size]
                 if kind <= ROTATE_Z:
+                    if near:
+                        sincos(angles, s, c)
+                    else:
+                        sincos_far(angles, s, c)
                     i, j = (kind + 1) % 3, (kind + 2) % 3
-                    sine, cosine = sines[column], cosines[column]
-                    for row in range(3):
-                        a, b = own[3 * row + i], own[3 * row + j]
-                        for t in range(size):
-                            s, c = sine[start + t], cosine[start + t]
-                            p, q = a[t], b[t]
-                            a[t] = p * c + q * s
-                            b[t] = q * c - p * s
-            for axis in range(3):
-                for t in range(size):
-                    x = offsets[node, 3] + stretch[t] * offsets[node, 6]
-                    y = offsets[node, 4] + stretch[t] * offsets[node, 7]
-                    z = offsets[node, 5] + stretch[t] * offsets[node, 8]
-                    out[axis, start + t] += own[3 * axis, t] * x + own[3 * axis + 1, t] * y + own[3 * axis + 2, t] * z
-        for k in range(9):
-            for t in range(size):
-                orientation[k, start + t] = h[oriented, k, t]
+                    for k in (0, 3, 6):
+                        _turn(own[k + i], own[k + j], s, c)
+            _shift(out, own, offsets[node, 1])
+            for step in range(counts[node], counts[node + 1]):
+                if kinds[step] == STRETCH:
+                    x, y, z = offsets[node, 2]
+                    _move(out, own, x, y, z, of_channel[columns[step], :size])
+        orientation[:, start:stop] = h[oriented, :, :size]
 
 
 def frames_along(across: F64, up: F64) -> F64:
@@ -210,28 +249,53 @@ def frames_along(across: F64, up: F64) -> F64:
     return np.ascontiguousarray(matrices.reshape(9, -1))
 
 
-def quaternions(matrices: F64) -> F64:
+def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = None) -> F64:
     """Unit quaternions (4, T) w x y z of rotation matrices (9, T), without jumps of sign.
 
-    The largest component is found first, so that no division comes near zero.
+    Parameters
+    ----------
+    matrices: float64 (9, T), row by row.
+    before, after: (3, 3) fixed rotations that stand left and right of every matrix; None: none.
     """
-    m = matrices.reshape(3, 3, -1)
-    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
-    squares = np.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz])
-    largest = np.argmax(squares, axis=0)
-    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
-    candidates = np.stack([
-        np.stack([squares[0], wx, wy, wz]),
-        np.stack([wx, squares[1], xy, xz]),
-        np.stack([wy, xy, squares[2], yz]),
-        np.stack([wz, xz, yz, squares[3]]),
-    ])  # fmt: skip
-    q = np.take_along_axis(candidates, largest[None, None, :], axis=0)[0]
-    q = q / np.linalg.norm(q, axis=0)
-    if q.shape[1]:
-        q[:, 0] *= 1.0 if q[0, 0] >= 0 else -1.0
-        flips = np.sign(np.sum(q[:, 1:] * q[:, :-1], axis=0))
-        flips[flips == 0] = 1.0
-        q[:, 1:] *= np.cumprod(flips)
-    return np.ascontiguousarray(q)
+    q = np.empty((4, matrices.shape[1]))
+    left = np.eye(3) if before is None else np.ascontiguousarray(before, dtype=np.float64)
+    right = np.eye(3) if after is None else np.ascontiguousarray(after, dtype=np.float64)
+    _quaternions(np.ascontiguousarray(matrices, dtype=np.float64), left, right, q)
+    return q
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _quaternions(matrices: F64, left: F64, right: F64, out: F64) -> None:
+    """The largest component is found first, so that no division comes near zero."""
+    m, half = np.empty((3, 3)), np.empty((3, 3))
+    last = np.array([1.0, 0.0, 0.0, 0.0])  # the first one has w ≥ 0
+    for t in range(out.shape[1]):
+        for i in range(3):
+            for j in range(3):
+                half[i, j] = (
+                    matrices[3 * i, t] * right[0, j]
+                    + matrices[3 * i + 1, t] * right[1, j]
+                    + matrices[3 * i + 2, t] * right[2, j]
+                )
+        for i in range(3):
+            for j in range(3):
+                m[i, j] = left[i, 0] * half[0, j] + left[i, 1] * half[1, j] + left[i, 2] * half[2, j]
+        xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
+        sw, sx, sy, sz = 1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz
+        wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+        xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+        if sw >= sx and sw >= sy and sw >= sz:
+            w, x, y, z = sw, wx, wy, wz
+        elif sx >= sy and sx >= sz:
+            w, x, y, z = wx, sx, xy, xz
+        elif sy >= sz:
+            w, x, y, z = wy, xy, sy, yz
+        else:
+            w, x, y, z = wz, xz, yz, sz
+        length = np.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / length, x / length, y / length, z / length
+        if w * last[0] + x * last[1] + y * last[2] + z * last[3] < 0.0:
+            w, x, y, z = -w, -x, -y, -z
+        out[0, t], out[1, t], out[2, t], out[3, t] = w, x, y, z
+        if not np.isnan(w):
+            last[0], last[1], last[2], last[3] = w, x, y, z

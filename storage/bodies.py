@@ -145,13 +145,12 @@ def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ..
     if fit.mapping.unit_m not in (None, INCH_M):
         skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
     motion = read_amc(amc, skeleton)
-    nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels)
-    turned = np.einsum("abt,bc->act", matrices.reshape(3, 3, -1), skeleton.root_frame)
+    nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels, wanted=fit.nodes)
     positions = fit.apply(nodes, joints)
     _refuse_far(amc, positions, joints, fit.unknown)
     return Body(
         positions=positions,
-        orientation=_orientation(fit, turned),
+        orientation=_orientation(fit, matrices, skeleton.root_frame),
         rate_hz=rate_hz,
         unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
         skeleton=fit.mapping.name,
@@ -298,22 +297,26 @@ def _restore(bvh: Bvh, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]
 
 
 def _track(nodes: tuple[kinematics.Node, ...], channels: F64, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
-    """Named joints (J, 3, T) in the file's unit and the root's rotation (3, 3, T), worked on a stretch at a time."""
+    """Named joints (J, 3, T) in the file's unit and the root's rotation (9, T), worked on a stretch at a time."""
     frames = len(channels)
     positions, turned = np.empty((len(joints), 3, frames)), np.empty((9, frames))
     step = max(kinematics.BLOCK, _WORKED_ON // len(nodes))
     for start in range(0, frames, step):
-        part, turned[:, start : start + step] = kinematics.forward(nodes, channels[start : start + step], fit.root)
-        positions[:, :, start : start + step] = fit.apply(part, joints)
-    return positions, turned.reshape(3, 3, frames)
+        stop = start + step
+        part, turned[:, start:stop] = kinematics.forward(nodes, channels[start:stop], fit.root, fit.nodes)
+        positions[:, :, start:stop] = fit.apply(part, joints)
+    return positions, turned
 
 
-def _orientation(fit: Fit, turned: F64) -> F64:
-    """The root's quaternion in our axes: the turn between the two frames' bases, seen from ours."""
+def _orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
+    """The root's quaternion in our axes, from its rotations (9, T) and its own axes where it has some.
+
+    It is the turn between the two frames' bases, seen from ours.
+    """
     if "root" in fit.unknown:
-        return np.full((4, turned.shape[2]), np.nan)
-    turned = np.einsum("ab,bct,dc->adt", fit.mapping.axes, turned, fit.mapping.root_axes)
-    return kinematics.quaternions(np.ascontiguousarray(turned.reshape(9, -1)))
+        return np.full((4, turned.shape[1]), np.nan)
+    root_axes = fit.mapping.root_axes.T
+    return kinematics.quaternions(turned, fit.mapping.axes, root_axes if own is None else own @ root_axes)
 
 
 def _virtual(fit: Fit) -> list[str]:
