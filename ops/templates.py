@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Literal
 
-import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from ops.averaging import TOLERANCE, Hard, Method, Soft, average_all
 from ops.errors import ParameterError
-from ops.warping import accumulate, trace_back
-from ops.words import U64, bits
+from ops.pairs import Paths, Stack, Weighted, all_pairs
+from ops.words import MOST_FEATURES, NO_WORD, U64, bits
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
-Columns = npt.NDArray[Any]  # float64 of soft templates, uint64 of hard ones; only a method looks inside
+
+Kind = Literal["soft", "hard"]
 
 MOST_ROUNDS = 10
 CONVERGED = 0.005
-TOLERANCE = 1e-9
-_HEAVY = 1.5 - TOLERANCE  # averaging leaves 1.4999999999999998 where 1.5 is meant
-_LIGHT = 0.75 - TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -30,10 +28,12 @@ class Template:
     """A motion template of N columns.
 
     values: float64 (N, f) in [0, 1]; column i − 1 of the matrix is F_i. weights: float64 (N,), about 1.
+    feature_weights: float64 (f,), how much each feature counts in a comparison, or None: all alike.
     """
 
     values: F64
     weights: F64
+    feature_weights: F64 | None = None
 
     def __len__(self) -> int:
         return len(self.values)
@@ -76,11 +76,27 @@ class Learned:
     template: the class template. rounds: how often all templates were averaged.
     costs: the largest DTW cost between two templates, divided by the reference's total weight, before each
     round and after the last: rounds + 1 numbers (a single one, 0, where there is one clip).
+    clip_costs: of each clip, how far it is from the others: the median of its DTW costs, before the first round, as a
+    share of the entries compared along the path (0 where there is one clip).
     """
 
     template: Template
     rounds: int
     costs: tuple[float, ...]
+    clip_costs: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Pairs of templates that one task aligns; the pairs, int64 (P, 2), are places in the stack."""
+
+    method: Method
+    stack: Stack
+    pairs: I64
+
+
+Spread = Callable[[Callable[[Piece], Paths], Iterable[Piece]], Iterable[Paths]]
+"""Applies a function to all pieces and gives the results in their order: `map`, or an executor's."""
 
 
 def learn_soft(clips: Sequence[U64], features: int) -> Learned:
@@ -91,7 +107,7 @@ def learn_soft(clips: Sequence[U64], features: int) -> Learned:
     Parameters
     ----------
     clips: the words of each training clip, uint64 (L_i,), in the order of the clips' names.
-    features: number of features f, 1 to 64.
+    features: number of features f, 1 to 63.
 
     Returns
     -------
@@ -99,9 +115,9 @@ def learn_soft(clips: Sequence[U64], features: int) -> Learned:
 
     Raises
     ------
-    ParameterError: without clips, with an empty clip, or with bits beyond the features.
+    ParameterError: without clips, with an empty clip, one with invalid frames, or with bits beyond the features.
     """
-    return _learn(clips, features, _Soft(features))
+    return learn("soft", clips, features)
 
 
 def learn_hard(clips: Sequence[U64], features: int) -> Learned:
@@ -110,7 +126,61 @@ def learn_hard(clips: Sequence[U64], features: int) -> Learned:
     Values are 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost
     between the template and every one of its clips is 0 (Claim 3.1 there). Parameters as in `learn_soft`.
     """
-    return _learn(clips, features, _Hard(features))
+    return learn("hard", clips, features)
+
+
+def learn(
+    kind: Kind,
+    clips: Sequence[U64],
+    features: int,
+    feature_weights: F64 | None = None,
+    spread: Spread = map,
+    pieces: int = 1,
+) -> Learned:
+    """Learn a motion template, the alignments of each round spread over workers.
+
+    Parameters
+    ----------
+    kind: "soft" or "hard"; clips, features: as in `learn_soft`.
+    feature_weights: float64 (f,), not negative and not all 0; None: all features count alike. The soft cost is the
+        weighted mean over the features; the hard cost leaves features of weight 0 out. The values of a feature are
+        learned whatever its weight.
+    spread: how the pieces of a round are worked off. pieces: into how many a round is divided. The result does not
+        depend on either.
+
+    Raises
+    ------
+    ParameterError: as `learn_soft`, and for weights that are not as said.
+    """
+    _validate(clips, features)
+    counts = _checked_weights(feature_weights, features)
+    method: Method = Soft(counts) if kind == "soft" else Hard(counts)
+    stack = Stack.of([Weighted(method.start(clip), np.ones(len(clip))) for clip in clips])
+    pairs = all_pairs(len(clips))
+    costs: list[float] = []
+    clip_costs = [0.0] * len(clips)
+    while len(clips) > 1:
+        paths = _align(method, stack, pairs, spread, pieces)
+        totals = np.array([piece.sum() for piece in np.split(stack.weights, stack.offsets[1:-1])])
+        largest = float((paths.costs / totals[pairs].min(axis=1)).max())
+        if not costs:
+            compared = 1.0 if kind == "soft" else float(np.count_nonzero(counts))
+            clip_costs = _medians(paths.costs / totals[pairs].mean(axis=1) / compared, pairs, len(clips))
+        costs.append(largest)
+        rounds = len(costs) - 1
+        # The first round always counts: before it, "all alike" would let the first clip stand for the class.
+        unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
+        if rounds == MOST_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
+            break
+        stack = Stack.of(average_all(method, stack, paths))
+    last = int(stack.offsets[1])
+    template = Template(method.values(stack.columns[:last]), stack.weights[:last], feature_weights)
+    return Learned(template, max(len(costs) - 1, 0), tuple(costs or [0.0]), tuple(clip_costs))
+
+
+def align_piece(piece: Piece) -> Paths:
+    """Align the pairs of a piece (runs in a worker)."""
+    return piece.method.align(piece.stack, piece.pairs)
 
 
 def quantise(template: Template, delta: float) -> QuantisedTemplate:
@@ -118,7 +188,7 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
 
     Parameters
     ----------
-    template: at most 64 features.
+    template: at most 63 features.
     delta: 0 ≤ delta < 0.5; 0 keeps only what does not vary at all. Compared with a tolerance of 1e-9.
     """
     if not 0 <= delta < 0.5:
@@ -131,189 +201,43 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
     return QuantisedTemplate(mask, value)
 
 
-@dataclass(frozen=True)
-class Weighted:
-    """Columns in a method's own form, with their weights (float64)."""
-
-    columns: Columns
-    weights: F64
-
-
-class _Method(Protocol):
-    """What soft and hard templates do differently."""
-
-    def start(self, words: U64) -> Columns: ...
-    def local_cost(self, first: Columns, second: Columns) -> F64: ...
-    def average(self, reference: Weighted, others: Sequence[Weighted], paths: Sequence[I64]) -> Weighted: ...
-    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns: ...
-    def values(self, columns: Columns) -> F64: ...
+def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int) -> Paths:
+    """Align all pairs, in one go or in pieces of about the same work."""
+    if pieces <= 1 or len(pairs) < 2:
+        return method.align(stack, pairs)
+    work = np.cumsum(stack.lengths[pairs].prod(axis=1))
+    cuts = np.searchsorted(work, work[-1] * np.arange(1, pieces) / pieces) + 1
+    tasks = []
+    for part in np.split(pairs, np.unique(cuts[cuts < len(pairs)])):
+        used, places = np.unique(part, return_inverse=True)
+        tasks.append(Piece(method, stack.chosen(used), places.reshape(-1, 2).astype(np.int64)))
+    return Paths.joined(list(spread(align_piece, tasks)))
 
 
-def _learn(clips: Sequence[U64], features: int, method: _Method) -> Learned:
-    _validate(clips, features)
-    templates = [Weighted(method.start(clip), np.ones(len(clip))) for clip in clips]
-    costs: list[float] = []
-    rounds = 0
-    while len(clips) > 1:
-        largest, averaged = _round(templates, method)
-        costs.append(largest)
-        # The first round always counts: before it, "all alike" would let the first clip stand for the class.
-        unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
-        if rounds == MOST_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
-            break
-        templates = averaged
-        rounds += 1
-    first = templates[0]
-    return Learned(Template(method.values(first.columns), first.weights), rounds, tuple(costs or [0.0]))
+def _medians(costs: F64, pairs: I64, count: int) -> list[float]:
+    """Of each template, the median cost of the pairs that it is in."""
+    return [float(np.median(costs[(pairs == i).any(axis=1)])) for i in range(count)]
 
 
 def _validate(clips: Sequence[U64], features: int) -> None:
-    if not 1 <= features <= 64:
-        raise ParameterError("features", "from 1 to 64", features)
+    if not 1 <= features <= MOST_FEATURES:
+        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
     if not clips:
         raise ParameterError("clips", "at least one clip", 0)
     for clip in clips:
         if not len(clip):
             raise ParameterError("clips", "clips of at least one frame", 0)
-        if features < 64 and int(clip.max()) >> features:
+        if np.any(clip == NO_WORD):
+            raise ParameterError("clips", "clips without invalid frames", "NO_WORD")
+        if int(clip.max()) >> features:
             raise ParameterError("clips", f"words of {features} bits", int(clip.max()))
 
 
-def _round(templates: Sequence[Weighted], method: _Method) -> tuple[float, list[Weighted]]:
-    """Make every template the reference once; return the largest relative cost and the averages."""
-    largest = 0.0
-    averaged = []
-    for index, reference in enumerate(templates):
-        others = [other for place, other in enumerate(templates) if place != index]
-        weight = float(reference.weights.sum())
-        paths = []
-        for other in others:
-            local = method.local_cost(reference.columns, other.columns)
-            cost, steps = accumulate(local, reference.weights, other.weights)
-            paths.append(trace_back(steps))
-            largest = max(largest, cost / weight)
-        averaged.append(rebalance(method.average(reference, others, paths), method.merge))
-    return largest, averaged
-
-
-def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
-    """Bring the column weights back to about 1: expand, contract, expand (diploma thesis, Eq. 3.5).
-
-    A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), half to even. Then, from the
-    left, a column lighter than 0.75 merges with its lighter neighbour (the left one of equals) until none is.
-    """
-    return _expand(_contract(_expand(template), merge))
-
-
-def _expand(template: Weighted) -> Weighted:
-    copies = np.where(template.weights >= _HEAVY, np.rint(np.round(template.weights, 9)), 1).astype(np.int64)
-    return Weighted(np.repeat(template.columns, copies, axis=0), np.repeat(template.weights / copies, copies))
-
-
-def _contract(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
-    columns: list[Columns] = list(template.columns)
-    weights: list[float] = template.weights.tolist()
-    place = 0
-    while place < len(weights) and len(weights) > 1:
-        if weights[place] >= _LIGHT:
-            place += 1
-            continue
-        before = weights[place - 1] if place > 0 else np.inf
-        after = weights[place + 1] if place + 1 < len(weights) else np.inf
-        place -= before <= after + TOLERANCE  # now the left one of the two that merge
-        columns[place] = merge(columns[place], columns[place + 1], weights[place], weights[place + 1])
-        weights[place] += weights[place + 1]
-        del columns[place + 1], weights[place + 1]
-    return Weighted(np.array(columns), np.array(weights))
-
-
-@dataclass(frozen=True)
-class _Soft:
-    """Columns are float64 (N, f): the share of the clips' weight that has a 1."""
-
-    features: int
-
-    def start(self, words: U64) -> Columns:
-        return bits(words, self.features).astype(np.float64)
-
-    def local_cost(self, first: Columns, second: Columns) -> F64:
-        return mean_difference(first, np.ascontiguousarray(second.T))
-
-    def average(self, reference: Weighted, others: Sequence[Weighted], paths: Sequence[I64]) -> Weighted:
-        weights = reference.weights.copy()
-        total = reference.columns * weights[:, None]
-        for other, path in zip(others, paths, strict=True):
-            add_warped(total, weights, other.columns, _shares(other.weights, path), path)
-        return Weighted(total / weights[:, None], weights / (len(others) + 1))
-
-    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
-        return (left * left_weight + right * right_weight) / (left_weight + right_weight)
-
-    def values(self, columns: Columns) -> F64:
-        return columns.astype(np.float64)
-
-
-@dataclass(frozen=True)
-class _Hard:
-    """Columns are uint64 (N, 2): the bits that are always 1, and those that are always 0.
-
-    What two columns agree on is then the bitwise and of both, however many are combined and in what order.
-    """
-
-    features: int
-
-    def start(self, words: U64) -> Columns:
-        every = np.uint64((1 << self.features) - 1)
-        return np.stack([words, ~words & every], axis=1)
-
-    def local_cost(self, first: Columns, second: Columns) -> F64:
-        against = (first[:, None, 0] & second[None, :, 1]) | (first[:, None, 1] & second[None, :, 0])
-        return np.bitwise_count(against).astype(np.float64)
-
-    def average(self, reference: Weighted, others: Sequence[Weighted], paths: Sequence[I64]) -> Weighted:
-        weights = reference.weights.copy()
-        columns = reference.columns.copy()
-        for other, path in zip(others, paths, strict=True):
-            first_use = np.searchsorted(path[:, 0], np.arange(len(columns)))
-            columns &= np.bitwise_and.reduceat(other.columns[path[:, 1]], first_use, axis=0)
-            np.add.at(weights, path[:, 0], _shares(other.weights, path)[path[:, 1]])
-        return Weighted(columns, weights / (len(others) + 1))
-
-    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
-        return left & right
-
-    def values(self, columns: Columns) -> F64:
-        ones, zeros = bits(columns[:, 0], self.features), bits(columns[:, 1], self.features)
-        return (1.0 + ones - zeros) / 2
-
-
-def _shares(weights: F64, path: I64) -> F64:
-    """Split each column's weight evenly among the reference columns that use it."""
-    return weights / np.bincount(path[:, 1], minlength=len(weights))
-
-
-@nb.njit(cache=True, nogil=True)
-def mean_difference(first: F64, second_transposed: F64) -> F64:
-    """Return the mean over features of |x − y| for every pair of columns (kernel)."""
-    rows, features = first.shape
-    columns = second_transposed.shape[1]
-    cost = np.zeros((rows, columns))
-    for k in range(rows):
-        for i in range(features):
-            x = first[k, i]
-            for column in range(columns):
-                cost[k, column] += abs(x - second_transposed[i, column])
-        for column in range(columns):
-            cost[k, column] /= features
-    return cost
-
-
-@nb.njit(cache=True, nogil=True)
-def add_warped(total: F64, weights: F64, columns: F64, shares: F64, path: I64) -> None:
-    """Add the columns of a warped template to the weighted sums of the reference, in place (kernel)."""
-    for cell in range(len(path)):
-        k, column = path[cell, 0], path[cell, 1]
-        share = shares[column]
-        weights[k] += share
-        for i in range(columns.shape[1]):
-            total[k, i] += share * columns[column, i]
+def _checked_weights(feature_weights: F64 | None, features: int) -> F64:
+    if feature_weights is None:
+        return np.ones(features)
+    if feature_weights.shape != (features,):
+        raise ParameterError("feature_weights", f"of shape ({features},)", feature_weights.shape)
+    if not np.isfinite(feature_weights).all() or feature_weights.min() < 0 or feature_weights.max() == 0:
+        raise ParameterError("feature_weights", "finite, not negative, and not all 0", feature_weights.tolist())
+    return feature_weights

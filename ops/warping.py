@@ -1,4 +1,4 @@
-"""Classical dynamic time warping of two weighted sequences, with the path."""
+"""Classical dynamic time warping of two weighted sequences, with the path; seen from either of the two."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-_DIAGONAL, _FIRST, _SECOND = np.uint8(0), np.uint8(1), np.uint8(2)
+U8 = npt.NDArray[np.uint8]
+
+DIAGONAL, FIRST, SECOND, EITHER = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
+"""The step that enters a cell: both sequences advance, only the first, only the second; or the last two are equally
+cheap, and then the one is taken in which the sequence advances from whose side the path is read."""
 
 
 @dataclass(frozen=True)
@@ -55,58 +59,96 @@ def align(local_cost: F64, first_weights: F64, second_weights: F64) -> Alignment
         raise ParameterError("weights", f"as many as the {local_cost.shape} columns", got)
     if not np.isfinite(local_cost).all() or local_cost.min() < 0:
         raise ParameterError("local_cost", "finite and not negative", float(local_cost.min()))
-    total, steps = accumulate(
+    total, entered = _accumulate(
         np.ascontiguousarray(local_cost, np.float64),
         np.ascontiguousarray(first_weights, np.float64),
         np.ascontiguousarray(second_weights, np.float64),
     )
-    return Alignment(float(total), trace_back(steps))
+    steps = np.empty(sum(local_cost.shape) - 1, np.uint8)
+    count = trace_back(entered, FIRST, steps)
+    return Alignment(float(total), _cells(steps[:count]))
+
+
+def _cells(steps: U8) -> I64:
+    """The cells of a path, int64 (P, 2), from the steps that enter them."""
+    advances = np.stack([steps != SECOND, steps != FIRST], axis=1).astype(np.int64)
+    return advances.cumsum(axis=0) - 1
 
 
 @nb.njit(cache=True, nogil=True)
-def accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tuple[float, npt.NDArray[np.uint8]]:
+def _accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tuple[float, U8]:
     """Return the cost of the best path and, per cell, the step that enters it (kernel of `align`)."""
     rows, columns = local_cost.shape
-    steps = np.empty((rows, columns), np.uint8)
+    entered = np.empty((rows, columns), np.uint8)
     above = np.full(columns, np.inf)
     here = np.empty(columns)
+    entering = np.empty(columns)
+    weighted = np.empty(columns)
     for k in range(rows):
         for column in range(columns):
-            best = np.inf
-            step = _DIAGONAL
-            if k == 0 and column == 0:
-                best = 0.0
-            if k > 0 and column > 0:
-                best = above[column - 1]
-            if k > 0 and above[column] < best:
-                best = above[column]
-                step = _FIRST
-            if column > 0 and here[column - 1] < best:
-                best = here[column - 1]
-                step = _SECOND
-            weight = 0.5 * (first_weights[k] + second_weights[column])
-            here[column] = best + local_cost[k, column] * weight
-            steps[k, column] = step
+            weighted[column] = local_cost[k, column] * (0.5 * (first_weights[k] + second_weights[column]))
+        advance_row(above, here, entering, weighted, entered[k], k == 0)
         above, here = here, above
-    return above[columns - 1], steps
+    return above[columns - 1], entered
 
 
 @nb.njit(cache=True, nogil=True)
-def trace_back(steps: npt.NDArray[np.uint8]) -> I64:
-    """Return the path that the steps of `accumulate` describe, from its start to its end."""
-    rows, columns = steps.shape
-    path = np.empty((rows + columns - 1, 2), np.int64)
+def advance_row(above: F64, here: F64, entering: F64, weighted: F64, entered: U8, first: bool) -> None:
+    """Fill one row of accumulated costs and of the steps that enter its cells (kernel).
+
+    Three passes, of which only the second depends on the cell before: the others vectorise.
+
+    above: the row before (∞ in front of the first one), here: what is filled; entering: room of the same length;
+    weighted: the local costs times the mean of the two column weights.
+    """
+    columns = len(weighted)
+    entering[0] = 0.0 if first else above[0]
+    for column in range(1, columns):
+        diagonal, up = above[column - 1], above[column]
+        entering[column] = up if up < diagonal else diagonal
+    before = entering[0] + weighted[0]
+    here[0] = before
+    entered[0] = DIAGONAL if first else FIRST
+    for column in range(1, columns):
+        least = entering[column]
+        before = (before if before < least else least) + weighted[column]
+        here[column] = before
+    for column in range(1, columns):
+        diagonal, up, left = above[column - 1], above[column], here[column - 1]
+        step = DIAGONAL
+        if up < diagonal:
+            step = EITHER if left == up else FIRST
+        if left < entering[column]:
+            step = SECOND
+        entered[column] = step
+
+
+@nb.njit(cache=True, nogil=True)
+def trace_back(entered: U8, preferred: np.uint8, steps: U8) -> int:
+    """Write the steps of the best path, in its order, and return how many there are (kernel).
+
+    preferred: FIRST or SECOND, whichever sequence the path is read from; a step in which that one alone advances is
+    written as FIRST, and its opposite as SECOND. steps: uint8 with room for K + L − 1.
+    """
+    rows, columns = entered.shape
+    swap = preferred == SECOND
     position = rows + columns - 1
     k, column = rows - 1, columns - 1
     while True:
+        step = entered[k, column]
+        if step == EITHER:
+            step = preferred
         position -= 1
-        path[position, 0] = k
-        path[position, 1] = column
+        steps[position] = step
+        if swap and step != DIAGONAL:
+            steps[position] = FIRST if step == SECOND else SECOND
         if k == 0 and column == 0:
             break
-        step = steps[k, column]
-        if step != _SECOND:
+        if step != SECOND:
             k -= 1
-        if step != _FIRST:
+        if step != FIRST:
             column -= 1
-    return path[position:]
+    count = rows + columns - 1 - position
+    for place in range(count):
+        steps[place] = steps[position + place]
+    return count

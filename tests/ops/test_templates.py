@@ -11,22 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ops.averaging import Hard, rebalance
 from ops.errors import ParameterError
-from ops.templates import (
-    QuantisedTemplate,
-    Template,
-    Weighted,
-    _Hard,
-    learn_hard,
-    learn_soft,
-    quantise,
-    rebalance,
-)
+from ops.pairs import Stack, Weighted, all_pairs
+from ops.templates import Kind, QuantisedTemplate, Template, learn, learn_hard, learn_soft, quantise
 from ops.warping import align
-from ops.words import bits, pack
+from ops.words import NO_WORD, bits, pack
 from tests.oracles import templates as naive
 
 Clip = list[list[float]]
+KINDS: tuple[Kind, ...] = ("soft", "hard")
 
 
 @st.composite
@@ -50,13 +44,13 @@ def hard_cost(template: QuantisedTemplate, words: np.ndarray) -> float:
 
 
 def test_the_example_of_the_diploma_thesis_merges_to_the_printed_templates_before_rebalancing():
-    x = Weighted(_Hard(1).start(np.array([1, 1, 1, 1, 0, 1], np.uint64)), np.ones(6))
-    y = Weighted(_Hard(1).start(np.array([0, 1, 0, 0, 0, 0, 1], np.uint64)), np.ones(7))
-    for reference, other, printed in [(x, y, [0.5, 1, 1, 1, 0, 1]), (y, x, [0.5, 1, 0, 0, 0, 0, 1])]:
-        method = _Hard(1)
-        local = method.local_cost(reference.columns, other.columns)
-        path = align(local, reference.weights, other.weights).path
-        merged = method.average(reference, [other], [path])
+    method = Hard(np.ones(1))
+    x = Weighted(method.start(np.array([1, 1, 1, 1, 0, 1], np.uint64)), np.ones(6))
+    y = Weighted(method.start(np.array([0, 1, 0, 0, 0, 0, 1], np.uint64)), np.ones(7))
+    stack = Stack.of([x, y])
+    paths = method.align(stack, all_pairs(2))
+    for reference, printed in enumerate([[0.5, 1, 1, 1, 0, 1], [0.5, 1, 0, 0, 0, 0, 1]]):
+        merged = method.average(stack, reference, paths, np.zeros(2, np.int64))
         assert method.values(merged.columns)[:, 0].tolist() == printed
         assert merged.weights.sum() == pytest.approx((6 + 7) / 2)
 
@@ -64,23 +58,70 @@ def test_the_example_of_the_diploma_thesis_merges_to_the_printed_templates_befor
 def test_the_columns_of_the_example_are_stretched_and_thinned_as_printed():
     ones, zeros = np.array([0, 1, 1, 1, 0, 1], np.uint64), np.array([0, 0, 0, 0, 1, 0], np.uint64)
     weights = np.array([1, 2 / 3, 2 / 3, 2 / 3, 2.5, 1])
-    balanced = rebalance(Weighted(np.stack([ones, zeros], axis=1), weights), _Hard(1).merge)
+    balanced = rebalance(Weighted(np.stack([ones, zeros], axis=1), weights), Hard(np.ones(1)).merge)
     # Fig. 3.9 makes three columns of the one of weight 2.5; half to even makes it two of 1.25. The merging of
     # columns 2 and 3, then of what is left of the ones with the first zero, and the last doubling are as printed.
-    assert _Hard(1).values(balanced.columns)[:, 0].tolist() == [0.5, 1, 0.5, 0.5, 0, 1]
+    assert Hard(np.ones(1)).values(balanced.columns)[:, 0].tolist() == [0.5, 1, 0.5, 0.5, 0, 1]
     assert balanced.weights.tolist() == pytest.approx([1, 4 / 3, 23 / 24, 23 / 24, 5 / 4, 1])
 
 
 @settings(max_examples=60)
-@given(classes_of_clips(), st.sampled_from(["soft", "hard"]))
-def test_learning_equals_the_naive_twin(clips: list[Clip], kind: str):
-    learn = learn_soft if kind == "soft" else learn_hard
-    learned = learn([as_words(clip) for clip in clips], len(clips[0][0]))
+@given(classes_of_clips(), st.sampled_from(KINDS))
+def test_learning_equals_the_naive_twin(clips: list[Clip], kind: Kind):
+    learned = learn(kind, [as_words(clip) for clip in clips], len(clips[0][0]))
     (values, weights), costs = naive.learn(kind, clips)
     assert learned.costs == pytest.approx(costs, abs=1e-12)
     assert learned.rounds == len(costs) - 1
     np.testing.assert_allclose(learned.template.values, values, atol=1e-12)
     np.testing.assert_allclose(learned.template.weights, weights, atol=1e-12)
+
+
+@given(classes_of_clips(), st.sampled_from(KINDS), st.integers(2, 9))
+def test_the_number_of_pieces_changes_no_bit_of_a_template(clips: list[Clip], kind: Kind, pieces: int):
+    words, features = [as_words(clip) for clip in clips], len(clips[0][0])
+    whole = learn(kind, words, features)
+    split = learn(kind, words, features, pieces=pieces)
+    assert (split.costs, split.clip_costs) == (whole.costs, whole.clip_costs)
+    assert np.array_equal(split.template.values, whole.template.values)
+    assert np.array_equal(split.template.weights, whole.template.weights)
+
+
+@given(classes_of_clips(), st.data())
+def test_a_feature_that_does_not_count_aligns_nothing(clips: list[Clip], data: st.DataObject):
+    """Whatever it is, the other features' values and the column weights are those learned without it."""
+    features = len(clips[0][0])
+    noise = data.draw(st.integers(0, features))
+    with_noise = [
+        [[*column[:noise], data.draw(st.sampled_from([0.0, 1.0])), *column[noise:]] for column in clip]
+        for clip in clips
+    ]
+    weights = np.insert(np.ones(features), noise, 0.0)
+    for kind in KINDS:
+        plain = learn(kind, [as_words(clip) for clip in clips], features)
+        other = learn(kind, [as_words(clip) for clip in with_noise], features + 1, weights)
+        assert np.array_equal(np.delete(other.template.values, noise, axis=1), plain.template.values)
+        assert np.array_equal(other.template.weights, plain.template.weights)
+        assert other.template.feature_weights is weights
+
+
+@given(classes_of_clips(), st.integers(2, 5))
+def test_a_weight_counts_like_so_many_copies_of_the_feature(clips: list[Clip], times: int):
+    features = len(clips[0][0])
+    copied = [[column + [column[0]] * (times - 1) for column in clip] for clip in clips]
+    weights = np.array([times, *[1] * (features - 1)], float)
+    by_weight = learn("soft", [as_words(clip) for clip in clips], features, weights)
+    by_copies = learn("soft", [as_words(clip) for clip in copied], features + times - 1)
+    assert by_weight.costs[0] == pytest.approx(by_copies.costs[0])
+    assert by_weight.clip_costs == pytest.approx(by_copies.clip_costs)
+
+
+def test_the_clip_that_differs_from_all_others_costs_most():
+    step = np.repeat(np.array([1, 3, 2, 0], np.uint64), [5, 4, 6, 5])
+    other = np.repeat(np.array([0, 2, 3, 1], np.uint64), [5, 4, 6, 5])
+    for kind in KINDS:
+        costs = learn(kind, [step, step[1:], other, step[:-1]], 2).clip_costs
+        assert costs[2] > 0.2
+        assert costs[0] == costs[1] == costs[3] == 0
 
 
 @given(classes_of_clips())
@@ -102,8 +143,8 @@ def test_columns_of_a_template_weigh_about_one(clips: list[Clip]):
 
 def test_a_single_clip_is_its_own_template():
     clip = np.array([5, 5, 2, 7], np.uint64)
-    for learn in (learn_soft, learn_hard):
-        learned = learn([clip], 3)
+    for kind in KINDS:
+        learned = learn(kind, [clip], 3)
         assert learned.template.values.tolist() == bits(clip, 3).tolist()
         assert (learned.rounds, learned.costs) == (0, (0.0,))
 
@@ -130,6 +171,12 @@ def test_wrong_input_is_refused_in_words():
         learn_soft([], 4)
     with pytest.raises(ParameterError, match="at least one frame"):
         learn_hard([np.array([], np.uint64)], 4)
+    with pytest.raises(ParameterError, match="without invalid frames"):
+        learn_soft([np.array([1, NO_WORD], np.uint64)], 4)
+    with pytest.raises(ParameterError, match="feature_weights must be of shape"):
+        learn("soft", [np.array([1], np.uint64)], 4, np.ones(3))
+    with pytest.raises(ParameterError, match="not all 0"):
+        learn("hard", [np.array([1], np.uint64)], 4, np.zeros(4))
     with pytest.raises(ParameterError, match="words of 3 bits"):
         learn_soft([np.array([8], np.uint64)], 3)
     with pytest.raises(ParameterError, match="delta must be"):
