@@ -188,14 +188,16 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
 
     Parameters
     ----------
-    template: at most 63 features.
+    template: at most 63 features. A feature of weight 0 is a wildcard everywhere; other weights are for learning only:
+        in a distance curve all entries that are fixed count alike.
     delta: 0 ≤ delta < 0.5; 0 keeps only what does not vary at all. Compared with a tolerance of 1e-9.
     """
     if not 0 <= delta < 0.5:
         raise ParameterError("delta", "at least 0 and below 0.5", delta)
     shifts = np.arange(template.values.shape[1], dtype=np.uint64)
-    ones = template.values >= 1 - delta - TOLERANCE
-    zeros = template.values <= delta + TOLERANCE
+    counts = np.ones(len(shifts), np.bool_) if template.feature_weights is None else template.feature_weights > 0
+    ones = (template.values >= 1 - delta - TOLERANCE) & counts
+    zeros = (template.values <= delta + TOLERANCE) & counts
     value = np.bitwise_or.reduce(ones.astype(np.uint64) << shifts, axis=1)
     mask = np.bitwise_or.reduce((ones | zeros).astype(np.uint64) << shifts, axis=1)
     return QuantisedTemplate(mask, value)
