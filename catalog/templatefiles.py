@@ -1,0 +1,300 @@
+"""Template files: motion templates as YAML or CSV that people edit by hand, and the way back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.configs import Located, load_yaml, parse_yaml
+from catalog.features import FeatureSet
+from ops.errors import ConfigError, KinedexError
+from ops.templates import Template
+
+F64 = npt.NDArray[np.float64]
+
+WILDCARD = 0.5
+_LETTERS = {"0": 0.0, "1": 1.0, "*": WILDCARD}
+_WEIGHT = "weight"
+
+
+@dataclass(frozen=True)
+class NamedTemplate:
+    """A template under its name, which is the subclass that it stands for."""
+
+    name: str
+    template: Template
+    description: str = ""
+
+
+def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:
+    """Read a file of templates: YAML, or CSV by its ending.
+
+    A YAML file maps a name to `rows`: a feature (by name or number) and its value in every column, as a text of 0, 1
+    and * (a wildcard), or as a list of numbers from 0 to 1. Features without a row are wildcards throughout. `weights`
+    says how much a feature counts (1 unless given; 0: not at all), `column_weights` how much each column weighs,
+    `description` what it is. A CSV file holds one template, named after the file: a row per feature, the feature
+    first, then (in a column headed `weight`, where there is one) its weight, then its value in every column.
+
+    Parameters
+    ----------
+    path: a file ending in .yaml, .yml or .csv.
+    feature_set: the features that the file speaks of.
+
+    Raises
+    ------
+    ConfigError: the first fault, with its line, what was expected, and the nearest valid name.
+    """
+    path = Path(path).expanduser()
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _from_yaml(load_yaml(path), feature_set)
+    if path.suffix.lower() != ".csv":
+        raise ConfigError(path, "a template file ends in .yaml or .csv")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as fault:
+        raise ConfigError(path, f"cannot be read: {fault.strerror}") from fault
+    except UnicodeDecodeError as fault:
+        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from fault
+    return (NamedTemplate(path.stem, _from_csv(text, path, feature_set)),)
+
+
+def parse_templates(text: str, feature_set: FeatureSet, path: str | Path = "templates") -> tuple[NamedTemplate, ...]:
+    """Like `read_templates`, for YAML that is already read; `path` is what errors name."""
+    return _from_yaml(parse_yaml(text, path), feature_set)
+
+
+def parse_csv(text: str, feature_set: FeatureSet, path: str | Path) -> NamedTemplate:
+    """Like `read_templates`, for CSV that is already read; the template is named after `path`."""
+    return NamedTemplate(Path(path).stem, _from_csv(text, Path(path), feature_set))
+
+
+def write_yaml(templates: Iterable[NamedTemplate], feature_set: FeatureSet) -> str:
+    """Write templates as YAML that `read_templates` reads as the same templates, to the last digit."""
+    return "\n".join(_yaml(one, feature_set) for one in templates) or "{}\n"
+
+
+def write_csv(template: Template, feature_set: FeatureSet) -> str:
+    """Write a template as CSV that `read_templates` reads as the same values; column weights are not kept."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    weights = template.feature_weights
+    head = ["feature"] if weights is None else ["feature", _WEIGHT]
+    writer.writerow([*head, *range(1, len(template) + 1)])
+    for feature in feature_set.features:
+        row = template.values[:, feature.number - 1]
+        weight = [] if weights is None else [_number(weights[feature.number - 1])]
+        writer.writerow([feature.name, *weight, *("*" if value == WILDCARD else _number(value) for value in row)])
+    return out.getvalue()
+
+
+# ---- YAML ------------------------------------------------------------------------------------------------
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    description: str = ""
+    rows: dict[str | int, Any] = Field(min_length=1)
+    weights: dict[str | int, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
+    column_weights: list[Annotated[float, Field(gt=0, allow_inf_nan=False)]] | None = None
+
+
+def _from_yaml(located: Located, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:
+    found = []
+    for name, body in located.mapping().items():
+        if not isinstance(name, str):
+            raise located.error("the name of a template must be a text; put it in quotes", name)
+        if not isinstance(body, dict):
+            raise located.error("a template is a mapping with `rows`", name)
+        entry = located.model(_Entry, name, data=body)
+        found.append(NamedTemplate(name, _template(located, name, entry, feature_set), entry.description))
+    if not found:
+        raise located.error("holds no template")
+    return tuple(found)
+
+
+def _template(located: Located, name: str, entry: _Entry, feature_set: FeatureSet) -> Template:
+    rows: dict[int, list[float]] = {}
+    columns, first = 0, ""
+    for key, written in entry.rows.items():
+        at = (name, "rows", key)
+        number = _feature(located, feature_set, key, at)
+        if number in rows:
+            raise located.error(f"feature {number} has a row already", *at)
+        rows[number] = _row(located, written, at)
+        columns, first = columns or len(rows[number]), first or str(key)
+        if len(rows[number]) != columns:
+            raise located.error(f"has {len(rows[number])} columns, but {first} has {columns}", *at)
+    values = np.full((columns, len(feature_set.features)), WILDCARD)
+    for number, row in rows.items():
+        values[:, number - 1] = row
+    weights = entry.column_weights
+    if weights is not None and len(weights) != columns:
+        raise located.error(
+            f"must be one for each of the {columns} columns, got {len(weights)}", name, "column_weights"
+        )
+    return Template(
+        values,
+        np.ones(columns) if weights is None else np.array(weights, np.float64),
+        _feature_weights(located, name, entry, feature_set),
+    )
+
+
+def _feature_weights(located: Located, name: str, entry: _Entry, feature_set: FeatureSet) -> F64 | None:
+    if not entry.weights:
+        return None
+    result = np.ones(len(feature_set.features))
+    for key, weight in entry.weights.items():
+        result[_feature(located, feature_set, key, (name, "weights", key)) - 1] = weight
+    if not result.any():
+        raise located.error("at least one feature must count", name, "weights")
+    return result
+
+
+def _feature(located: Located, feature_set: FeatureSet, key: str | int, at: tuple[str | int, ...]) -> int:
+    try:
+        return feature_set.feature(key).number
+    except KinedexError as fault:
+        raise located.error(str(fault), *at) from None
+
+
+def _row(located: Located, written: object, at: tuple[str | int, ...]) -> list[float]:
+    if isinstance(written, int | float):
+        raise located.error("put the row in quotes; without them YAML reads a number", *at)
+    if not isinstance(written, str | list) or not written:
+        raise located.error(f"a row is a text of 0, 1 and *, or a list of numbers, got {written!r}", *at)
+    row = []
+    for place, entry in enumerate(written):
+        value = _value(entry)
+        if value is None:
+            expected = "0, 1 or *" if isinstance(written, str) else "a number from 0 to 1, or *"
+            raise located.error(f"column {place + 1} must be {expected}, got {entry!r}", *at)
+        row.append(value)
+    return row
+
+
+def _value(entry: object) -> float | None:
+    """What an entry means; None where it means nothing."""
+    if isinstance(entry, str):
+        if entry in _LETTERS:
+            return _LETTERS[entry]
+        try:
+            entry = float(entry)
+        except ValueError:
+            return None
+    if isinstance(entry, bool) or not isinstance(entry, int | float) or not 0 <= entry <= 1:
+        return None
+    return float(entry)
+
+
+def _yaml(one: NamedTemplate, feature_set: FeatureSet) -> str:
+    template = one.template
+    lines = [f"{_scalar(one.name)}:"]
+    if one.description:
+        lines.append(f"  description: {_scalar(one.description)}")
+    if template.feature_weights is not None:
+        pairs = zip(feature_set.features, template.feature_weights.tolist(), strict=True)
+        unlike = [f"{feature.name}: {_number(weight)}" for feature, weight in pairs if weight != 1]
+        # All weights of 1 are written too: they are not the same as none at all in what is stored.
+        lines.append(f"  weights: {{{', '.join(unlike or [f'{feature_set.features[0].name}: 1'])}}}")
+    if np.any(template.weights != 1):
+        lines.append(f"  column_weights: [{', '.join(map(_number, template.weights))}]")
+    lines.append("  rows:")
+    width = max(len(feature.name) for feature in feature_set.features) + 1
+    for feature in feature_set.features:
+        label = f"{feature.name}:".ljust(width)
+        lines.append(f"    {label} {_row_text(template.values[:, feature.number - 1])}")
+    return "\n".join(lines) + "\n"
+
+
+def _row_text(row: F64) -> str:
+    letters = {value: letter for letter, value in _LETTERS.items()}
+    if all(value in letters for value in row.tolist()):
+        return f'"{"".join(letters[value] for value in row.tolist())}"'
+    return f"[{', '.join(map(_number, row))}]"
+
+
+def _number(value: float) -> str:
+    """The shortest text that reads back as the same number."""
+    whole = float(value)
+    return str(int(whole)) if whole.is_integer() else repr(whole)
+
+
+def _scalar(text: str) -> str:
+    """A text as YAML: plain where it reads back as itself, else in quotes."""
+    plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
+    return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()
+
+
+# ---- CSV -------------------------------------------------------------------------------------------------
+
+
+def _from_csv(text: str, path: Path, feature_set: FeatureSet) -> Template:
+    reader = csv.reader(io.StringIO(text))
+    try:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as fault:
+        raise ConfigError(path, f"is not CSV: {fault}", line=reader.line_num) from None
+    if not rows or rows[0][1][0].strip().lower() != "feature":
+        raise ConfigError(path, "must begin with a line `feature,1,2,3,…`, a number for each column", line=1)
+    head = [cell.strip() for cell in rows[0][1]]
+    weighted = len(head) > 1 and head[1].lower() == _WEIGHT
+    columns = len(head) - 1 - weighted
+    if columns < 1:
+        raise ConfigError(path, "has no columns", line=rows[0][0])
+    values = np.full((columns, len(feature_set.features)), WILDCARD)
+    weights = np.ones(len(feature_set.features))
+    seen: set[int] = set()
+    for line, row in rows[1:]:
+        number = _csv_feature(path, line, row[0], feature_set, seen)
+        if len(row) != len(head):
+            raise ConfigError(path, f"has {len(row)} cells, but the first line has {len(head)}", line=line, key=row[0])
+        if weighted:
+            weights[number - 1] = _csv_weight(path, line, row)
+        values[:, number - 1] = _csv_values(path, line, row, 1 + weighted)
+    if not seen:
+        raise ConfigError(path, "has no feature in it", line=rows[0][0])
+    if not weights.any():
+        raise ConfigError(path, "at least one feature must count: all weights are 0", line=rows[0][0])
+    return Template(values, np.ones(columns), weights if weighted else None)
+
+
+def _csv_feature(path: Path, line: int, cell: str, feature_set: FeatureSet, seen: set[int]) -> int:
+    try:
+        number = feature_set.feature(cell).number
+    except KinedexError as fault:
+        raise ConfigError(path, str(fault), line=line) from None
+    if number in seen:
+        raise ConfigError(path, f"feature {number} has a row already", line=line, key=cell.strip())
+    seen.add(number)
+    return number
+
+
+def _csv_weight(path: Path, line: int, row: Sequence[str]) -> float:
+    try:
+        weight = float(row[1])
+    except ValueError:
+        weight = -1.0
+    if not 0 <= weight < math.inf:
+        raise ConfigError(path, f"a weight must be a number from 0 up, got {row[1]!r}", line=line, key=row[0].strip())
+    return weight
+
+
+def _csv_values(path: Path, line: int, row: Sequence[str], start: int) -> list[float]:
+    result = []
+    for place, cell in enumerate(row[start:], 1):
+        value = _value(cell.strip())
+        if value is None:
+            reason = f"column {place} must be a number from 0 to 1, or *, got {cell!r}"
+            raise ConfigError(path, reason, line=line, key=row[0].strip())
+        result.append(value)
+    return result
