@@ -4,14 +4,17 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STORE  ?= build/demo-store
 DATA   ?=
+FUZZ_SECONDS ?= 20
+FUZZ_SEED    ?= 0
 
-.PHONY: setup demo test lint types check-kernels bench lock clean help
+.PHONY: setup demo test lint types check-kernels fuzz bench lock clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo                  set up .venv, make a synthetic archive, run the main job, print where the report is"
 	@echo "make demo DATA=dir         the same job on your own archive (STORE=dir says where the store goes)"
 	@echo "make test                  lint, types and all tests"
+	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
 	@echo "make lock                  resolve the dependencies anew (needs uv)"
 	@echo "make clean                 remove what make has built, .venv included"
@@ -47,6 +50,11 @@ test: lint types
 check-kernels: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto -m "not slow" tests/ops
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto -W ignore::RuntimeWarning -m "not slow and not shared" tests/ops
+
+# Kernels with bounds checks, so that a read beside an array is found and not just a number.
+fuzz: setup
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck \
+	    $(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ)
 
 bench: setup
 	$(BIN)/python -m benchmarks

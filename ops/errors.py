@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from pathlib import Path
+
+_LONG_WORD = re.compile(r"\S{600,}")
+_LONGEST_MESSAGE = 1500
 
 
 class KinedexError(Exception):
@@ -30,6 +34,7 @@ class SourceError(KinedexError):
     """
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None) -> None:
+        message = _readable(message)
         self.path = str(path)
         self.line = line
         self.reason = message
@@ -48,6 +53,8 @@ class ConfigError(KinedexError):
     """A configuration file is wrong: file, line, key, what was expected, the nearest valid name."""
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None) -> None:
+        message = _readable(message)
+        key = None if key is None else _readable(key)
         self.path = str(path)
         self.line = line
         self.key = key
@@ -65,6 +72,15 @@ def _config_error(path: str, reason: str, line: int | None, key: str | None) -> 
 
 class StoreError(KinedexError):
     """A store is missing, locked, damaged, of another format version, or lacks what is asked for."""
+
+
+def _readable(message: str) -> str:
+    """A message that quotes a file, for people: words and lists of any length are cut, and it says so."""
+    message = _LONG_WORD.sub(lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", message)
+    if len(message) > _LONGEST_MESSAGE:
+        more = len(message) - 2 * (_LONGEST_MESSAGE // 3)
+        message = f"{message[: _LONGEST_MESSAGE // 3]} … ({more} characters) … {message[-_LONGEST_MESSAGE // 3 :]}"
+    return message.encode("utf-8", "backslashreplace").decode()
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

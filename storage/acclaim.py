@@ -18,6 +18,7 @@ INCH_M = 0.0254
 RATE_HZ = 120.0  # Acclaim files do not say their rate; Vicon wrote them at 120 Hz
 
 _DOFS = {"rx": k.ROTATE_X, "ry": k.ROTATE_Y, "rz": k.ROTATE_Z, "tx": k.MOVE_X, "ty": k.MOVE_Y, "tz": k.MOVE_Z}
+_LARGEST = 1e9  # lengths beyond this are no body's, and what is computed of them would overflow
 _SECTION = re.compile(r"^:([A-Za-z-]+)\s*(.*)$")
 
 
@@ -82,8 +83,8 @@ class _Asf:
             values = tuple(float(word) for word in words[:count])
         except ValueError:
             raise self.error(f"{what} must be {count} numbers, got {' '.join(words)!r}", line) from None
-        if len(values) < count or not all(np.isfinite(values)):
-            raise self.error(f"{what} must be {count} numbers, got {' '.join(words)!r}", line)
+        if len(values) < count or not all(abs(value) <= _LARGEST for value in values):
+            raise self.error(f"{what} must be {count} numbers of at most {_LARGEST:g}, got {' '.join(words)!r}", line)
         return values
 
     def axes(self, word: str, line: int) -> str:
@@ -153,8 +154,8 @@ def _named(bone: Bone) -> str:
 def _read_unit(asf: _Asf, words: list[str], line: int) -> None:
     if words[0].lower() == "length":
         (asf.length,) = asf.floats(words[1:], 1, "length", line)
-        if asf.length <= 0:
-            raise asf.error(f"length must be positive, got {asf.length}", line)
+        if asf.length < 1 / _LARGEST:
+            raise asf.error(f"length must be positive, at least {1 / _LARGEST:g}, got {asf.length}", line)
     elif words[0].lower() == "angle":
         if len(words) < 2 or words[1].lower()[:3] not in ("deg", "rad"):
             raise asf.error(f"angle must be deg or rad, got {' '.join(words[1:])!r}", line)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -189,18 +190,39 @@ def _load(path: Path) -> tuple[dict[str, Any], list[str]]:
     try:
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
-                return {"positions": np.lib.format.read_array(file, allow_pickle=False)}, []
+                return {"positions": _array(path, file, "the file", path.stat().st_size)}, []
         with zipfile.ZipFile(path) as packed:
-            size = sum(entry.file_size for entry in packed.filelist)
-        if size > _MOST_BYTES:
-            most = f"{_MOST_BYTES / 1e9:.1f} GB"
-            raise SourceError(path, f"unpacks to {size / 1e9:.1f} GB; write shorter takes, of {most} at most")
-        with np.load(path, allow_pickle=False) as loaded:
-            return {key: loaded[key] for key in loaded.files if key in (*ARRAYS, *NAMES, *RATES)}, loaded.files
+            keys = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
+            arrays = {}
+            for key in keys.keys() & {*ARRAYS, *NAMES, *RATES}:
+                with packed.open(keys[key]) as entry:
+                    arrays[key] = _array(path, entry, f"'{key}'", keys[key].file_size)
+            return arrays, list(keys)
     except SourceError:
         raise
     except Exception as fault:  # NumPy, zipfile, zlib and tokenize have an error of their own for every broken byte
         raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+
+
+def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
+    """An array in the NPY format of `size` bytes in all, once its header is found to fit them."""
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    numbers = math.prod(shape)
+    if numbers * dtype.itemsize != size - file.tell():
+        raise SourceError(
+            path,
+            f"{what} must hold {' × '.join(map(str, shape))} values of {dtype} by its header, and holds "
+            f"{size - file.tell()} bytes; is it cut off?",
+        )
+    if numbers * 8 > _MOST_BYTES:
+        most = f"{_MOST_BYTES / 1e9:.1f} GB"
+        raise SourceError(
+            path, f"{what} takes {numbers * 8 / 1e9:.1f} GB in memory; write shorter takes, of {most} at most"
+        )
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, ...]:
@@ -208,9 +230,22 @@ def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, 
     if key is None:
         return ()
     names = tuple(str(name) for name in arrays[key].ravel())
-    if len(names) != joints or len(set(names)) != joints or arrays[key].dtype.kind != "U":
+    if (
+        len(names) != joints
+        or len(set(names)) != joints
+        or arrays[key].dtype.kind != "U"
+        or not all(map(_is_text, names))
+    ):
         raise SourceError(path, f"'{key}' must be {joints} different texts, one a joint, got {len(names)} values")
     return names
+
+
+def _is_text(name: str) -> bool:
+    """Whether this can be written; NumPy takes any four bytes for a letter."""
+    try:
+        return name.encode().decode() == name
+    except UnicodeError:
+        return False
 
 
 def _lines(path: Path) -> list[str]:
@@ -225,7 +260,13 @@ def _text(data: bytes) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return next(csv.reader([line]), []) if '"' in line else line.split(separator)
+    """The cells of a line; quotes count only where all of them are those of a table."""
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True), [])
+    except csv.Error:
+        return line.split(separator)
 
 
 def _rows(path: Path, lines: list[str], first: int, separator: str, header: list[str]) -> tuple[F64, list[int]]:

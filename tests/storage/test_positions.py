@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from catalog.features import load_feature_set
 from catalog.skeletons import load_mappings, load_skeleton
 from ops import features, kinematics
 from ops.errors import SourceError
+from storage import positions
 from storage.bodies import Body, Given, read_body
 from storage.positions import is_positions_csv, parse_positions
 from tests.bodies import STANDING, index, standing, turned
@@ -168,6 +170,9 @@ FAULTS = {
     "a column twice": ("a.csv", CSV.replace("nose_y", "nose_x"), 1, "stands twice in the header"),
     "infinity": ("a.csv", CSV.replace("\n1,0.0,", "\n1,inf,"), 3, "column 'nose_x': not a finite number"),
     "Python's own digits": ("a.csv", CSV.replace("\n1,0.0,", "\n1,1_0,"), 3, "column 'nose_x': not a number: '1_0'"),
+    "a quote that is not closed": ("a.csv", CSV.replace("\n1,0.0,", '\n1,"0.0,'), 3, "column 'nose_x': not a number"),
+    "a cell of any length": ("a.csv", CSV.replace("\n1,", '\n1,"' + 200_000 * "9" + '",'), 3, "column"),
+    "quotes in TRC": ("a.trc", TRC.replace("\n2\t0.0167\t0\t", '\n2\t0.0167\t"x"\t'), 8, "'nose X': not a number: 'x'"),
     "huge": ("a.csv", CSV.replace("\n1,0.0,1.55,", "\n1,0.0,1e300,").replace("0.27", "1e300"), None, "km away"),
 }  # fmt: skip
 
@@ -215,6 +220,37 @@ def test_a_broken_byte_in_an_archive_of_arrays_is_a_fault_of_the_file(tmp_path: 
         (tmp_path / "b.npz").write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
         with contextlib.suppress(SourceError):
             parse_positions(tmp_path / "b.npz")
+
+
+def test_a_header_that_does_not_fit_its_file_is_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", keypoints(COCO, 3))
+    whole = (tmp_path / "a.npy").read_bytes()
+    for shape in (b"(900000000000, 17, 3)", b"(2, 17, 3)", b"(0, 17, 3)", b"(-1, 17, 3)"):
+        (tmp_path / "b.npy").write_bytes(whole.replace(b"(3, 17, 3)", shape))
+        with pytest.raises(SourceError, match=r"the file must hold .* values of float64 by its header, and holds"):
+            parse_positions(tmp_path / "b.npy")
+    with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("fps.npy", b"no array at all")
+        packed.writestr("positions.npy", whole)
+    with pytest.raises(SourceError, match="cannot be read as NumPy arrays"):
+        parse_positions(tmp_path / "c.npz")
+
+
+def test_an_array_that_unpacks_to_more_than_fits_is_refused_by_its_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(positions, "_MOST_BYTES", 1_000_000)
+    np.savez_compressed(tmp_path / "a.npz", positions=np.zeros((50_000, 17, 3), np.int8))
+    with pytest.raises(SourceError, match=r"'positions' takes 0\.0 GB in memory; write shorter takes"):
+        parse_positions(tmp_path / "a.npz")
+
+
+def test_names_that_are_no_letters_are_refused(tmp_path: Path) -> None:
+    names = np.array([f"name{i:02}" for i in range(17)])
+    names.view(np.uint32)[3] = 0xF0_00_00_41
+    np.savez(tmp_path / "a.npz", positions=keypoints(COCO, 3), names=names)
+    with pytest.raises(SourceError, match="'names' must be 17 different texts"):
+        parse_positions(tmp_path / "a.npz")
 
 
 def test_only_tables_of_positions_are_motion_files(tmp_path: Path) -> None:

@@ -1,0 +1,349 @@
+"""Mutations: a small valid file becomes one that a broken program, disk or network might have left."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zipfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from random import Random
+
+Mutation = Callable[[bytes, Random], bytes]
+
+NUMBERS = (
+    *(b"nan", b"NaN", b"-nan", b"inf", b"-Inf", b"infinity", b"1e308", b"-1.7976931348623157e308", b"1e400", b"1e-400"),
+    *(b"1e5000", b"4.9e-324", b"0", b"-0.0", b"-1", b"1", b"2", b"7", b"255", b"65536", b"2147483648", b"4294967296"),
+    *(b"9223372036854775807", b"9223372036854775808", b"99999999999999999999", b"1e18", b"1e-18", b"1e9", b"1e6"),
+    *(b"100000", b"1000000000", b"0x10", b"1_000", b"1,5", b".", b"-", b"+", b"e5", b"1e", b"1e+", b"1.2.3", b"--1"),
+    *(b"+-1", b"1d5", b"\xd9\xa3", b"\xef\xbc\x91", b"1" * 400, b"0." + b"0" * 400 + b"1", b"9" * 18, b"9" * 19),
+    *(b"120", b"30", b"0.0333333", b"0.00001", b"10001", b"true", b"null", b"#NV", b"1.#QNAN", b"1.#INF", b""),
+)
+"""What numbers are replaced by: none, huge, tiny, of other notations."""
+
+_NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_WORD = re.compile(rb"[A-Za-z_][A-Za-z0-9_:.-]*")
+_LINE_END = re.compile(rb"\r\n|\r|\n")
+_LINE_ENDS = (b"\n", b"\r\n", b"\r", b"\n\r", b"\n\n", b"\x0b", b"\x0c", b"\x85", b"\xe2\x80\xa8", b" ")
+_SPACES = (b"\t", b"  ", b" \t ", b",", b";", b"\xa0", b"\x0b", b"\x0c", b"\x00", b"", b"\xe2\x80\x83")
+_SIZES = (1, 1, 2, 3, 8, 30, 200)
+
+
+def _span(data: bytes, random: Random) -> tuple[int, int]:
+    start = random.randrange(len(data) + 1)
+    return start, min(len(data), start + random.choice(_SIZES))
+
+
+def _swap(data: bytes, pattern: re.Pattern[bytes], choices: Sequence[bytes], random: Random) -> bytes:
+    """One match of a pattern becomes one of some texts."""
+    found = list(pattern.finditer(data, *_window(data, random)))
+    if not found:
+        return data
+    match = random.choice(found)
+    return data[: match.start()] + random.choice(choices) + data[match.end() :]
+
+
+def _window(data: bytes, random: Random) -> tuple[int, int]:
+    """A stretch to look for something in: the beginning, where headers are, as often as all the rest."""
+    start = 0 if random.random() < 0.5 else random.randrange(len(data) + 1)
+    return start, start + 2000
+
+
+def flip_bytes(data: bytes, random: Random) -> bytes:
+    """A few bytes are others."""
+    changed = bytearray(data)
+    for _ in range(random.choice(_SIZES[:5])):
+        if changed:
+            changed[random.randrange(len(changed))] = random.randrange(256)
+    return bytes(changed)
+
+
+def flip_bits_of_beginning(data: bytes, random: Random) -> bytes:
+    """One bit of the first bytes, where headers are."""
+    changed = bytearray(data)
+    if changed:
+        changed[random.randrange(min(len(changed), 200))] ^= 1 << random.randrange(8)
+    return bytes(changed)
+
+
+def insert_bytes(data: bytes, random: Random) -> bytes:
+    """Random bytes between others."""
+    at = random.randrange(len(data) + 1)
+    return data[:at] + random.randbytes(random.choice(_SIZES)) + data[at:]
+
+
+def remove_bytes(data: bytes, random: Random) -> bytes:
+    """A stretch is missing."""
+    start, stop = _span(data, random)
+    return data[:start] + data[stop:]
+
+
+def repeat_bytes(data: bytes, random: Random) -> bytes:
+    """A stretch stands there again and again."""
+    start, stop = _span(data, random)
+    return data[:stop] + data[start:stop] * random.choice((1, 2, 50, 2000)) + data[stop:]
+
+
+def truncate(data: bytes, random: Random) -> bytes:
+    """The file is cut off."""
+    return data[: random.randrange(len(data) + 1)]
+
+
+def truncate_a_little(data: bytes, random: Random) -> bytes:
+    """The file's last bytes are missing."""
+    return data[: -random.randint(1, 60)]
+
+
+def garbage_at_the_end(data: bytes, random: Random) -> bytes:
+    """Something follows the file, as from a disk's last block."""
+    return data + random.choice((b"\0" * 512, random.randbytes(100), data[:200], b"\x1a", b"}", b"\n" * 5000))
+
+
+def swap_line_ends(data: bytes, random: Random) -> bytes:
+    """Other line ends, all or some."""
+    new, share = random.choice(_LINE_ENDS), random.choice((1.0, 0.5, 0.02))
+    return _LINE_END.sub(lambda found: new if random.random() < share else found[0], data)
+
+
+def swap_spaces(data: bytes, random: Random) -> bytes:
+    """Other spaces between words, all or some."""
+    new, share = random.choice(_SPACES), random.choice((1.0, 0.02, 0.002))
+    return re.sub(rb"[ \t,]", lambda found: new if random.random() < share else found[0], data)
+
+
+def change_lines(data: bytes, random: Random) -> bytes:
+    """A line is missing, stands twice, or in another place."""
+    lines = data.splitlines(keepends=True)
+    if len(lines) < 2:
+        return data
+    at, other = (random.randrange(min(len(lines), random.choice((20, 10**9)))) for _ in range(2))
+    match random.randrange(5):
+        case 0:
+            del lines[at : at + random.choice(_SIZES)]
+        case 1:
+            lines[at:at] = lines[at : at + random.choice(_SIZES)] * random.choice((1, 2, 40))
+        case 2:
+            lines[at], lines[other] = lines[other], lines[at]
+        case 3:
+            lines[at] = lines[at].rstrip(b"\r\n")
+        case _:
+            lines[at] = b""
+            lines[other] += random.choice(lines)
+    return b"".join(lines)
+
+
+def change_number(data: bytes, random: Random) -> bytes:
+    """A number is none, or a huge one."""
+    return _swap(data, _NUMBER, NUMBERS, random)
+
+
+def change_all_numbers(data: bytes, random: Random) -> bytes:
+    """Many numbers are others."""
+    new, share = random.choice(NUMBERS), random.choice((1.0, 0.1, 0.01))
+    return _NUMBER.sub(lambda found: new if random.random() < share else found[0], data)
+
+
+def scale_number(data: bytes, random: Random) -> bytes:
+    """A number gets more digits or another exponent."""
+    found = list(_NUMBER.finditer(data, *_window(data, random)))
+    if not found:
+        return data
+    match = random.choice(found)
+    return (
+        data[: match.end()] + random.choice((b"0", b"000", b"e300", b"e-300", b"e", b".5", b"9")) + data[match.end() :]
+    )
+
+
+def change_word(data: bytes, random: Random) -> bytes:
+    """A word is another word of the file, or written in other letters."""
+    found = list(_WORD.finditer(data, *_window(data, random)))
+    if not found:
+        return data
+    match = random.choice(found)
+    word = match[0]
+    new = random.choice((random.choice(found)[0], word.upper(), word.swapcase(), word[:-1], word * 2, word * 3000, b""))
+    return data[: match.start()] + new + data[match.end() :]
+
+
+def other_encoding(data: bytes, random: Random) -> bytes:
+    """The text in an encoding that nobody expects, or letters that this encoding does not have."""
+    text = data.decode("latin-1")
+    match random.randrange(7):
+        case 0:
+            return text.encode("utf-16")
+        case 1:
+            return text.encode("utf-16-be")
+        case 2:
+            return b"\xef\xbb\xbf" + data
+        case 3:
+            return text.encode("utf-32")
+        case 4:
+            return data.upper()
+        case 5:
+            return re.sub(rb"[aeiou]", lambda found: random.choice((found[0], b"\xe9", b"\xc3\xa9", b"\xff")), data)
+        case _:
+            at = random.randrange(len(data) + 1)
+            return data[:at] + random.choice((b"\0", b"\x1b[2J", b"\xed\xa0\x80", b"\xf0\x9f\x95\xba")) + data[at:]
+
+
+def long_line(data: bytes, random: Random) -> bytes:
+    """Somewhere stands a line, a word or a number of very many bytes."""
+    at = random.randrange(len(data) + 1)
+    what = random.choice((b"x", b"9", b" ", b"1 ", b"\n", b"\t", b"0.5,", b"#", b"-", b'"', b",", b"a_x,", b"\r"))
+    return data[:at] + what * random.choice((10_000, 200_000)) + data[at:]
+
+
+def join(data: bytes, random: Random) -> bytes:
+    """The file a second time, from somewhere to somewhere."""
+    start, stop = sorted(random.randrange(len(data) + 1) for _ in range(2))
+    at = random.randrange(len(data) + 1)
+    return data[:at] + data[start:stop] + data[at:]
+
+
+ANY: tuple[Mutation, ...] = (
+    *(flip_bytes, flip_bits_of_beginning, insert_bytes, remove_bytes, repeat_bytes),
+    *(truncate, truncate_a_little, garbage_at_the_end, join),
+)
+"""Mutations of bytes, whatever they mean."""
+
+TEXT: tuple[Mutation, ...] = (
+    *(swap_line_ends, swap_spaces, change_lines, change_lines, change_number, change_number, change_number),
+    *(change_all_numbers, scale_number, change_word, change_word, other_encoding, long_line),
+)
+"""Mutations of text."""
+
+
+def insert_word(data: bytes, random: Random, words: Sequence[bytes]) -> bytes:
+    """A word of the format's own somewhere, mostly at a line's beginning."""
+    places = [found.end() for found in _LINE_END.finditer(data, *_window(data, random))]
+    at = random.choice(places) if places and random.random() < 0.8 else random.randrange(len(data) + 1)
+    return data[:at] + random.choice(words) + random.choice((b"", b" ", b"\n")) + data[at:]
+
+
+def nest(data: bytes, random: Random, pairs: Sequence[tuple[bytes, bytes]]) -> bytes:
+    """Something nested very deeply, closed again or not; `pairs` open and close it."""
+    opening, closing = random.choice(pairs)
+    depth = random.choice((3, 100, 990, 1100, 12_000))
+    at = random.choice([found.end() for found in _LINE_END.finditer(data, *_window(data, random))] or [0])
+    return data[:at] + opening * depth + closing * random.choice((depth, depth, 0, depth - 1)) + data[at:]
+
+
+# ---- arrays ----------------------------------------------------------------------------------------------
+
+_HEADERS = (
+    *(b"(1000000000000, 24, 3)", b"(2, 1000000000, 3)", b"(-1, 24, 3)", b"(0, 24, 3)", b"(24, 3)", b"()", b"(9,)"),
+    *(
+        b"(99999999999999999999, 24, 3)",
+        b"(1, 1, 3)",
+        b"(1, 24, 3",
+        b"(True, 24, 3)",
+        b"(2, 24, 3, 1)",
+        b"(1.5, 24, 3)",
+    ),
+    *(b"(" * 200 + b")" * 200, b"(400000, 24, 3)"),
+)
+_TYPES = (
+    *(b"'<f8'", b"'>f8'", b"'<f4'", b"'<f2'", b"'|O'", b"'<U99999999'", b"'<i8'", b"'|b1'", b"'<c16'", b"'|V8'"),
+    *(b"'<M8[ns]'", b"'|S8'", b"'<f16'", b"'zz'", b"[('a', '<f8')]", b"'<U0'", b"1", b"'<u1'", b"'(9999,9999)f8'"),
+)
+
+
+def npy_header(data: bytes, random: Random) -> bytes:
+    """Another shape, type or length in the header of an NPY file."""
+    match random.randrange(4):
+        case 0:
+            return re.sub(rb"'shape': \([^)]*\)", b"'shape': " + random.choice(_HEADERS), data, count=1)
+        case 1:
+            return re.sub(rb"'descr': '[^']*'", b"'descr': " + random.choice(_TYPES), data, count=1)
+        case 2:
+            return data[:8] + struct.pack("<H", random.choice((0, 1, 10, 117, 119, 65535))) + data[10:]
+        case _:
+            return data[:6] + bytes(random.choice(((2, 0), (3, 0), (9, 9), (0, 0)))) + data[8:]
+
+
+def npy_numbers(data: bytes, random: Random) -> bytes:
+    """Numbers of an array are none, infinite or huge."""
+    changed = bytearray(data)
+    value = random.choice((float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 1e-308, 1e5, 1e12, 0.0))
+    for _ in range(random.choice((1, 3, 1000))):
+        if len(changed) > 200:
+            at = 128 + 8 * random.randrange((len(changed) - 136) // 8 + 1)
+            changed[at : at + 8] = struct.pack("<d", value)
+    return bytes(changed)
+
+
+NPY: tuple[Mutation, ...] = (npy_header, npy_header, npy_numbers, npy_numbers)
+"""Mutations of an NPY file, besides those of its bytes."""
+
+
+def npz_entry(data: bytes, random: Random) -> bytes:
+    """One array inside an NPZ file is mutated and packed again, so that its checksum is right."""
+    entries = _unpacked(data)
+    if not entries:
+        return data
+    name = random.choice(sorted(entries))
+    entries[name] = random.choice((*ANY, *NPY, *NPY))(entries[name], random)
+    return _packed(entries, random)
+
+
+def npz_names(data: bytes, random: Random) -> bytes:
+    """Arrays of an NPZ file are called otherwise, are missing, or are no arrays."""
+    entries = _unpacked(data)
+    if not entries:
+        return data
+    name = random.choice(sorted(entries))
+    content = entries.pop(name)
+    new = random.choice(
+        ("fps.npy", "poses.npy", "names.npy", "positions", "../positions.npy", "joints.npy", "rate_hz.npy")
+    )
+    for changed, value in random.choice((((new, content),), ((new, content), (name, content)), ((name, b""),), ())):
+        entries[changed] = value
+    return _packed(entries, random)
+
+
+def npz_bomb(data: bytes, random: Random) -> bytes:
+    """An array of an NPZ file unpacks to far more than there is."""
+    entries = _unpacked(data)
+    if not entries:
+        return data
+    name = random.choice(sorted(entries))
+    header = entries[name][:128].replace(b"'shape': (", b"'shape': (9")
+    entries[name] = header + b"\0" * random.choice((1 << 20, 8 << 20))
+    return _packed(entries, random)
+
+
+def npz_sizes(data: bytes, random: Random) -> bytes:
+    """The directory of an NPZ file gives other sizes and places than there are."""
+    at = data.rfind(b"PK\x01\x02")
+    if at < 0:
+        return data
+    changed = bytearray(data)
+    field = at + random.choice((8, 10, 16, 20, 24, 28, 30, 32, 42))
+    changed[field : field + 4] = struct.pack("<I", random.choice((0, 1, 1000, 0x7FFFFFFF, 0xFFFFFFFF)))
+    return bytes(changed[: len(data)])
+
+
+NPZ: tuple[Mutation, ...] = (npz_entry, npz_entry, npz_entry, npz_names, npz_bomb, npz_sizes)
+"""Mutations of an NPZ file, besides those of its bytes."""
+
+
+def _unpacked(data: bytes) -> dict[str, bytes]:
+    with suppress(Exception), zipfile.ZipFile(io.BytesIO(data)) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+    return {}
+
+
+def _packed(entries: dict[str, bytes], random: Random) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as packed:
+        for name, content in entries.items():
+            packed.writestr(zipfile.ZipInfo(name), content)
+    return file.getvalue()
+
+
+def mutate(data: bytes, mutations: Sequence[Mutation], random: Random, largest: int) -> bytes:
+    """One to four mutations, one after the other; fewer are likelier. The result has at most `largest` bytes."""
+    for _ in range(random.choice((1, 1, 1, 2, 2, 3, 4))):
+        data = random.choice(mutations)(data, random)[:largest]
+    return data

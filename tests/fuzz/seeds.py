@@ -1,0 +1,140 @@
+"""Seeds of the fuzzing: small valid files of every format, made here or cut out of real ones where these are there."""
+
+from __future__ import annotations
+
+import io
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from catalog.configs import config_names, config_path
+from catalog.features import FeatureSet, load_feature_set
+from catalog.skeletons import Mappings, load_mappings, load_skeleton
+from tests.bodies import STANDING, standing
+from tests.bvh_files import bvh_text, dance, mixamo, small
+from tests.pipelines.archives import human_amc, human_asf
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+SMALL = 60_000
+"""Seeds have no more bytes than this, so that many mutants are read in a second."""
+
+
+@lru_cache(maxsize=1)
+def known() -> tuple[FeatureSet, Mappings]:
+    feature_set = load_feature_set()
+    return feature_set, load_mappings("auto", feature_set.joints)
+
+
+@lru_cache(maxsize=1)
+def pairs() -> dict[str, tuple[bytes, bytes]]:
+    """Pairs of ASF and AMC texts by name."""
+    pairs = {"human": (human_asf().encode(), human_amc(4, seed=1).encode())}
+    for name, motion, skeleton in (
+        ("hdm05", "hdm05/takes/*.amc", "hdm05/takes/*.asf"),
+        ("cmu", "cmu/01/*.amc", "cmu/01/*.asf"),
+    ):
+        amc, asf = next(iter(sorted(SHARED.glob(motion))), None), next(iter(sorted(SHARED.glob(skeleton))), None)
+        if amc is not None and asf is not None:
+            pairs[name] = (asf.read_bytes(), _frames(amc.read_bytes(), b"\n3"))
+    return pairs
+
+
+def acclaim(which: int) -> dict[str, bytes]:
+    return {name: pair[which] for name, pair in pairs().items()}
+
+
+def _frames(data: bytes, end: bytes) -> bytes:
+    """The first frames of an AMC file, up to the line that is a frame's number."""
+    at = min((place for line in (b"\n", b"\r\n") if (place := data.find(end + line)) > 0), default=len(data))
+    return data[: at + 1]
+
+
+def bvh() -> dict[str, bytes]:
+    seeds = {
+        "mixamo": bvh_text(mixamo(), dance(mixamo(), 4)).encode(),
+        "dos": bvh_text(mixamo(), dance(mixamo(), 3), newline="\r\n", frame_time="8.33333e-03").encode(),
+    }
+    for name, pattern in (("bandai", "bandai/dataset-1*/**/*.bvh"), ("cmu", "cmu/**/*.bvh")):
+        path = next(iter(sorted(SHARED.glob(pattern))), None)
+        if path is not None:
+            seeds[name] = b"\n".join(path.read_bytes()[:SMALL].split(b"\n")[:-1]) + b"\n"
+    return seeds
+
+
+def strange_bvh() -> dict[str, bytes]:
+    """Parsed, but of a skeleton that no mapping fits; the parser is the target."""
+    return {"small": bvh_text(small(), dance(small(), 4)).encode()}
+
+
+def _walk(frames: int = 5) -> np.ndarray:
+    """The standing figure, walking: (frames, joints, 3) in metres."""
+    points = standing(frames).transpose(2, 0, 1).copy()
+    points[:, :, 2] += np.arange(frames)[:, None] * 0.01
+    return points
+
+
+def csv() -> dict[str, bytes]:
+    header = ["frame", "time", *(f"{joint}_{axis}" for joint in STANDING for axis in "xyz")]
+    rows = [f"{t},{t / 30:.4f}," + ",".join(f"{x:.5g}" for x in row.ravel()) for t, row in enumerate(_walk())]
+    text = "\n".join([",".join(header), *rows, ""])
+    gaps = text.replace("1.0,", "nan,", 1)
+    quoted = "\r\n".join([",".join(f'"{cell}"' for cell in line.split(",")) for line in text.splitlines()])
+    return {"plain": text.encode(), "gaps": gaps.encode(), "quoted": quoted.encode()}
+
+
+def trc() -> dict[str, bytes]:
+    names = list(STANDING)
+    points = _walk()
+    lines = ["PathFileType\t4\t(X/Y/Z)\ta.trc"]
+    lines += ["DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"]
+    lines += [f"60.00\t60.00\t{len(points)}\t{len(names)}\tm\t60.00\t1\t{len(points)}"]
+    lines += ["Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t"]
+    lines += ["\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, len(names) + 1)), ""]
+    for t, row in enumerate(points):
+        lines.append(f"{t + 1}\t{t / 60:.4f}\t" + "\t".join(f"{x:.6g}" for x in row.ravel()))
+    return {"plain": "\n".join([*lines, ""]).encode(), "dos": "\r\n".join([*lines, ""]).encode()}
+
+
+def npy() -> dict[str, bytes]:
+    order = load_skeleton("smpl-24", known()[0].joints).order
+    coco = load_skeleton("coco-17", known()[0].joints).order
+    return {str(len(names)): _saved(_figure(names)) for names in (order, coco)}
+
+
+def _figure(names: tuple[str, ...], frames: int = 5) -> np.ndarray:
+    """The standing figure as the points of a mapping, in its order: (frames, points, 3)."""
+    mappings = [m for m in known()[1].of_format["positions"] if m.order == names]
+    place: dict[str, tuple[float, float, float]] = {}
+    for joint, mixes in mappings[0].joints.items():
+        for mix in mixes:
+            if mix is not None and mix.node is not None:
+                place.setdefault(mix.node, STANDING[joint])
+    pose = np.array([place.get(name, STANDING["head"]) for name in names], dtype=float)
+    walk = np.repeat(pose[None], frames, axis=0)
+    walk[:, :, 2] += np.arange(frames)[:, None] * 0.01
+    return walk
+
+
+def _saved(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def npz() -> dict[str, bytes]:
+    seeds = {}
+    for pack in (np.savez, np.savez_compressed):
+        file = io.BytesIO()
+        pack(file, positions=_walk(), names=np.array(list(STANDING)), fps=np.float64(60.0))
+        seeds[pack.__name__] = file.getvalue()
+    return seeds
+
+
+def ground_truth() -> dict[str, bytes]:
+    text = "take,class,start,stop,by\nHDM_mm_1,walk,0,120,me\nHDM_mm_1,'turn',120,1000,\n\nHDM_mm_2,hop,5,9,\"a, b\"\n"
+    return {"plain": text.encode(), "mark": b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()}
+
+
+def shipped(kind: str) -> dict[str, bytes]:
+    return {name: config_path(kind, name).read_bytes() for name in config_names(kind)}

@@ -1,0 +1,276 @@
+"""What is fuzzed: each reader with small valid files, how these are mutated, and what must hold of its results."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from catalog.classes import load_classes
+from catalog.configs import config_names, config_path
+from catalog.features import load_feature_set
+from catalog.queryfiles import parse_queries, read_queries, write_queries
+from catalog.skeletons import load_skeleton
+from ops.errors import KinedexError, SourceError
+from pipelines.analysis import analyse, blind
+from pipelines.config import load_pipeline
+from storage.bodies import FARTHEST_M, Given, read_body
+from storage.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
+from storage.ground_truth import read_ground_truth
+from storage.positions import is_positions_csv
+from tests.bodies import STANDING
+from tests.fuzz import seeds
+from tests.fuzz.mutations import ANY, NPY, NPZ, TEXT, Mutation, insert_word, nest
+
+
+class Broken(AssertionError):
+    """A reader returned something that must not come out of any file, or an error that helps nobody."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader: its files' ending, seeds by name (all valid), the mutations, and the check that reads a file.
+
+    Children are given it, so its functions can be pickled.
+
+    check: reads a file and raises `Broken` for a result that must not be; the errors that it may raise are `refusals`.
+    largest: mutants have no more bytes than this, so that what costs time is the reader's doing.
+    """
+
+    name: str
+    ending: str
+    seeds: Callable[[], dict[str, bytes]]
+    mutations: tuple[Mutation, ...]
+    check: Callable[[Path], None]
+    refusals: tuple[type[Exception], ...] = (SourceError,)
+    largest: int = 1 << 20
+
+    def read(self, path: Path) -> bool:
+        """Whether a file comes in; False where it is refused as it should be.
+
+        Raises
+        ------
+        Broken: a wrong result or an unhelpful error. Any other exception is a defect, too.
+        """
+        try:
+            self.check(path)
+        except self.refusals as fault:
+            _check_refusal(path, fault)
+            return False
+        return True
+
+
+def _check_refusal(path: Path, fault: Exception) -> None:
+    message, line = str(fault), getattr(fault, "line", None)
+    text = path.read_bytes()
+    lines = len(text.decode("latin-1").splitlines()) + text.count(b"\xe2\x80\xa8") + text.count(b"\xe2\x80\xa9")
+    if line is not None and not 1 <= line <= lines + 1:
+        raise Broken(f"line {line} of a file of {lines} lines: {message[:300]}")
+    if len(message) > 3000:
+        raise Broken(f"a message of {len(message)} characters: {message[:300]}…")
+    try:
+        message.encode()
+    except UnicodeEncodeError:
+        raise Broken(f"a message that cannot be written as UTF-8: {message[:300]!r}") from None
+
+
+# ---- motion ----------------------------------------------------------------------------------------------
+
+
+def check_motion(path: Path, asf: Path | None = None, given: Given = Given(30.0, None, 5)) -> None:  # noqa: B008
+    """Read a motion file as an ingest does; what comes out must be finite, within bounds, and fit to be written."""
+    feature_set, mappings = seeds.known()
+    body = read_body(path, asf, mappings, feature_set.joints, given)
+    known = np.array([joint not in body.unknown for joint in feature_set.joints])
+    positions = body.positions[known]
+    if body.valid is not None:
+        positions = positions[:, :, body.valid]
+    if not (np.abs(positions) <= 1.01 * FARTHEST_M).all():
+        raise Broken("a position that is not finite, or out of bounds")
+    turns = np.linalg.norm(body.orientation, axis=0)
+    if not (np.isnan(turns) | (np.abs(turns - 1.0) < 1e-6)).all():
+        raise Broken("a turn that is no unit quaternion")
+    if not SLOWEST_HZ <= body.rate_hz <= FASTEST_HZ or not body.frames:
+        raise Broken(f"{body.frames} frames at {body.rate_hz} Hz")
+    rows, _, words = analyse(body, feature_set, 30.0)
+    if rows.shape[2] != len(words) or not 1 <= len(words) <= 30 * body.frames / body.rate_hz + 2:
+        raise Broken(f"{body.frames} frames at {body.rate_hz} Hz became {len(words)}")
+    "\n".join([body.unit, body.skeleton, *body.warnings, *blind(feature_set, body)]).encode()
+
+
+def _beside(path: Path, ending: str, which: int) -> Path:
+    """The valid other half of an Acclaim pair, beside the mutated one: the one that its first bytes point to."""
+    texts = [pair[which] for pair in seeds.pairs().values()]
+    other = path.with_name(f"{path.stem}-valid{ending}")
+    data = path.read_bytes()
+    scores = [_alike(data, pair[1 - which]) for pair in seeds.pairs().values()]
+    other.write_bytes(texts[int(np.argmax(scores))])
+    return other
+
+
+def _alike(data: bytes, text: bytes) -> int:
+    words = set(text[:4000].split())
+    return sum(word in words for word in data[:4000].split())
+
+
+def check_asf(path: Path) -> None:
+    """A mutated skeleton with a valid motion."""
+    other = _beside(path, ".amc", 1)
+    try:
+        check_motion(other, path)
+    finally:
+        other.unlink()
+
+
+def check_amc(path: Path) -> None:
+    """A mutated motion with its valid skeleton."""
+    other = _beside(path, ".asf", 0)
+    try:
+        check_motion(path, other)
+    finally:
+        other.unlink()
+
+
+def check_strange_bvh(path: Path) -> None:
+    """The parser alone, whatever the joints are called."""
+    bvh = parse_bvh(path)
+    if not np.isfinite(bvh.channels).all() or not SLOWEST_HZ <= bvh.rate_hz <= FASTEST_HZ:
+        raise Broken("channels that are not finite, or a rate out of bounds")
+    if len(bvh.places) + len(bvh.pointless) != len(bvh.nodes):
+        raise Broken("two nodes of one name")
+
+
+def check_csv(path: Path) -> None:
+    """Whether a table is one of positions, and what it says then."""
+    if is_positions_csv(path):
+        check_motion(path)
+
+
+# ---- tables and configuration ----------------------------------------------------------------------------
+
+
+def check_ground_truth(path: Path) -> None:
+    """Segments are ranges of frames with names."""
+    for segment in read_ground_truth(path):
+        if not 0 <= segment.start < segment.stop < 10**15 or not segment.take or not segment.label:
+            raise Broken(f"{segment}")
+        f"{segment.take}{segment.label}".encode()
+
+
+def check_queries(path: Path) -> None:
+    """Queries can be written, and read back as they are."""
+    feature_set, _ = seeds.known()
+    queries = read_queries(path, feature_set)
+    if parse_queries(write_queries(queries, feature_set), feature_set) != queries:
+        raise Broken("queries that do not read back as they are written")
+
+
+def check_skeleton(path: Path) -> None:
+    """A mapping can be laid over a skeleton."""
+    feature_set, _ = seeds.known()
+    mapping = load_skeleton(path, feature_set.joints)
+    if not np.isfinite(mapping.axes).all() or (mapping.unit_m is not None and not 0 < mapping.unit_m < np.inf):
+        raise Broken("axes or a unit that are none")
+    mapping.fit({f"mixamorig:{name}": i for i, name in enumerate(STANDING)})
+
+
+def check_pipeline(path: Path) -> None:
+    """A pipeline's stages have checked parameters."""
+    for stage in load_pipeline(path, {"source": "somewhere"}).stages:
+        stage.params.model_dump_json()
+
+
+def check_features(path: Path) -> None:
+    """A feature set can be used: every feature has a bit in one of its sets."""
+    feature_set = load_feature_set(path)
+    feature_set.without(feature_set.joints[:1])
+
+
+def check_classes(path: Path) -> None:
+    """Classes can be looked up."""
+    load_classes(path, _subclasses())
+
+
+@lru_cache(maxsize=1)
+def _subclasses() -> list[str]:
+    """A subclass for every pattern of the shipped class files."""
+    texts = [config_path("classes", name).read_text(encoding="utf-8") for name in config_names("classes")]
+    return sorted({word.replace("*", "") for text in texts for word in re.findall(r"[A-Za-z0-9*]{3,}", text)})
+
+
+_BVH_WORDS = (
+    *(b"HIERARCHY", b"ROOT x", b"JOINT y", b"End Site", b"{", b"}", b"OFFSET 1 2 3", b"CHANNELS 3", b"MOTION"),
+    *(b"CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation", b"Frames: 1", b"Frame Time: 1"),
+    *(b"#", b"//", b"Xrotation", b"CHANNELS 0", b"CHANNELS 1e9"),
+)
+_DEEP_BVH = (
+    (b"JOINT a\n{\nOFFSET 0 0 0\nCHANNELS 0\n", b"}\n"),
+    (b"JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n", b"}\n"),
+    (b"{\n", b"}\n"),
+    (b"End Site\n{\nOFFSET 0 0 0\n", b"}\n"),
+)
+_ASF_WORDS = (
+    *(b":units", b":root", b":bonedata", b":hierarchy", b":documentation", b"begin", b"end", b"dof rx ry rz l"),
+    *(b"order RX RY", b"axis 0 0 0 ZYX", b"name root", b"name head", b"length 0", b"length 1e308", b"dof tx ty tz"),
+    *(b"root head", b"head root", b"angle rad", b"direction 0 0 0", b"direction 1e200 1e200 0", b"limits (-1 1)"),
+)
+_AMC_WORDS = (b"1", b"2", b"root 0 0 0 0 0 0", b":RADIANS", b":DEGREES", b"#", b"head 0 0 0", b"head", b"999999999")
+_YAML_WORDS = (
+    *(
+        b"&a ",
+        b"*a",
+        b"<<: *a",
+        b"? ",
+        b"- ",
+        b"!!python/object:os.system ",
+        b"!!binary ",
+        b"!!float ",
+        b"!!set ",
+        b"|",
+    ),
+    *(b">", b"%YAML 9.9", b"---", b"...", b"null", b"on", b"2001-99-99", b"0o7", b"1:99", b"'", b'"', b'"\\ud800"'),
+    *(b"{}", b"[]", b"? {a: b}", b"~: ~", b"\t", b".inf", b".nan", b"1e999", b"keyframes:", b"joints:", b"[1, 2]: 3"),
+    *(b"!!timestamp x", b"!!int ''", b"!!omap [a]", b"!!pairs 3", b"=", b"!!bool x", b'"\\uFFFF"', b"!<tag:x> "),
+)
+_DEEP_YAML = ((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b"? ", b""), (b"&a [*a, ", b"]"), (b"!!seq [", b"]"))
+_CSV_WORDS = (b'"', b"root_x,root_y,root_z,", b"frame,", b"time,", b",,,,", b"nan,", b"take,class,start,stop", b'""')
+
+
+def _text(words: tuple[bytes, ...] = (), pairs: tuple[tuple[bytes, bytes], ...] = ()) -> tuple[Mutation, ...]:
+    """The mutations of a text format: those of any, its own words put somewhere, and what it nests."""
+    own: tuple[Mutation, ...] = (*ANY, *TEXT, *TEXT)
+    if words:
+        own += (partial(insert_word, words=words),) * 2
+    if pairs:
+        own += (partial(nest, pairs=pairs),)
+    return own
+
+
+_YAML = _text(_YAML_WORDS, _DEEP_YAML)
+
+TARGETS: dict[str, Target] = {
+    target.name: target
+    for target in (
+        Target("asf", ".asf", partial(seeds.acclaim, 0), _text(_ASF_WORDS), check_asf),
+        Target("amc", ".amc", partial(seeds.acclaim, 1), _text(_AMC_WORDS), check_amc),
+        Target("bvh", ".bvh", seeds.bvh, _text(_BVH_WORDS, _DEEP_BVH), check_motion),
+        Target("bvh-parser", ".bvh", seeds.strange_bvh, _text(_BVH_WORDS, _DEEP_BVH), check_strange_bvh),
+        Target("trc", ".trc", seeds.trc, _text(), check_motion),
+        Target("csv", ".csv", seeds.csv, _text(_CSV_WORDS), check_csv),
+        Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
+        Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
+        Target("ground-truth", ".csv", seeds.ground_truth, _text(_CSV_WORDS), check_ground_truth),
+        *(
+            Target(f"yaml-{kind}", ".yaml", partial(seeds.shipped, kind), _YAML, check, (KinedexError,), 60_000)
+            for kind, check in (
+                ("queries", check_queries), ("skeletons", check_skeleton), ("pipelines", check_pipeline),
+                ("features", check_features), ("classes", check_classes),
+            )
+        ),
+    )
+}  # fmt: skip
+"""All targets by name."""

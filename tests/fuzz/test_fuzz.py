@@ -1,0 +1,86 @@
+"""Some mutants of every reader's files, and whether the hunt would notice what it is for."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ops.errors import SourceError
+from tests.fuzz import hunt as hunting
+from tests.fuzz.hunt import attempt, hunt, mutant
+from tests.fuzz.mutations import flip_bytes
+from tests.fuzz.targets import TARGETS, Broken, Target
+
+CASES = 25
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_seeds_are_read_and_mutants_are_read_or_refused(tmp_path: Path, name: str) -> None:
+    target = TARGETS[name]
+    for key, data in target.seeds().items():
+        assert attempt(target, tmp_path / f"{key}{target.ending}", data) == "read", key
+    for case in range(CASES):
+        outcome = attempt(target, tmp_path / f"{case}{target.ending}", mutant(target, 1, case))
+        assert outcome in ("read", "refused"), f"python -m tests.fuzz {name} --seed 1: case {case}\n{outcome}"
+
+
+def test_the_same_seed_makes_the_same_mutants() -> None:
+    for target in TARGETS.values():
+        assert mutant(target, 3, 14) == mutant(target, 3, 14)
+        assert len({mutant(target, 3, case) for case in range(8)}) > 1
+
+
+def misread(path: Path) -> None:
+    """A reader with every defect that the hunt looks for; which of them is the case's number."""
+    match int(path.stem.removeprefix("case")) % 6 if path.stem.startswith("case") else 0:
+        case 1:
+            raise IndexError("list index out of range")
+        case 2:
+            time.sleep(60)
+        case 3:
+            os.kill(os.getpid(), signal.SIGSEGV)
+        case 4:
+            np.ones(1 << 31)
+        case 5:
+            raise SourceError(path, "wrong", line=10**9)
+
+
+def hello() -> dict[str, bytes]:
+    return {"hello": b"hello\n"}
+
+
+MISREAD = Target("misread", ".txt", hello, (flip_bytes,), misread)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is looked up in /proc, which is not here")
+def test_crashes_hangs_greed_and_wrong_results_are_found_and_can_be_looked_at_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hunting, "CASE_SECONDS", 0.2)
+    report = hunt(MISREAD, seed=0, seconds=60, folder=tmp_path, cases=6)
+    assert (report.cases, report.read) == (6, 1)
+    found = {finding.case: finding for finding in report.findings}
+    says = {1: "IndexError", 2: "Hang", 3: "SIGSEGV", 4: "MemoryError", 5: "Broken"}
+    for case, what in says.items():
+        assert what in found[case].what.splitlines()[-1]
+        assert found[case].path.read_bytes() == mutant(MISREAD, 0, case)
+        assert found[case].command in found[case].path.with_suffix(".txt.txt").read_text()
+    assert sorted(found) == sorted(says)
+
+
+def test_a_reader_that_lets_infinity_through_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage.bodies._refuse_far", lambda *_: None)
+    whole = np.load(io.BytesIO(TARGETS["npy"].seeds()["24"]))
+    whole[-1, 15] = 1e300
+    changed = io.BytesIO()
+    np.save(changed, whole)
+    outcome = attempt(TARGETS["npy"], tmp_path / "a.npy", changed.getvalue())
+    assert Broken.__name__ in outcome
+    assert "not finite, or out of bounds" in outcome
