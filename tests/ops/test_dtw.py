@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.dtw import distance_curves, local_costs, start_frames
+from ops.costs import cost_table, error_bound
+from ops.dtw import best_paths, distance_curves, start_frames
 from ops.errors import ParameterError
 from ops.templates import QuantisedTemplate
-from ops.words import pack
+from ops.words import NO_WORD, pack
 from tests.oracles import dtw as naive
 
 FEATURES = 5
@@ -131,16 +132,61 @@ def test_the_table_of_costs_stays_small_however_long_the_take_and_however_far_ap
     monkeypatch: pytest.MonkeyPatch,
 ):
     tables = []
-    monkeypatch.setattr("ops.dtw._TABLE_CELLS", 400)
-    monkeypatch.setattr("ops.dtw.local_costs", lambda *given: tables.append(local_costs(*given)) or tables[-1])
+    monkeypatch.setattr("ops.dtw._TABLE_CELLS", 32 * 50)
+    monkeypatch.setattr("ops.dtw.cost_table", lambda *given: tables.append(cost_table(*given)) or tables[-1])
     words = np.arange(1000, dtype=np.uint64)
     template = QuantisedTemplate(np.full(8, 1023, np.uint64), words[500:508])
     (curve,) = distance_curves([template], words)
     assert curve[507] == 0
     distance_curves([template], words, np.array([[0, 20], [100, 120], [480, 900]]))
-    start_frames(template, words, np.arange(7, 1000))
     assert len(tables) > 20
-    assert max(table.size for table in tables) <= 400 + 2 * 8 * 8
+    assert max(table.size for table in tables) <= 32 * (50 + 14)
+
+
+invalid_or = st.one_of(frames, st.none())
+takes_with_gaps = st.lists(st.tuples(invalid_or, st.integers(1, 5)), max_size=9).map(
+    lambda runs: [values for values, times in runs for _ in range(times)]
+)
+
+
+def as_words_with_gaps(take: list[list[int] | None]) -> np.ndarray:
+    words = as_words([frame or [0] * FEATURES for frame in take])
+    words[[frame is None for frame in take]] = NO_WORD
+    return words
+
+
+@given(st.lists(templates, min_size=1, max_size=3), takes_with_gaps, st.booleans())
+def test_no_path_crosses_a_frame_without_a_word(
+    several: list[list[list[int | None]]], take: list[list[int] | None], single: bool
+):
+    curves = distance_curves(
+        [quantised(template) for template in several],
+        as_words_with_gaps(take),
+        None,
+        np.float32 if single else np.float64,
+    )
+    for template, curve in zip(several, curves, strict=True):
+        expected, starts = naive.curve_and_starts(template, take)
+        np.testing.assert_allclose(curve, expected, rtol=0, atol=error_bound(9) if single else 1e-12)
+        ends = np.arange(len(take), dtype=np.int64)
+        found, distances = best_paths(quantised(template), as_words_with_gaps(take), ends)
+        np.testing.assert_allclose(distances, expected, rtol=0, atol=1e-12)
+        assert found.tolist() == [-1 if start is None else start for start in starts]
+
+
+@pytest.mark.parametrize("columns", [1, 2, 37, 64, 65, 300])
+def test_single_precision_stays_within_its_bound(columns: int):
+    rng = np.random.default_rng(columns)
+    masks = rng.integers(0, 1 << 40, columns).astype(np.uint64)
+    template = QuantisedTemplate(masks, rng.integers(0, 1 << 40, columns).astype(np.uint64) & masks)
+    words = rng.integers(0, 1 << 40, 40).astype(np.uint64)[rng.integers(0, 40, 3000)]
+    words[1500] = NO_WORD
+    (double,) = distance_curves([template], words)
+    (single,) = distance_curves([template], words, dtype=np.float32)
+    finite = np.isfinite(double)
+    assert single.dtype == np.float32
+    assert np.array_equal(finite, np.isfinite(single))
+    assert np.abs(double[finite] - single[finite]).max() <= error_bound(columns)
 
 
 def test_wrong_ranges_and_ends_are_refused_in_words():

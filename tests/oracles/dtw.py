@@ -9,7 +9,9 @@ Column = list[int | None]  # 0, 1 or None for a wildcard
 Matrix = list[list[float]]
 
 
-def local_cost(column: Column, frame: list[int]) -> float:
+def local_cost(column: Column, frame: list[int] | None) -> float:
+    if frame is None:
+        return math.inf
     counted = [i for i, value in enumerate(column) if value is not None]
     if not counted:
         return 0.0
