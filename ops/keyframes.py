@@ -247,6 +247,29 @@ def search(lists: Sequence[Segments], gaps: Sequence[tuple[int, int]]) -> Segmen
     return Segments(*_ranges(starts, stops, offsets, joined[4]))
 
 
+def checked_gaps(gaps: Sequence[tuple[int, int]], keyframes: int) -> I64:
+    """Return the gaps of a query as an array, clamped to `UNBOUNDED`.
+
+    Parameters
+    ----------
+    gaps: admissible gaps (low, high) in frames, both included. keyframes: K.
+
+    Returns
+    -------
+    int64 (K - 1, 2).
+
+    Raises
+    ------
+    ParameterError: a number of gaps other than K - 1, or a gap that is no range.
+    """
+    if len(gaps) != keyframes - 1:
+        raise ParameterError("gaps", f"{keyframes - 1}, one fewer than keyframes", len(gaps))
+    for low, high in gaps:
+        _check_gap(low, high)
+    clamped = [(min(low, UNBOUNDED), min(high, UNBOUNDED)) for low, high in gaps]
+    return np.array(clamped, dtype=np.int64).reshape(-1, 2)
+
+
 def _check_gap(low: int, high: int) -> None:
     if not 0 <= low <= high:
         raise ParameterError("gap", "a range [low, high] of frames with 0 <= low <= high", (low, high))
@@ -255,12 +278,7 @@ def _check_gap(low: int, high: int) -> None:
 def _joined(lists: Sequence[Segments], gaps: Sequence[tuple[int, int]]) -> tuple[I64, I64, I64, I64, I64]:
     if not lists:
         raise ParameterError("lists", "at least one keyframe list", 0)
-    if len(gaps) != len(lists) - 1:
-        raise ParameterError("gaps", f"{len(lists) - 1}, one fewer than keyframes", len(gaps))
-    for low, high in gaps:
-        _check_gap(low, high)
-    clamped = np.array([(min(low, UNBOUNDED), min(high, UNBOUNDED)) for low, high in gaps], dtype=np.int64)
-    bounds = clamped.reshape(-1, 2)
+    bounds = checked_gaps(gaps, len(lists))
     offsets = np.zeros(len(lists) + 1, dtype=np.int64)
     np.cumsum([len(one) for one in lists], out=offsets[1:])
     return (
