@@ -193,8 +193,9 @@ def margins(
     """
     result = np.empty(len(found))
     for place, one in enumerate(found):
-        others = [template for template, label in zip(templates, classes, strict=True) if label !=
-        classes[one.template]] rivals = explain(others, usual, words[one.start : one.stop], decoding)
+        label = classes[one.template]
+        others = [template for template, other in zip(templates, classes, strict=True) if other != label]
+        rivals = explain(others, usual, words[one.start : one.stop], decoding)
         result[place] = (one.value - sum(rival.value for rival in rivals)) / (one.stop - one.start)
     return np.maximum(result, 0.0)
 
