@@ -118,7 +118,7 @@ def test_a_margin_is_what_the_next_best_class_would_cost() -> None:
     templates = [template([one]) for one in columns]
     words = np.array([0b011] * 6, np.uint64)
     usual = np.full(FEATURES, 0.5)
-    decoding = Decoding(entry=0.0, gain=0.0)
+    decoding = Decoding(entry=0.1, gain=0.0)
     found = explain(templates, usual, words, decoding)
     assert [one.template for one in found] == [1]
     ratios = log_ratios(templates, usual, words[:1], decoding)[0]
