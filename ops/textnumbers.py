@@ -20,6 +20,9 @@ OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FR
 _EXACT = 2**53  # integers up to here are exact in a double, and so are the powers of ten up to 22:
 _POWERS = np.array([10.0**i for i in range(23)])  # one multiplication or division of the two rounds correctly
 
+_at = np.uint64
+"""Makes an index unsigned: one that might be negative costs a check and an addition at every byte."""
+
 _NEWLINE, _RETURN, _SPACE, _TAB, _HASH = 10, 13, 32, 9, 35
 _PLUS, _MINUS, _DOT, _ZERO, _NINE = 43, 45, 46, 48, 57
 
@@ -34,31 +37,31 @@ class Fault:
     stop: int
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     """Read a number at pos: (value, position after it, 0 good | 1 no number | 2 good, but needs exact conversion)."""
     begin = pos
     negative = False
-    if pos < end and (data[pos] == _MINUS or data[pos] == _PLUS):
-        negative = data[pos] == _MINUS
+    if pos < end and (data[_at(pos)] == _MINUS or data[_at(pos)] == _PLUS):
+        negative = data[_at(pos)] == _MINUS
         pos += 1
     mantissa, fraction, first = np.int64(0), 0, pos
-    while pos < end and _ZERO <= data[pos] <= _NINE:
-        mantissa = mantissa * 10 + (data[pos] - _ZERO)
+    while pos < end and _ZERO <= data[_at(pos)] <= _NINE:
+        mantissa = mantissa * 10 + (data[_at(pos)] - _ZERO)
         pos += 1
     digits = pos - first
-    if pos < end and data[pos] == _DOT:
+    if pos < end and data[_at(pos)] == _DOT:
         pos += 1
         first = pos
-        while pos < end and _ZERO <= data[pos] <= _NINE:
-            mantissa = mantissa * 10 + (data[pos] - _ZERO)
+        while pos < end and _ZERO <= data[_at(pos)] <= _NINE:
+            mantissa = mantissa * 10 + (data[_at(pos)] - _ZERO)
             pos += 1
         fraction = pos - first
         digits += fraction
     if digits == 0:
         return 0.0, pos, 1
     exponent = -fraction
-    if pos < end and data[pos] > _SPACE:
+    if pos < end and data[_at(pos)] > _SPACE:
         power, pos = _exponent(data, pos, end)
         if pos < 0:
             return 0.0, begin, 1
@@ -70,60 +73,60 @@ def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     elif mantissa == 0:
         pass
     elif exponent < 0:
-        value /= _POWERS[-exponent]
+        value /= _POWERS[_at(-exponent)]
     else:
-        value *= _POWERS[exponent]
+        value *= _POWERS[_at(exponent)]
     return (-value if negative else value), pos, status
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
     """Read "e-05" at pos, up to the end of the token: (power, position after it), position −1 where it is none."""
-    if data[pos] != 101 and data[pos] != 69:
+    if data[_at(pos)] != 101 and data[_at(pos)] != 69:
         return 0, -1
     pos += 1
     down = False
-    if pos < end and (data[pos] == _MINUS or data[pos] == _PLUS):
-        down = data[pos] == _MINUS
+    if pos < end and (data[_at(pos)] == _MINUS or data[_at(pos)] == _PLUS):
+        down = data[_at(pos)] == _MINUS
         pos += 1
     power, first = np.int64(0), pos
-    while pos < end and _ZERO <= data[pos] <= _NINE:
+    while pos < end and _ZERO <= data[_at(pos)] <= _NINE:
         if power < 100000:
-            power = power * 10 + (data[pos] - _ZERO)
+            power = power * 10 + (data[_at(pos)] - _ZERO)
         pos += 1
-    if pos == first or (pos < end and data[pos] > _SPACE):
+    if pos == first or (pos < end and data[_at(pos)] > _SPACE):
         return 0, -1
     return int(-power if down else power), pos
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _next_line(data: U8, pos: int, end: int) -> int:
     """The position after the end of the line that pos is in; "\\n", "\\r\\n" and "\\r" all end one."""
-    while pos < end and data[pos] != _NEWLINE and data[pos] != _RETURN:
+    while pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
         pos += 1
-    if pos < end and data[pos] == _RETURN and pos + 1 < end and data[pos + 1] == _NEWLINE:
+    if pos < end and data[_at(pos)] == _RETURN and pos + 1 < end and data[_at(pos + 1)] == _NEWLINE:
         return pos + 2
     return pos + 1 if pos < end else end
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _token_end(data: U8, pos: int, end: int) -> int:
-    while pos < end and data[pos] > _SPACE:
+    while pos < end and data[_at(pos)] > _SPACE:
         pos += 1
     return pos
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _find_name(data: U8, pos: int, stop: int, names: U8, offsets: I64, guess: int) -> int:
     """The index of the name that stands at [pos, stop), tried at `guess` first; −1 where it is none of them."""
     count = len(offsets) - 1
     for k in range(-1, count):
         i = guess if k < 0 else k
-        size = offsets[i + 1] - offsets[i]
+        size = offsets[_at(i + 1)] - offsets[_at(i)]
         if size == stop - pos:
             same = True
             for b in range(size):
-                if data[pos + b] != names[offsets[i] + b]:
+                if data[_at(pos + b)] != names[_at(offsets[i] + b)]:
                     same = False
                     break
             if same:
@@ -131,7 +134,7 @@ def _find_name(data: U8, pos: int, stop: int, names: U8, offsets: I64, guess: in
     return -1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _first_absent(seen: I64, frame: int) -> int:
     for name in range(len(seen)):
         if seen[name] != frame:
@@ -139,7 +142,7 @@ def _first_absent(seen: I64, frame: int) -> int:
     return -1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _parse_frames(
     data: U8, pos: int, line: int, names: U8, offsets: I64, columns: I64, out: F64, slow: I64
 ) -> tuple[int, int, int, int, int, int, int]:
@@ -149,11 +152,11 @@ def _parse_frames(
     seen = np.full(count, -1, np.int64)
     frame, first, number, present, guess, slows = -1, 0, 0, 0, 0, 0
     while pos < end:
-        while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
             pos += 1
         if pos >= end:
             break
-        byte = data[pos]
+        byte = data[_at(pos)]
         if byte in (_NEWLINE, _RETURN, _HASH):
             pos = _next_line(data, pos, end)
             line += 1
@@ -182,17 +185,17 @@ def _parse_frames(
             name = _find_name(data, pos, stop, names, offsets, guess)
             if name < 0:
                 return UNKNOWN_NAME, line, pos, stop, frame, first, slows
-            if seen[name] == frame:
+            if seen[_at(name)] == frame:
                 return TWICE, line, pos, stop, frame, first, slows
-            seen[name] = frame
+            seen[_at(name)] = frame
             present += 1
             guess = name + 1 if name + 1 < count else 0
             pos = stop
-            for column in range(columns[name], columns[name + 1]):
-                while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+            for column in range(columns[_at(name)], columns[name + 1]):
+                while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
                     pos += 1
-                if pos >= end or data[pos] == _NEWLINE or data[pos] == _RETURN:
-                    return TOO_FEW, line, name, column - columns[name], frame, first, slows
+                if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
+                    return TOO_FEW, line, name, column - columns[_at(name)], frame, first, slows
                 value, after, status = _number(data, pos, end)
                 if status == 1:
                     return BAD_NUMBER, line, pos, _token_end(data, pos, end), frame, first, slows
@@ -201,11 +204,11 @@ def _parse_frames(
                         slow[slows, 0], slow[slows, 1] = frame, column
                         slow[slows, 2], slow[slows, 3] = pos, line
                     slows += 1
-                out[frame, column] = value
+                out[_at(frame), _at(column)] = value
                 pos = after
-        while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
             pos += 1
-        if pos < end and data[pos] != _NEWLINE and data[pos] != _RETURN:
+        if pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
             return TOO_MANY, line, pos, _token_end(data, pos, end), frame, first, slows
         pos = _next_line(data, pos, end)
         line += 1
@@ -214,13 +217,20 @@ def _parse_frames(
     return OK, line, 0, 0, frame + 1, first, slows
 
 
+@njit(cache=True, nogil=True)
+def _count_line_ends(data: U8) -> int:
+    count = 0
+    for byte in data:
+        count += int(byte == _NEWLINE) + int(byte == _RETURN)
+    return count
+
+
 def count_lines(data: bytes, start: int = 0) -> int:
     """An upper bound of the lines from a byte on; "\\n", "\\r\\n" and "\\r" end them, mixed as they come.
 
     "\\r\\n" counts twice: memory that is asked for and never touched costs less than to look at pairs of bytes.
     """
-    array = np.frombuffer(data, dtype=np.uint8)[start:]
-    return int(np.count_nonzero(array == _NEWLINE)) + int(np.count_nonzero(array == _RETURN)) + 1
+    return int(_count_line_ends(np.frombuffer(data, dtype=np.uint8)[start:])) + 1
 
 
 def parse_frames(
@@ -262,27 +272,27 @@ def parse_frames(
     return out[:frames], first, None
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int, int, int, int, int, int]:
     """Returns (code, line, fault start, fault stop, rows, numbers that need exact conversion)."""
     end = len(data)
     columns = out.shape[1]
     row, slows = 0, 0
     while pos < end:
-        while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
             pos += 1
         if pos >= end:
             break
-        if data[pos] == _NEWLINE or data[pos] == _RETURN or data[pos] == _HASH:
+        if data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN or data[_at(pos)] == _HASH:
             pos = _next_line(data, pos, end)
             line += 1
             continue
         if row == len(out):
             return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
         for column in range(columns):
-            while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+            while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
                 pos += 1
-            if pos >= end or data[pos] == _NEWLINE or data[pos] == _RETURN:
+            if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
                 return TOO_FEW, line, row, column, row, slows
             value, after, status = _number(data, pos, end)
             if status == 1:
@@ -292,11 +302,11 @@ def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int
                     slow[slows, 0], slow[slows, 1] = row, column
                     slow[slows, 2], slow[slows, 3] = pos, line
                 slows += 1
-            out[row, column] = value
+            out[_at(row), _at(column)] = value
             pos = after
-        while pos < end and (data[pos] == _SPACE or data[pos] == _TAB):
+        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
             pos += 1
-        if pos < end and data[pos] != _NEWLINE and data[pos] != _RETURN:
+        if pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
             return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
         row += 1
         pos = _next_line(data, pos, end)
@@ -350,5 +360,5 @@ def _convert_exactly(data: bytes, out: F64, slow: I64) -> Fault | None:
         value = float(data[position:stop])
         if not np.isfinite(value):
             return Fault(BAD_NUMBER, int(where), int(position), stop)
-        out[row, column] = value
+        out[_at(row), _at(column)] = value
     return None

@@ -35,11 +35,16 @@ def naive(text: bytes, columns: int) -> list[list[float]] | tuple[int, int]:
     return rows if huge is None else (t.BAD_NUMBER, -1)
 
 
+FAR_FROM_THE_END = b"\n" + b" " * 50
+
+
 @given(
     st.lists(st.sampled_from([*b"0123456789", *b"  \t\n\r.-+e#x", *b"15 "]), max_size=120).map(bytes),
     st.integers(1, 3),
+    st.sampled_from([b"", FAR_FROM_THE_END]),
 )
-def test_rows_are_what_python_makes_of_the_lines(text: bytes, columns: int) -> None:
+def test_rows_are_what_python_makes_of_the_lines(text: bytes, columns: int, rest: bytes) -> None:
+    text += rest
     values, fault = t.parse_rows(text, 0, 1, columns)
     expected = naive(text, columns)
     if isinstance(expected, list):
@@ -59,6 +64,53 @@ def test_every_number_is_rounded_as_python_rounds_it(numbers: list[float]) -> No
     values, fault = t.parse_rows(text.encode(), 0, 1, len(numbers))
     assert fault is None
     np.testing.assert_array_equal(values, [numbers, numbers])
+
+
+@given(st.lists(st.from_regex(NUMBER, fullmatch=True).filter(lambda text: len(text) < 60), min_size=1, max_size=30))
+def test_numbers_of_any_form_are_those_of_python(texts: list[str]) -> None:
+    numbers = [float(text) for text in texts]
+    values, fault = t.parse_rows(" ".join(texts).encode() + FAR_FROM_THE_END, 0, 1, len(texts))
+    if np.isfinite(numbers).all():
+        assert fault is None
+        np.testing.assert_array_equal(values, [numbers])
+        np.testing.assert_array_equal(np.signbit(values), [np.signbit(numbers)])
+    else:
+        assert fault is not None
+
+
+@pytest.mark.parametrize("digits", range(1, 26))
+def test_numbers_of_every_length(digits: int) -> None:
+    written = ("1234567890" * 3)[:digits]
+    texts = [f"{sign}{written[:dot]}.{written[dot:]}" for sign in ("", "-", "+") for dot in range(digits + 1)]
+    values, fault = t.parse_rows(" ".join(texts).encode() + FAR_FROM_THE_END, 0, 1, len(texts))
+    assert fault is None
+    np.testing.assert_array_equal(values, [[float(text) for text in texts]])
+
+
+NAMES = ["r", "root", "lowerba", "lowerbac", "lowerback", "lowerbackbone"]
+
+
+@given(st.lists(st.permutations(NAMES), min_size=1, max_size=5), st.sampled_from([b"", FAR_FROM_THE_END]))
+def test_frames_of_named_rows_in_any_order(orders: list[list[str]], rest: bytes) -> None:
+    lines = [
+        line
+        for frame, order in enumerate(orders, 7)
+        for line in (str(frame), *(f"{name} {frame}.{len(name)} {len(name)}" for name in order))
+    ]
+    values, first, fault = t.parse_frames("\n".join(lines).encode() + rest, 0, 1, NAMES, [2] * len(NAMES))
+    assert fault is None
+    assert first == 7
+    for frame, row in enumerate(values, 7):
+        assert row.tolist() == [float(x) for name in NAMES for x in (f"{frame}.{len(name)}", len(name))]
+
+
+@pytest.mark.parametrize("name", ["lowerbac", "lowerbacks", "lowerbackbones", "Root", "roo"])
+@pytest.mark.parametrize("rest", [b"", FAR_FROM_THE_END])
+def test_a_name_that_is_only_like_one_is_unknown(name: str, rest: bytes) -> None:
+    text = f"1\nroot 1\nlowerback 2\n2\nroot 1\n{name} 2\n".encode()
+    _, _, fault = t.parse_frames(text + rest, 0, 1, ["root", "lowerback"], [1, 1])
+    assert fault is not None
+    assert (fault.code, fault.line, text[fault.start : fault.stop]) == (t.UNKNOWN_NAME, 6, name.encode())
 
 
 def test_a_number_of_a_thousand_digits_is_one_number() -> None:
