@@ -2,49 +2,76 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 import pyarrow as pa
 
 from ops.errors import KinedexError
-from ops.templates import Learned, Template, learn_hard, learn_soft
-from ops.words import U64
+from ops.templates import Kind as Kind
+from ops.templates import Learned, Template, learn
+from ops.words import NO_WORD, U64
+from pipelines.clipchecks import clip_remarks
 from pipelines.executors import Executor
+from pipelines.wording import few
 from storage.schemas import result_schema
 from storage.store import Store
 
-Kind = Literal["soft", "hard"]
+F64 = npt.NDArray[np.float64]
 
 _TASK_CELLS = 20_000_000
 """Cells of the alignments of one round that make a task worth a second or so."""
 
+_SPLIT_CELLS = 100_000_000
+"""From this many on, the rounds of one class are worth being divided among all workers."""
+
+LEARNED = "learned"
+"""The origin of a template that was learned from clips of its own class."""
+
 
 @dataclass(frozen=True)
 class TrainingClips:
-    """The clips of one subclass in the order of their names: names and words."""
+    """The clips of one subclass in the order of their names: names and words, all of them valid frames.
+
+    mirrored: how many of them, the last ones, are mirrored clips of another class (or of this one). source: whose.
+    remarks: what was cut off or left out, in words.
+    """
 
     subclass: str
     names: tuple[str, ...]
     words: tuple[U64, ...]
+    mirrored: int = 0
+    source: str = ""
+    remarks: tuple[str, ...] = ()
 
     @property
     def cells(self) -> int:
         """Cells of the alignments of one round: all pairs of frames of all pairs of clips."""
         return sum(len(words) for words in self.words) ** 2
 
+    @property
+    def origin(self) -> str:
+        """Where the template comes from, in words."""
+        if not self.mirrored:
+            return LEARNED
+        return f"{LEARNED}, {self.mirrored} of {len(self.names)} clips are those of {self.source} in the mirror"
+
 
 @dataclass(frozen=True)
 class SubclassTemplate:
-    """A learned template with its provenance."""
+    """A template with its provenance: the clips that it was learned from, and what is to be said of them."""
 
     subclass: str
     kind: Kind
     learned: Learned
     clips: tuple[str, ...]
+    origin: str = LEARNED
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,6 +81,7 @@ class Task:
     clips: tuple[TrainingClips, ...]
     kinds: tuple[Kind, ...]
     features: int
+    feature_weights: F64 | None = None
 
 
 def training_takes(store: Store, where: str) -> pl.DataFrame:
@@ -80,17 +108,51 @@ def training_takes(store: Store, where: str) -> pl.DataFrame:
 
 
 def training_clips(store: Store, takes: pl.DataFrame) -> list[TrainingClips]:
-    """Group training takes by subclass and read their words; subclasses and clips in the order of their names."""
+    """Group training takes by subclass and read their words; subclasses and clips in the order of their names.
+
+    Invalid frames at the ends of a clip are cut off; a clip with others, or without any valid frame, is left out.
+
+    Raises
+    ------
+    KinedexError: a subclass is left without a clip.
+    """
     words = store.words(takes["take_id"].to_list())
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
     clips = []
     for (subclass,), group in takes.sort("class", "name").group_by("class", maintain_order=True):
-        of_clips = tuple(words.take(place[take_id]) for take_id in group["take_id"].to_list())
-        clips.append(TrainingClips(str(subclass), tuple(group["name"].to_list()), of_clips))
+        every = {str(name): words.take(place[take_id]) for take_id, name in group.select("take_id", "name").iter_rows()}
+        clips.append(_usable(str(subclass), every))
     return clips
 
 
-def tasks(clips: Iterable[TrainingClips], kinds: Sequence[Kind], features: int) -> list[Task]:
+def _usable(subclass: str, every: dict[str, U64]) -> TrainingClips:
+    kept: dict[str, U64] = {}
+    shortened, left_out = [], []
+    for name, words in every.items():
+        valid = np.flatnonzero(words != NO_WORD)
+        inner = words[valid[0] : valid[-1] + 1] if len(valid) else words[:0]
+        if not len(valid) or len(inner) > len(valid):
+            left_out.append(name)
+            continue
+        kept[name] = inner
+        if len(inner) < len(words):
+            shortened.append(name)
+    if not kept:
+        raise KinedexError(
+            f"subclass {subclass} is left without a clip to learn from: all of them have invalid frames "
+            f"({few(left_out)}); leave it out of the training takes, or ingest with a larger `fill_gap_frames`"
+        )
+    remarks = []
+    if left_out:
+        remarks.append(f"clips with invalid frames in the middle, left out: {few(left_out)}")
+    if shortened:
+        remarks.append(f"clips with invalid frames at an end, which are cut off: {few(shortened)}")
+    return TrainingClips(subclass, tuple(kept), tuple(kept.values()), remarks=tuple(remarks))
+
+
+def tasks(
+    clips: Iterable[TrainingClips], kinds: Sequence[Kind], features: int, feature_weights: F64 | None = None
+) -> list[Task]:
     """Divide subclasses into tasks worth a second or more."""
     groups: list[list[TrainingClips]] = []
     cells = _TASK_CELLS
@@ -100,24 +162,43 @@ def tasks(clips: Iterable[TrainingClips], kinds: Sequence[Kind], features: int) 
             cells = 0
         groups[-1].append(one)
         cells += one.cells
-    return [Task(tuple(group), tuple(kinds), features) for group in groups]
+    return [Task(tuple(group), tuple(kinds), features, feature_weights) for group in groups]
 
 
 def learn_task(task: Task) -> list[SubclassTemplate]:
     """Learn the templates of a task (runs in a worker)."""
-    learn = {"soft": learn_soft, "hard": learn_hard}
     return [
-        SubclassTemplate(one.subclass, kind, learn[kind](one.words, task.features), one.names)
+        _template(one, kind, learn(kind, one.words, task.features, task.feature_weights))
         for one in task.clips
         for kind in task.kinds
     ]
 
 
 def learn_templates(
-    clips: Sequence[TrainingClips], kinds: Sequence[Kind], features: int, executor: Executor
+    clips: Sequence[TrainingClips],
+    kinds: Sequence[Kind],
+    features: int,
+    executor: Executor,
+    feature_weights: F64 | None = None,
 ) -> Iterator[list[SubclassTemplate]]:
-    """Learn the templates of many subclasses, task by task, in their order."""
-    yield from executor.map(learn_task, tasks(clips, kinds, features))
+    """Learn the templates of many subclasses, task by task, the largest last.
+
+    Subclasses are spread over the workers; of a subclass with very many clips, the alignments of each round are. The
+    templates do not depend on the executor, to the last bit.
+    """
+    most = _SPLIT_CELLS if executor.workers > 1 else math.inf
+    split, whole = [one for one in clips if one.cells >= most], [one for one in clips if one.cells < most]
+    yield from executor.map(learn_task, tasks(whole, kinds, features, feature_weights))
+    for one in split:
+        for kind in kinds:
+            pieces = 4 * executor.workers
+            yield [_template(one, kind, learn(kind, one.words, features, feature_weights, executor.map, pieces))]
+
+
+def _template(clips: TrainingClips, kind: Kind, learned: Learned) -> SubclassTemplate:
+    lengths = [len(words) for words in clips.words]
+    remarks = (*clips.remarks, *clip_remarks(clips.names, lengths, learned.clip_costs))
+    return SubclassTemplate(clips.subclass, kind, learned, clips.names, clips.origin, remarks)
 
 
 def templates_table(templates: Iterable[SubclassTemplate], run: str, take_filter: str) -> pa.Table:
@@ -135,6 +216,10 @@ def templates_table(templates: Iterable[SubclassTemplate], run: str, take_filter
             "rounds": one.learned.rounds,
             "costs": list(one.learned.costs),
             "take_filter": take_filter,
+            "origin": one.origin,
+            "clip_costs": list(one.learned.clip_costs),
+            "feature_weights": one.learned.template.feature_weights,
+            "remarks": list(one.remarks),
         }
         for one in templates
     ]
@@ -153,24 +238,25 @@ def read_templates(store: Store, stage: str, kind: Kind) -> list[SubclassTemplat
     KinedexError: the stage has not run, or it learned no templates of this kind.
     """
     rows = store.result("templates", run=run_of(store, stage)).to_pylist()
-    found = [
-        SubclassTemplate(
-            row["subclass"],
-            kind,
-            Learned(
-                Template(np.array(row["values"]).reshape(row["columns"], row["features"]), np.array(row["weights"])),
-                row["rounds"],
-                tuple(row["costs"]),
-            ),
-            tuple(row["clips"]),
-        )
-        for row in rows
-        if row["kind"] == kind
-    ]
+    found = [template_of(row) for row in rows if row["kind"] == kind]
     if not found:
         has = ", ".join(sorted({row["kind"] for row in rows})) or "none"
         raise KinedexError(f"stage {stage} learned no {kind} templates (it has: {has}); set its `methods`")
     return sorted(found, key=lambda one: one.subclass)
+
+
+def template_of(row: dict[str, Any]) -> SubclassTemplate:
+    """A row of the results `templates` as what it was made from."""
+    counts = row["feature_weights"]
+    template = Template(
+        np.array(row["values"]).reshape(row["columns"], row["features"]),
+        np.array(row["weights"]),
+        None if counts is None else np.array(counts),
+    )
+    learned = Learned(template, row["rounds"], tuple(row["costs"]), tuple(row["clip_costs"]))
+    return SubclassTemplate(
+        row["subclass"], row["kind"], learned, tuple(row["clips"]), row["origin"], tuple(row["remarks"])
+    )
 
 
 def run_of(store: Store, stage: str) -> str:

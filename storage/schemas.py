@@ -71,6 +71,10 @@ _RESULTS: dict[str, pa.Schema] = {
         ("rounds", pa.int32()),
         ("costs", pa.list_(pa.float64())),
         ("take_filter", pa.string()),
+        ("origin", pa.string()),
+        ("clip_costs", pa.list_(pa.float64())),
+        ("feature_weights", pa.list_(pa.float64())),
+        ("remarks", pa.list_(pa.string())),
     ),
     "annotated_takes": _fields(
         _RUN,

@@ -30,9 +30,8 @@ from pipelines.learning import (
     TrainingClips,
     learn_templates,
     read_templates,
-    training_clips,
-    training_takes,
 )
+from pipelines.recipes import feature_weights
 from pipelines.stages import annotate
 from pipelines.stages import evaluate as evaluating
 from pipelines.stages import learn_templates as learning
@@ -104,15 +103,17 @@ def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tu
         raise KinedexError(f"takes have no column '{params.column}'{did_you_mean(params.column, takes.columns)}")
     classes = evaluating.classes_of(context, store)
     truth = evaluating.ground_truth(store, evaluated, takes, classes)
-    training = training_takes(store, learned.where)
-    folds = _folds(context, params.column, takes, truth, training, training_clips(store, training))
+    training = learning.takes_to_learn_from(store, learned)
+    clips = learning.clips_to_learn_from(store, learned, training)
+    folds = _folds(context, params.column, takes, truth, training, clips)
     plain = read_templates(store, context.key(context.inputs["templates"]), annotated.templates)
-    templates = _templates(context, folds, plain, annotated)
+    templates = _templates(context, folds, plain, annotated, learned)
     setting = Setting(store, annotated, classes, annotate.queries_of(store, annotated))
     results = []
     with context.progress("folds", len(folds)) as progress:
         for fold in folds:
-            own = [templates[one.subclass, one.names] for one in fold.clips]
+            known = [templates[one.subclass, one.names] for one in fold.clips]
+            own = learning.completed(known, learned, store.feature_set, [annotated.templates], where_possible=True)
             results.append((fold.value, _evaluate_fold(context, setting, fold, own, name)))
             progress.advance()
     return results
@@ -137,7 +138,7 @@ def _folds(
         remaining = tuple(rest for one in clips if (rest := without(one, left_out)).names)
         if not left_out:
             context.say(f"{value}: no training clip is of {column} {value}, so the fold equals the plain result")
-        if not remaining:
+        if clips and not remaining:
             context.say(f"{value}: all training clips are of {column} {value}; there is no fold without them")
             continue
         gone = sorted({one.subclass for one in clips} - {one.subclass for one in remaining})
@@ -159,15 +160,20 @@ def without(clips: TrainingClips, names: set[str]) -> TrainingClips:
 
 
 def _templates(
-    context: StageContext, folds: Sequence[Fold], plain: Sequence[SubclassTemplate], params: annotate.Params
+    context: StageContext,
+    folds: Sequence[Fold],
+    plain: Sequence[SubclassTemplate],
+    params: annotate.Params,
+    learned_with: learning.Params,
 ) -> dict[tuple[str, tuple[str, ...]], SubclassTemplate]:
     """Learn each template that any fold needs once; those of all clips are known already. Key: subclass, clips."""
     known = {(one.subclass, one.clips): one for one in plain}
     wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
     missing = [clips for key, clips in wanted.items() if key not in known]
     features = len(context.feature_set.features)
+    counts = feature_weights(learned_with.weights, context.feature_set)
     with context.progress("templates", len(missing)) as progress:
-        for learned in learn_templates(missing, [params.templates], features, context.executor):
+        for learned in learn_templates(missing, [params.templates], features, context.executor, counts):
             known |= {(one.subclass, one.clips): one for one in learned}
             progress.advance(len(learned))
     return known
