@@ -46,7 +46,8 @@ def connect(store: Store, threads: int | None = None, memory_mb: int | None = No
             parts = [(part_file(store.path, part.path), ()) for part in store.manifest.results.get(kind, ())]
             _view(connection, kind, duck.parquet_rows(result_schema(kind), parts))
         for macro in MACROS:
-            if macro.needs == "frames" or (not indexed and not _reads_index(macro)):
+            # also those that the index file has for other clients: it may be of an older kinedex
+            if indexed or not _reads_index(macro):
                 connection.execute(macro.sql(temporary=True))
     except duck.Error as fault:
         connection.close()

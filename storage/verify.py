@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from catalog.views import VIEWS
 from ops.errors import KinedexError
 from storage import duck, index
+from storage.index.checks import problems
 from storage.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
 from storage.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
 from storage.store import Store
@@ -213,20 +213,8 @@ def _index(store: Store) -> Iterable[Finding]:
         if hashlib.file_digest(content, "sha256").hexdigest() != says.sha256:
             yield Finding(file, "its content does not fit its checksum", remove)
             return
-    yield from _index_counts(store, file, says.rows, remove)
-
-
-def _index_counts(store: Store, file: str, rows: dict[str, int], remedy: str) -> Iterator[Finding]:
-    with duck.connect() as connection:
-        connection.execute(f"ATTACH {duck.quote(str(store.path / file))} AS idx (READ_ONLY)")
-        for view in VIEWS:
-            if view.origin == "index":
-                count = duck.query(connection, f"SELECT count(*) FROM idx.{view.name}").column(0)[0].as_py()
-                if count != rows.get(view.name):
-                    yield Finding(file, f"{view.name} has {count} rows, not {rows.get(view.name)}", remedy)
-        total = duck.query(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM idx.takes").column(0)[0].as_py()
-        for name in store.feature_set.sets:
-            query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM idx.vocabulary WHERE feature_set = ?"
-            frames = duck.query(connection, query, [name]).column(0)[0].as_py()
-            if frames != total:
-                yield Finding(file, f"the words of {name} fill {frames} frames, the takes have {total}", remedy)
+    try:
+        for problem in problems(store, generation, says):
+            yield Finding(file, problem, remove)
+    except (KinedexError, duck.Error) as fault:
+        yield Finding(file, f"cannot be read: {str(fault).splitlines()[0]}", remove)

@@ -11,6 +11,7 @@ import pytest
 from ops.errors import StoreError
 from ops.words import cut
 from storage import index
+from storage.index import tables
 from storage.lock import Lock
 from storage.store import Store, open_store
 from storage.writer import StoreWriter
@@ -160,7 +161,7 @@ def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypa
 
     later = change(store, 5)
     before = sorted(os.listdir(store.path / "index"))
-    monkeypatch.setattr(index, "_insert_runs", full)
+    monkeypatch.setattr(tables, "insert", full)
     with pytest.raises(StoreError, match=r"the index cannot be built: .*No space left on device; .*`kinedex gc`"):
         index.build(later)
     assert sorted(os.listdir(store.path / "index")) == before

@@ -174,7 +174,7 @@ def test_nothing_run_on_a_connection_changes_the_store(store: Store) -> None:
     with store.connect(threads=1, memory_mb=256) as connection:
         connection.execute("CREATE TEMP TABLE mine AS SELECT * FROM word_runs LIMIT 3")
         with pytest.raises(Exception, match="read-only"):
-            connection.execute("DELETE FROM word_runs")
+            connection.execute("DELETE FROM stored_feature_runs")
     assert {path: path.stat().st_mtime_ns for path in store.path.rglob("*") if path.is_file()} == before
 
 

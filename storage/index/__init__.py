@@ -1,0 +1,32 @@
+"""The index: word runs, feature runs and vocabulary of a store's takes, in one DuckDB file per published generation.
+
+Its rows lie in shards, each made from the words of some frames parts. A new generation is a copy of the one before in
+which only the shards change whose parts have changed.
+"""
+
+from storage.index.builder import build
+from storage.index.generations import (
+    BUILD,
+    BUILDING,
+    GENERATION,
+    INDEX_VERSION,
+    Generation,
+    current,
+    missing,
+    read_generation,
+)
+from storage.index.tables import features_table, help_table
+
+__all__ = [
+    "BUILD",
+    "BUILDING",
+    "GENERATION",
+    "INDEX_VERSION",
+    "Generation",
+    "build",
+    "current",
+    "features_table",
+    "help_table",
+    "missing",
+    "read_generation",
+]

@@ -1,0 +1,246 @@
+"""Building the index aside and publishing it: a copy of the generation before, made anew where parts have changed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from ops.errors import StoreError
+from storage import duck
+from storage.disk import sync_folder, writing
+from storage.frames import read_words
+from storage.index import tables
+from storage.index.generations import (
+    BUILDING,
+    FILE,
+    GENERATION,
+    INDEX_VERSION,
+    SAYS,
+    Generation,
+    Shard,
+    current,
+    generations,
+    is_whole,
+    read_generation,
+)
+from storage.index.plan import SHARD_FRAMES, Plan, plan, shard_parts
+from storage.lock import Lock
+from storage.manifest import Part, now
+
+if TYPE_CHECKING:
+    from storage.store import Store
+
+MOST_WASTE = 2.0
+"""A file that has grown to more than this many times the size that it would have anew is written anew."""
+
+SPARE_BYTES = 4_000_000
+"""Bytes that a small file may waste all the same."""
+
+_AHEAD = 4
+"""Most shards that are made while one is being stored, whatever the number of cores: each is some 100 MB."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def build(
+    store: Store, threads: int | None = None, memory_mb: int | None = None, shard_frames: int = SHARD_FRAMES
+) -> Path:
+    """Build and publish the index of a store's live takes, unless it stands already; the newest two are kept.
+
+    What the generation before has of the same takes is copied, not made again.
+
+    Parameters
+    ----------
+    store: the version to index.
+    threads: how many to use, for making shards and for storing them; None takes one for every core.
+    memory_mb: what DuckDB may use; None leaves it to DuckDB.
+    shard_frames: frames from which a shard is full.
+
+    Returns
+    -------
+    The generation's folder. Readers that have an older generation open keep it.
+
+    Raises
+    ------
+    StoreError: another process builds an index of this store, a part cannot be read, or there is no space for the
+        index; the generation before stays.
+    """
+    folder = store.path / "index"
+    with writing(folder):
+        folder.mkdir(exist_ok=True)
+    with Lock(folder / "lock", "this build"):
+        standing = current(store.path, store.manifest)
+        if standing is not None and _stands(store, standing):
+            return standing
+        for leftover in folder.glob(f"{BUILDING}*"):
+            shutil.rmtree(leftover)
+        building = folder / f"{BUILDING}{uuid.uuid4().hex}"
+        replaced = folder / f"{BUILDING}{uuid.uuid4().hex}"
+        generation = folder / f"{GENERATION}{store.manifest.version:06d}"
+        try:
+            with writing(building):
+                building.mkdir()
+                _build(store, building, threads, memory_mb, shard_frames)
+                if generation.exists():
+                    # damaged, of another version of the index, or with other macros: or it would have been returned
+                    os.rename(generation, replaced)
+                os.rename(building, generation)
+                sync_folder(folder)
+        finally:
+            shutil.rmtree(building, ignore_errors=True)
+            shutil.rmtree(replaced, ignore_errors=True)
+        for old in generations(store.path)[2:]:
+            shutil.rmtree(old)
+        return generation
+
+
+def _stands(store: Store, generation: Path) -> bool:
+    says = read_generation(generation)
+    return (
+        says is not None and says.surface == tables.surface(store.feature_set, store.rate_hz) and is_whole(generation)
+    )
+
+
+@dataclass(frozen=True)
+class _Start:
+    """What a build begins with: the shards of an earlier generation that was copied, or none in an empty file."""
+
+    shards: tuple[Shard, ...] = ()
+    whole_bytes_per_frame: float | None = None
+
+
+def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | None, shard_frames: int) -> None:
+    began = time.perf_counter()
+    file = folder / FILE
+    start = _copied(store, file)
+    work = plan(store.manifest.frames, start.shards, shard_frames)
+    connection = duck.connect(threads, memory_mb)
+    try:
+        # this storage version is read by DuckDB 1.5 as well as by 2.x
+        version = "" if start.shards else "(STORAGE_VERSION 'v1.5.0')"
+        connection.execute(f"ATTACH {duck.quote(str(file))} AS building {version}")
+        connection.execute("USE building")
+        connection.execute("BEGIN")
+        if not start.shards:
+            tables.create(connection, store.feature_set)
+        tables.delete(connection, store.feature_set, work.removed, work.dropped)
+        fresh = _insert(connection, store, work, start, threads)
+        tables.describe(connection, store)
+        rows = tables.count(connection)
+        valid = tables.valid_frames(connection, store.feature_set)
+        connection.execute("COMMIT")
+        connection.execute("USE memory")
+        connection.execute("DETACH building")
+    except duck.Error as fault:
+        raise StoreError(
+            f"{file}: the index cannot be built: {duck.first_line(fault)}; where space on disk or memory is short, "
+            "make room (`kinedex gc` removes what only old versions need) or set `memory_mb` of the stage `index`"
+        ) from None
+    finally:
+        connection.close()
+    with open(file, "rb") as content:
+        os.fsync(content.fileno())
+        digest = hashlib.file_digest(content, "sha256").hexdigest()
+    shards = (*work.kept, *fresh)
+    size = file.stat().st_size
+    says = Generation(
+        index_version=INDEX_VERSION,
+        manifest_version=store.manifest.version,
+        content=store.manifest.content_digest(),
+        feature_set_digest=store.feature_set.digest,
+        rate_hz=store.rate_hz,
+        surface=tables.surface(store.feature_set, store.rate_hz),
+        shards=shards,
+        rows=rows,
+        valid_frames=valid,
+        bytes=size,
+        sha256=digest,
+        whole_bytes_per_frame=start.whole_bytes_per_frame or size / max(1, sum(shard.frames for shard in shards)),
+        built=now(),
+        built_frames=sum(shard.frames for shard in fresh),
+        build_seconds=round(time.perf_counter() - began, 3),
+    )
+    with open(folder / SAYS, "w", encoding="utf-8") as said:
+        said.write(says.to_json())
+        said.flush()
+        os.fsync(said.fileno())
+    sync_folder(folder)
+
+
+def _copied(store: Store, file: Path) -> _Start:
+    """Copy the newest generation that can serve as a start; an empty start where none can."""
+    for generation in generations(store.path):
+        says = read_generation(generation)
+        if (
+            says is not None
+            and says.shards
+            and (says.index_version, says.feature_set_digest, says.rate_hz)
+            == (INDEX_VERSION, store.feature_set.digest, store.rate_hz)
+            and says.bytes <= MOST_WASTE * says.whole_bytes_per_frame * says.frames + SPARE_BYTES
+        ):
+            if _copy(generation / FILE, file) == says.sha256:
+                return _Start(says.shards, says.whole_bytes_per_frame)
+            # damaged: what is copied from it would get a checksum that fits
+            file.unlink(missing_ok=True)
+    return _Start()
+
+
+def _copy(source: Path, target: Path) -> str:
+    """Copy a file and return its checksum; an empty text where it is not there."""
+    digest = hashlib.sha256()
+    try:
+        with open(source, "rb") as content, open(target, "wb") as copy:
+            while piece := content.read(1 << 20):
+                digest.update(piece)
+                copy.write(piece)
+    except FileNotFoundError:
+        return ""
+    return digest.hexdigest()
+
+
+def _insert(
+    connection: duck.Connection, store: Store, work: Plan, start: _Start, threads: int | None
+) -> tuple[Shard, ...]:
+    """Make the new shards, several at a time, and store them in their order."""
+
+    def make(parts: tuple[Part, ...]) -> tables.ShardRows:
+        words = read_words(store.path, replace(store.manifest, frames=parts), None)
+        return tables.make_shard(words, store.feature_set)
+
+    number = max((shard.number for shard in start.shards), default=0)
+    fresh = []
+    workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
+    for parts, rows in zip(work.fresh, _ahead(make, work.fresh, workers), strict=True):
+        number += 1
+        tables.insert(connection, number, rows)
+        fresh.append(Shard(number, shard_parts(parts), rows.frames, rows.frames))
+    return tuple(fresh)
+
+
+def _ahead(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
+    """Apply a function in threads, at most one item a thread ahead of what is taken; results in the items' order."""
+    if workers <= 1:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting: deque[Future[Result]] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(function, item))
+                if len(waiting) > workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

@@ -1,0 +1,67 @@
+"""Checking a published index against what it says of itself and against the store that it indexes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from catalog.features import FeatureSet
+from storage import duck
+from storage.index import tables
+from storage.index.generations import FILE, Generation
+from storage.index.plan import ids
+
+if TYPE_CHECKING:
+    from storage.store import Store
+
+
+def problems(store: Store, generation: Path, says: Generation) -> Iterator[str]:
+    """What is wrong with the content of an index whose file is, byte by byte, the published one.
+
+    Every live take is in one shard; the tables have as many rows as they should; in every shard the lists of a feature
+    set have the runs and the frames that its vocabulary counts; the words of every set fill all frames that have one.
+    """
+    # by takes, not by parts: compaction has put them into other parts, and the index stays what it is
+    held = sorted(take for shard in says.shards for part in shard.parts for take in ids(part))
+    if held != list(store.manifest.live_takes):
+        yield "its shards do not hold every live take once"
+    with duck.connect() as connection:
+        connection.execute(f"ATTACH {duck.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
+        connection.execute("USE idx")
+        for view, count in tables.count(connection).items():
+            if count != says.rows.get(view):
+                yield f"{view} has {count} rows, not {says.rows.get(view)}"
+        yield from _frames(connection, store.feature_set, says)
+        yield from _shards(connection, store.feature_set, says)
+
+
+def _frames(connection: duck.Connection, feature_set: FeatureSet, says: Generation) -> Iterator[str]:
+    total = duck.query(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM takes").column(0)[0].as_py()
+    if total != says.frames:
+        yield f"its shards have {says.frames} frames, the takes have {total}"
+    if says.valid_frames > says.frames:
+        yield f"{says.valid_frames} of {says.frames} frames have a word"
+    for name in feature_set.sets:
+        query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = ?"
+        frames = duck.query(connection, query, [name]).column(0)[0].as_py()
+        if frames != says.valid_frames:
+            yield f"the words of {name} fill {frames} frames, {says.valid_frames} have a word"
+
+
+def _shards(connection: duck.Connection, feature_set: FeatureSet, says: Generation) -> Iterator[str]:
+    numbers = {shard.number for shard in says.shards}
+    for name in sorted(feature_set.sets):
+        counted = duck.query(
+            connection,
+            f"""SELECT coalesce(r.shard, v.shard) AS shard, r.runs IS NOT DISTINCT FROM v.runs
+                AND r.frames IS NOT DISTINCT FROM v.frames AS same
+            FROM (SELECT shard, count(*) AS runs, sum(frames) AS frames FROM {tables.lists_table(name)} GROUP BY 1) AS r
+            FULL JOIN (SELECT shard, sum(runs) AS runs, sum(frames) AS frames FROM stored_vocabulary
+                WHERE feature_set = {duck.quote(name)} GROUP BY 1) AS v ON r.shard = v.shard ORDER BY 1""",
+        )
+        for shard, same in zip(*(column.to_pylist() for column in counted.columns), strict=True):
+            if shard not in numbers:
+                yield f"{name} has rows of a shard {shard} that is none"
+            elif not same:
+                yield f"the lists of {name} in shard {shard} are not those that its vocabulary counts"

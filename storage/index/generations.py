@@ -1,0 +1,138 @@
+"""Published generations of the index: what each says of itself, and which one fits a version of the store."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ops.errors import StoreError
+from storage.manifest import Manifest
+
+INDEX_VERSION = 2
+"""Version of the index's tables; an index of another version is stale."""
+
+BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
+
+BUILDING, GENERATION = ".building-", "gen-"
+"""How the folders of unfinished and of published indexes are named."""
+
+FILE, SAYS = "index.duckdb", "generation.json"
+"""The files of a generation: the index itself, and what it says of itself."""
+
+
+@dataclass(frozen=True)
+class ShardPart:
+    """What a shard holds of one frames part: the part's checksum, and takes as half-open ranges of ids."""
+
+    sha256: str
+    takes: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Rows of the index that were made together, from the live takes of some frames parts.
+
+    number: what the column `shard` of its rows says. frames: of its takes. built_frames: when it was made; what it has
+    lost since was deleted.
+    """
+
+    number: int
+    parts: tuple[ShardPart, ...]
+    frames: int
+    built_frames: int
+
+
+@dataclass(frozen=True)
+class Generation:
+    """What a published index says of itself (`generation.json`).
+
+    content: `Manifest.content_digest` of the takes that it indexes. surface: `storage.index.tables.surface` of its
+    views and macros. rows: of each view. valid_frames: frames of all takes that have a word. whole_bytes_per_frame:
+    size of the file when it was last written whole. built_frames: those that were indexed anew for this generation.
+    """
+
+    index_version: int
+    manifest_version: int
+    content: str
+    feature_set_digest: str
+    rate_hz: float
+    surface: str
+    shards: tuple[Shard, ...]
+    rows: dict[str, int]
+    valid_frames: int
+    bytes: int
+    sha256: str
+    whole_bytes_per_frame: float
+    built: str
+    built_frames: int
+    build_seconds: float
+
+    @property
+    def frames(self) -> int:
+        """The frames of all its takes."""
+        return sum(shard.frames for shard in self.shards)
+
+    def to_json(self) -> str:
+        """As it stands in `generation.json`."""
+        return json.dumps(asdict(self), indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Generation:
+        """The inverse of `to_json`; a ValueError, TypeError or KeyError where the text is none of its making."""
+        values = json.loads(text)
+        values["shards"] = tuple(_shard(shard) for shard in values["shards"])
+        return cls(**values)
+
+
+def _shard(values: dict[str, object]) -> Shard:
+    parts = values["parts"]
+    if not isinstance(parts, list):
+        raise ValueError("parts must be a list")
+    known = tuple(ShardPart(part["sha256"], tuple((first, stop) for first, stop in part["takes"])) for part in parts)
+    return Shard(**{**values, "parts": known})  # type: ignore[arg-type]
+
+
+def current(store: Path, manifest: Manifest) -> Path | None:
+    """The newest generation that indexes exactly the live takes of this version; None where there is none."""
+    content = manifest.content_digest()
+    for generation in generations(store):
+        says = read_generation(generation)
+        if says is not None and says.index_version == INDEX_VERSION and says.content == content:
+            file = generation / FILE
+            if file.is_file() and file.stat().st_size == says.bytes:
+                return generation
+    return None
+
+
+def read_generation(generation: Path) -> Generation | None:
+    """What a generation says of itself; None where that cannot be read."""
+    try:
+        return Generation.from_json((generation / SAYS).read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def is_whole(generation: Path) -> bool:
+    """Whether the file is, byte by byte, the one that was published."""
+    says = read_generation(generation)
+    try:
+        with open(generation / FILE, "rb") as content:
+            return says is not None and hashlib.file_digest(content, "sha256").hexdigest() == says.sha256
+    except OSError:
+        return False
+
+
+def missing(store: Path) -> StoreError:
+    """The error for a store whose index is missing or does not fit its takes."""
+    state = "stale: the takes have changed since it was built" if generations(store) else "missing"
+    return StoreError(f"{store}: the index is {state}; {BUILD}")
+
+
+def generations(store: Path) -> list[Path]:
+    """The folders of all published generations, newest first."""
+    folder = store / "index"
+    names = os.listdir(folder) if folder.is_dir() else []
+    return [folder / name for name in sorted(names, reverse=True) if name.startswith(GENERATION)]

@@ -1,0 +1,155 @@
+"""Which shards of an index stand, which lose takes, and which are made anew, at a cost that follows what has changed.
+
+Frames parts are put together into shards of `SHARD_FRAMES` frames. What is added later becomes a shard of its own, and
+small shards are merged by tiers, as small parts are (`storage.compaction`): a tier with `FANOUT` shards or more becomes
+one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small. Takes that are
+gone are deleted from their shard until half of it is gone; then it is made anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from storage.index.generations import Shard, ShardPart
+from storage.manifest import Part, ranges
+
+SHARD_FRAMES = 1_048_576
+"""A shard of this many frames (9.7 hours at 30 Hz) is full. Making one takes some 100 MB of memory; the runs of one
+word lie in as many places as there are shards, and 400 hours have some forty."""
+
+FANOUT = 8
+"""How many shards of one tier are merged; also the ratio of the tiers' sizes."""
+
+SMALLEST = 4096
+"""Shards below this many frames are all of the lowest tier."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How to get from the shards of one generation to those of the next.
+
+    kept: shards whose rows stay, as they are afterwards. dropped: number of a kept shard → the takes that it loses.
+    removed: numbers of the shards whose rows all go. fresh: for every new shard the parts that it is made from.
+    """
+
+    kept: tuple[Shard, ...]
+    dropped: dict[int, tuple[int, ...]]
+    removed: tuple[int, ...]
+    fresh: tuple[tuple[Part, ...], ...]
+
+
+@dataclass(frozen=True)
+class _Group:
+    parts: tuple[Part, ...]
+    frames: int
+    shard: Shard | None = None
+
+
+def plan(parts: Iterable[Part], before: Sequence[Shard], shard_frames: int = SHARD_FRAMES) -> Plan:
+    """Decide what happens to every shard.
+
+    Parameters
+    ----------
+    parts: the frames parts of the version to index.
+    before: the shards that there are; none to make everything anew.
+    shard_frames: shards of this size are full, and are not merged any more.
+    """
+    loose = {part.sha256: part for part in parts if part.live}
+    groups: list[_Group] = []
+    dropped: dict[int, tuple[int, ...]] = {}
+    for shard in before:
+        stays = _stays(shard, loose)
+        if 2 * sum(part.live_rows for part in stays) < shard.built_frames or not stays:
+            continue
+        for part in stays:
+            del loose[part.sha256]
+        if gone := _gone(shard, stays):
+            dropped[shard.number] = gone
+        groups.append(_Group(stays, sum(part.live_rows for part in stays), shard))
+    groups = _merged(groups + _packed(loose.values(), shard_frames), shard_frames)
+    kept = tuple(_after(group.shard, group.parts) for group in groups if group.shard is not None)
+    numbers = {shard.number for shard in kept}
+    return Plan(
+        kept,
+        {number: takes for number, takes in dropped.items() if number in numbers},
+        tuple(shard.number for shard in before if shard.number not in numbers),
+        tuple(group.parts for group in groups if group.shard is None),
+    )
+
+
+def shard_parts(parts: Iterable[Part]) -> tuple[ShardPart, ...]:
+    """What a shard says of the parts that it is made from."""
+    return tuple(ShardPart(part.sha256, _ranges(part)) for part in parts)
+
+
+def ids(part: ShardPart) -> Iterable[int]:
+    """The takes that a shard holds of a part."""
+    return chain.from_iterable(range(first, stop) for first, stop in part.takes)
+
+
+def _stays(shard: Shard, live: dict[str, Part]) -> tuple[Part, ...]:
+    """The parts of a shard that are still there; a part in which takes have come to life again is another part."""
+    found = []
+    for member in shard.parts:
+        part = live.get(member.sha256)
+        if part is not None and (_ranges(part) == member.takes or set(part.live) <= set(ids(member))):
+            found.append(part)
+    return tuple(found)
+
+
+def _gone(shard: Shard, stays: tuple[Part, ...]) -> tuple[int, ...]:
+    left = {part.sha256: part for part in stays}
+    gone: set[int] = set()
+    for member in shard.parts:
+        part = left.get(member.sha256)
+        if part is None:
+            gone.update(ids(member))
+        elif _ranges(part) != member.takes:
+            gone.update(set(ids(member)).difference(part.live))
+    return tuple(sorted(gone))
+
+
+def _after(shard: Shard, parts: tuple[Part, ...]) -> Shard:
+    return replace(shard, parts=shard_parts(parts), frames=sum(part.live_rows for part in parts))
+
+
+def _ranges(part: Part) -> tuple[tuple[int, int], ...]:
+    return tuple((first, stop) for first, stop in ranges(part.live))
+
+
+def _packed(parts: Iterable[Part], shard_frames: int) -> list[_Group]:
+    """Parts in order of their takes, put together until a shard is full; no part is divided."""
+    groups: list[_Group] = []
+    waiting: list[Part] = []
+    frames = 0
+    for part in sorted(parts, key=lambda part: part.live[0]):
+        waiting.append(part)
+        frames += part.live_rows
+        if frames >= shard_frames:
+            groups.append(_Group(tuple(waiting), frames))
+            waiting, frames = [], 0
+    return [*groups, _Group(tuple(waiting), frames)] if waiting else groups
+
+
+def _merged(groups: list[_Group], shard_frames: int) -> list[_Group]:
+    """Merge the tiers that have filled, the lowest first, until none is left."""
+    while True:
+        tiers: dict[int, list[_Group]] = {}
+        for group in groups:
+            if group.frames < shard_frames:
+                tiers.setdefault(_tier(group.frames), []).append(group)
+        full = [tiers[tier] for tier in sorted(tiers) if len(tiers[tier]) >= FANOUT]
+        if not full:
+            return groups
+        members = {id(group) for group in full[0]}
+        together = chain.from_iterable(group.parts for group in full[0])
+        groups = [group for group in groups if id(group) not in members] + _packed(together, shard_frames)
+
+
+def _tier(frames: int) -> int:
+    tier = 0
+    while frames >= SMALLEST * FANOUT**tier:
+        tier += 1
+    return tier

@@ -1,0 +1,216 @@
+"""What stands in an index file: the tables that hold the rows of shards, and the views and macros over them.
+
+`stored_word_runs_<set>`, `stored_feature_runs` and `stored_vocabulary` hold the rows of all shards, one shard after the
+other, each sorted; the column `shard` says whose a row is. A run is stored with its length, which takes a third of the
+room that its end would take. `word_runs`, `feature_runs` and `vocabulary` show them as `catalog.views` says.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from catalog.features import FeatureSet
+from catalog.views import MACROS, VIEWS, help_rows
+from ops.inverted import InvertedLists, inverted_lists
+from ops.runs import FeatureRuns, feature_runs
+from ops.words import I64, TakeWords
+from storage import duck
+
+if TYPE_CHECKING:
+    from storage.store import Store
+
+BATCH = 122_880
+"""Rows of a DuckDB row group: batches of this size are compressed by several threads."""
+
+
+class ShardRows(NamedTuple):
+    """The rows of a shard before they are stored: feature set → inverted lists; feature runs; both by take position."""
+
+    take_ids: I64
+    lists: dict[str, InvertedLists]
+    features: FeatureRuns
+    frames: int
+
+
+def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
+    """Make the rows of a shard from the words of its takes; any thread may."""
+    lists = {
+        name: inverted_lists(words.words, words.offsets, home.first, home.count)
+        for name, home in feature_set.sets.items()
+    }
+    features = feature_runs(words.words, words.offsets, len(feature_set.features))
+    return ShardRows(words.take_ids, lists, features, len(words.words))
+
+
+def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
+    """Make the tables that hold the rows of shards."""
+    run = "take_id BIGINT, start INTEGER, frames INTEGER"
+    for name in feature_set.sets:
+        connection.execute(f"CREATE TABLE {lists_table(name)} (shard INTEGER, word UBIGINT, {run})")
+    connection.execute(f"CREATE TABLE stored_feature_runs (shard INTEGER, feature UTINYINT, {run})")
+    seen = "feature_set VARCHAR, word UBIGINT, runs BIGINT, frames BIGINT"
+    connection.execute(f"CREATE TABLE stored_vocabulary (shard INTEGER, {seen})")
+
+
+def insert(connection: duck.Connection, number: int, rows: ShardRows) -> None:
+    """Store the rows of a shard."""
+    for name, lists in rows.lists.items():
+        columns = {
+            "word": np.repeat(lists.words, lists.runs),
+            "take_id": rows.take_ids[lists.take],
+            "start": lists.start,
+            "frames": lists.length,
+        }
+        _insert(connection, lists_table(name), f"{number}, *", columns)
+        seen = {"word": lists.words, "runs": lists.runs, "frames": lists.frames}
+        _insert(connection, "stored_vocabulary", f"{number}, {duck.quote(name)}, *", seen)
+    runs = rows.features
+    columns = {
+        "feature": runs.feature.astype(np.uint8),
+        "take_id": rows.take_ids[runs.take],
+        "start": runs.start.astype(np.int32),
+        "frames": (runs.stop - runs.start).astype(np.int32),
+    }
+    _insert(connection, "stored_feature_runs", f"{number}, *", columns)
+
+
+def delete(
+    connection: duck.Connection, feature_set: FeatureSet, removed: tuple[int, ...], dropped: dict[int, tuple[int, ...]]
+) -> None:
+    """Delete the rows of whole shards, and of the takes that other shards lose.
+
+    Parameters
+    ----------
+    removed: numbers of shards. dropped: number of a shard → the ids of takes.
+    """
+    runs = {lists_table(name): name for name in feature_set.sets} | {"stored_feature_runs": ""}
+    if removed:
+        for table in (*runs, "stored_vocabulary"):
+            connection.execute(f"DELETE FROM {table} WHERE shard IN ({', '.join(map(str, removed))})")
+    for number, takes in dropped.items():
+        connection.register("gone", pa.table({"take_id": np.array(takes, np.int64)}))
+        for table in runs:
+            connection.execute(f"DELETE FROM {table} WHERE shard = {number} AND take_id IN (SELECT take_id FROM gone)")
+        connection.unregister("gone")
+        connection.execute(f"DELETE FROM stored_vocabulary WHERE shard = {number}")
+        for table, name in runs.items():
+            if name:
+                connection.execute(
+                    f"INSERT INTO stored_vocabulary SELECT {number}, {duck.quote(name)}, word, count(*), sum(frames) "
+                    f"FROM {table} WHERE shard = {number} GROUP BY word ORDER BY word"
+                )
+
+
+def describe(connection: duck.Connection, store: Store) -> None:
+    """Make everything that stands beside the shards anew: takes, features, help, vocabulary, views and macros."""
+    _clear(connection)
+    _create_as(connection, "features", features_table(store), "ORDER BY number")
+    _create_as(connection, "help", help_table(index_only=True), "")
+    _create_as(connection, "takes", store.takes().to_arrow(), "ORDER BY name")
+    connection.execute(
+        "CREATE TABLE vocabulary AS SELECT feature_set, word, sum(runs)::BIGINT AS runs, sum(frames)::BIGINT AS frames "
+        "FROM stored_vocabulary GROUP BY feature_set, word ORDER BY feature_set, word"
+    )
+    for statement in _statements(store.feature_set, store.rate_hz):
+        connection.execute(statement)
+
+
+def count(connection: duck.Connection) -> dict[str, int]:
+    """The number of rows of every view of the index."""
+    tables = [view.name for view in VIEWS if view.origin == "index"]
+    counted = ((table, duck.query(connection, f"SELECT count(*) FROM {table}")) for table in tables)
+    return {table: int(found.column(0)[0].as_py()) for table, found in counted}
+
+
+def valid_frames(connection: duck.Connection, feature_set: FeatureSet) -> int:
+    """The frames of all takes that have a word; the words of every feature set fill as many."""
+    name = duck.quote(min(feature_set.sets))
+    query = f"SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = {name}"
+    return int(duck.query(connection, query).column(0)[0].as_py())
+
+
+def surface(feature_set: FeatureSet, rate_hz: float) -> str:
+    """A hash of the views, macros and help of an index; where it differs, they are out of date, the rows are not."""
+    text = "\n".join([*_statements(feature_set, rate_hz), *map(repr, help_rows(index_only=True))])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def features_table(store: Store) -> pa.Table:
+    """The rows of the view `features`."""
+    rows = []
+    for feature in store.feature_set.features:
+        home = store.feature_set.set_of(feature.number)
+        rows.append(
+            {
+                "number": feature.number,
+                "name": feature.name,
+                "description": feature.description,
+                "feature_set": home.name,
+                "bit": feature.number - home.first,
+            }
+        )
+    small = {"number": pa.uint8(), "bit": pa.uint8()}
+    fields = [(name, small.get(name, pa.string())) for name in ("number", "name", "description", "feature_set", "bit")]
+    return pa.Table.from_pylist(rows, schema=pa.schema(fields))
+
+
+def help_table(*, index_only: bool = False) -> pa.Table:
+    """The rows of the view `help`."""
+    columns = ("name", "call", "summary", "example")
+    rows = help_rows(index_only=index_only)
+    return pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows])
+
+
+def lists_table(feature_set: str) -> str:
+    """The table that holds the word runs of a feature set, as SQL names it."""
+    return duck.name(f"stored_word_runs_{feature_set}")
+
+
+def _statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
+    # every column with its table's name: a bare one would be taken for an argument of a macro that is called so
+    lists = [
+        f"SELECT {duck.quote(name)} AS feature_set, s.word, s.take_id, s.start, s.start + s.frames AS stop "
+        f"FROM {lists_table(name)} AS s"
+        for name in sorted(feature_set.sets)
+    ]
+    return [
+        f"CREATE VIEW word_runs AS {' UNION ALL '.join(lists)}",
+        "CREATE VIEW feature_runs AS SELECT s.feature, s.take_id, s.start, s.start + s.frames AS stop, "
+        f"s.frames / {rate_hz!r}::DOUBLE AS seconds FROM stored_feature_runs AS s",
+        *(macro.sql() for macro in MACROS if macro.needs == "index"),
+    ]
+
+
+def _clear(connection: duck.Connection) -> None:
+    """Drop what an earlier generation had beside the shards."""
+    for source, kind, where in (
+        ("duckdb_views()", "view_name, 'VIEW'", ""),
+        ("duckdb_functions()", "function_name, IF(function_type = 'table_macro', 'MACRO TABLE', 'MACRO')", ""),
+        ("duckdb_tables()", "table_name, 'TABLE'", "AND table_name NOT LIKE 'stored!_%' ESCAPE '!'"),
+    ):
+        found = duck.query(
+            connection,
+            f"SELECT DISTINCT {kind} FROM {source} "
+            f"WHERE database_name = current_database() AND schema_name = 'main' AND NOT internal {where}",
+        )
+        for name, what in zip(*(column.to_pylist() for column in found.columns), strict=True):
+            connection.execute(f"DROP {what} {duck.name(name)}")
+
+
+def _create_as(connection: duck.Connection, table: str, source: pa.Table, order: str) -> None:
+    connection.register("source", source)
+    connection.execute(f"CREATE TABLE {table} AS SELECT * FROM source {order}")
+    connection.unregister("source")
+
+
+def _insert(connection: duck.Connection, table: str, values: str, columns: Mapping[str, object]) -> None:
+    source = pa.table(dict(columns))
+    if source.num_rows:
+        connection.register("source", pa.Table.from_batches(source.to_batches(max_chunksize=BATCH)))
+        connection.execute(f"INSERT INTO {table} SELECT {values} FROM source")
+        connection.unregister("source")
