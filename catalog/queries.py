@@ -1,9 +1,9 @@
-"""Keyframe queries: keyframes over feature sets, the gaps between them, and the class they are for."""
+"""Keyframe queries: keyframes over feature sets, the gaps between them, alternatives, and the class they are for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from catalog.features import FeatureSet
 from ops.errors import KinedexError, ParameterError, did_you_mean
@@ -12,11 +12,12 @@ from ops.keyframes import UNBOUNDED, gap_bounds, nominal_gap
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A pose in one feature set: every word of the set with `word & mask == value`."""
+    """A pose in one feature set: every word of the set with `word & mask == value`; its name is for people alone."""
 
     set: str
     mask: int
     value: int
+    name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if self.mask < 0 or self.value & ~self.mask:
@@ -59,6 +60,8 @@ class KeyframeQuery:
     """K keyframes and K − 1 gaps; `target` is the class or subclass whose motions it preselects.
 
     positions: for each keyframe the template column it stands for, or None where that is left to the template.
+    takes: a SQL filter over the takes that are searched, or None for all. alternatives: further chains of keyframes,
+    without alternatives of their own, whose hits are hits of this query as well.
     """
 
     name: str
@@ -67,14 +70,23 @@ class KeyframeQuery:
     gaps: tuple[Gap, ...]
     positions: tuple[int, ...] | None = None
     description: str = ""
+    takes: str | None = None
+    alternatives: tuple[KeyframeQuery, ...] = ()
 
     def __post_init__(self) -> None:
+        if any(other.alternatives for other in self.alternatives):
+            raise ParameterError("alternatives", "without alternatives of their own", self.name)
         if not self.keyframes:
             raise ParameterError("keyframes", "at least one", 0)
         if len(self.gaps) != len(self.keyframes) - 1:
             raise ParameterError("gaps", f"{len(self.keyframes) - 1}, one fewer than keyframes", len(self.gaps))
         if self.positions is not None and len(self.positions) != len(self.keyframes):
             raise ParameterError("positions", f"{len(self.keyframes)}, one for each keyframe", len(self.positions))
+
+    @property
+    def chains(self) -> tuple[KeyframeQuery, ...]:
+        """The query without its alternatives, and these: what is searched one by one, and united."""
+        return (replace(self, alternatives=()), *self.alternatives) if self.alternatives else (self,)
 
     @property
     def bounds(self) -> list[tuple[int, int]]:
@@ -99,6 +111,41 @@ def choose_queries(queries: Sequence[KeyframeQuery], names: Sequence[str]) -> tu
         if name not in by_name:
             raise KinedexError(f"no query is named '{name}'{did_you_mean(name, by_name)}")
     return tuple(by_name[name] for name in names) if names else tuple(queries)
+
+
+@dataclass(frozen=True)
+class WordPattern:
+    """One chain of keyframes in bits of whole words: `masks`, `values`, and the gaps (low, high) between them."""
+
+    masks: tuple[int, ...]
+    values: tuple[int, ...]
+    gaps: tuple[tuple[int, int], ...]
+
+
+def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
+    """Write a chain in bits of whole words; keyframes of several sets on the same frame become one.
+
+    Raises
+    ------
+    KinedexError: a set that the feature set does not have; the message names the nearest.
+    """
+    masks: list[int] = []
+    values: list[int] = []
+    gaps: list[tuple[int, int]] = []
+    for number, keyframe in enumerate(chain.keyframes):
+        shift = feature_set.word_set(keyframe.set).first - 1
+        mask, value = keyframe.mask << shift, keyframe.value << shift
+        if number:
+            gap = chain.gaps[number - 1]
+            # where both ask for a feature, they may ask for different things, which no frame meets
+            if gap.high == 0 and not masks[-1] & mask:
+                masks[-1] |= mask
+                values[-1] |= value
+                continue
+            gaps.append((gap.low, gap.high))
+        masks.append(mask)
+        values.append(value)
+    return WordPattern(tuple(masks), tuple(values), tuple(gaps))
 
 
 def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str], list[str]]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from catalog.configs import config_names
 from catalog.features import FeatureSet, load_feature_set
+from catalog.mirroring import mirror_numbers
 from catalog.queries import (
     SAME_FRAME,
     Gap,
@@ -20,9 +22,12 @@ from catalog.queries import (
     features_of,
     pattern_of,
 )
-from catalog.queryfiles import parse_queries, read_queries, write_queries
+from catalog.queryfiles import parse_queries, read_queries
+from catalog.querywriting import write_queries
 from ops.errors import ConfigError, KinedexError, ParameterError
+from ops.features import words as feature_words
 from ops.keyframes import UNBOUNDED
+from ops.words import bits
 
 BODY = load_feature_set("body40")
 
@@ -89,6 +94,178 @@ sit:
 def test_a_gap_is_written_in_frames_or_seconds_with_stiffness_or_as_a_range(written: str, gap: Gap) -> None:
     (query,) = parse(f"q: {{keyframes: [{{on: [1]}}, {{on: [2]}}], gaps: [{written}]}}")
     assert query.gaps == (gap,)
+
+
+@pytest.mark.parametrize(
+    ("written", "gap"),
+    [
+        ("within 2 s", Gap(0, 60)),
+        ("within 12 frames", Gap(0, 12)),
+        ("within 500 ms", Gap(0, 15)),
+        ("0.5 to 2 s", Gap(15, 60)),
+        ("0.5 s to 2 s", Gap(15, 60)),
+        ("200 ms to 1 second", Gap(6, 30)),
+        ("5 to 12 frames", Gap(5, 12)),
+        ("0.11 to 0.69 s", Gap(4, 20)),
+        ("At least  1 s", Gap(30, UNBOUNDED)),
+        ("exactly 3 frames", Gap(3, 3, 3, 1.0)),
+        ("0.5 s ± 0.2 s", Gap(9, 21)),
+        ("0.5 +- 0.2 s", Gap(9, 21)),
+        ("3 ± 5 frames", Gap(0, 8)),
+        ("0.5 s, stiffness 0.5", Gap(8, 30, 15, 0.5)),
+        ("25 frames stiffness 0.28", Gap(7, 89, 25, 0.28)),
+        ("any time", Gap(0, UNBOUNDED)),
+        ("same frame", SAME_FRAME),
+        ("{seconds: 0.5, tolerance: 0.2}", Gap(9, 21)),
+        ("{frames: 8, tolerance: 3}", Gap(5, 11)),
+    ],
+)
+def test_a_gap_may_be_written_as_one_says_it(written: str, gap: Gap) -> None:
+    quoted = written if written.startswith("{") else f'"{written}"'
+    (query,) = parse(f"q: {{keyframes: [{{on: [1]}}, {{on: [2]}}], gaps: [{quoted}]}}")
+    (after,) = parse(f"q: {{keyframes: [{{on: [1]}}, {{after: {quoted}, on: [2]}}]}}")
+    assert query.gaps == after.gaps == (gap,)
+
+
+def test_a_part_of_a_query_has_a_name() -> None:
+    (query,) = parse("q: {keyframes: [{name: down, on: [rknee_bent, body_low]}, {after: any time, off: [20]}]}")
+    assert [keyframe.name for keyframe in query.keyframes] == ["down", "down", ""]
+    assert parse(write_queries([query], BODY))[0].keyframes[0].name == "down"
+
+
+# ---- queries built from queries --------------------------------------------------------------------------
+
+PARTS = """
+kick:
+  part: true
+  keyframes: [{on: [rfoot_raised]}, {after: within 1 s, on: [rfoot_fast]}]
+down:
+  part: true
+  keyframes: [{on: [body_low]}]
+"""
+KICK = (Keyframe("lower", 4, 4), Keyframe("lower", 1 << 10, 1 << 10))
+OTHER_KICK = (Keyframe("lower", 8, 8), Keyframe("lower", 1 << 11, 1 << 11))
+DOWN = (Keyframe("mix", 1 << 10, 1 << 10),)
+
+
+def test_a_sequence_joins_queries_with_the_gap_between_them() -> None:
+    (query,) = parse(PARTS + "both:\n  sequence: [kick, {then: down, within: 2 s}, {then: kick, gap: 5 to 9 frames}]")
+    assert query.name == query.target == "both"
+    assert query.keyframes == KICK + DOWN + KICK
+    assert query.gaps == (Gap(0, 30), Gap(0, 60), Gap(5, 9), Gap(0, 30))
+    assert query.alternatives == ()
+
+
+def test_alternatives_are_further_chains_of_one_query() -> None:
+    (query,) = parse(PARTS + "either:\n  class: k\n  any_of: [kick, down, {keyframes: [{on: [feet_apart]}]}]")
+    assert [chain.keyframes for chain in query.chains] == [KICK, DOWN, (Keyframe("lower", 16, 16),)]
+    assert {chain.target for chain in query.chains} == {"k"}
+    assert {chain.name for chain in query.chains} == {"either"}
+
+
+def test_alternatives_within_a_sequence_are_tried_one_by_one() -> None:
+    (query,) = parse(PARTS + "q: {sequence: [{any_of: [kick, down]}, {then: {any_of: [down, kick]}, within: 1 s}]}")
+    assert [chain.keyframes for chain in query.chains] == [KICK + DOWN, KICK + KICK, DOWN + DOWN, DOWN + KICK]
+
+
+def test_a_mirrored_query_is_the_same_motion_of_the_other_side() -> None:
+    both, other = parse(PARTS + "both: {any_of: [kick], mirror: both}\nother: {any_of: [kick], mirror: other}")
+    assert [chain.keyframes for chain in both.chains] == [KICK, OTHER_KICK]
+    assert [chain.keyframes for chain in other.chains] == [OTHER_KICK]
+    (same,) = parse(PARTS + "same: {any_of: [down], mirror: both}")
+    assert len(same.chains) == 1
+
+
+def test_a_sequence_may_keep_to_one_side_or_change_it() -> None:
+    one, any_side = parse(
+        PARTS
+        + "one: {sequence: [kick, {then: kick, within: 1 s}], mirror: both}\n"
+        + "any: {sequence: [{any_of: [kick], mirror: both}, {then: {any_of: [kick], mirror: both}, within: 1 s}]}"
+    )
+    assert [chain.keyframes for chain in one.chains] == [KICK + KICK, OTHER_KICK + OTHER_KICK]
+    assert len(any_side.chains) == 4
+
+
+def test_a_filter_over_takes_stays_with_the_query() -> None:
+    (query,) = parse(PARTS + "q: {takes: \"actor = 'bk'\", any_of: [kick, down]}")
+    assert {chain.takes for chain in query.chains} == {"actor = 'bk'"}
+
+
+WRONG_BUILDINGS = [
+    ("q: {any_of: [kik]}", "no query is named 'kik'; did you mean 'kick'"),
+    ("q: {any_of: [q]}", "'q' is made of itself: q → q"),
+    ("a: {any_of: [b]}\nb: {sequence: [a]}", "made of itself: a → b → a"),
+    ("q: {any_of: [3]}", "name of a query or a query, got 3"),
+    ("q: {any_of: []}", "at least 1"),
+    ("q: {any_of: [kick], keyframes: [{on: [1]}]}", "got keyframes and any_of"),
+    ("q: {description: x}", "got none of them"),
+    ("q: {any_of: [kick], gaps: []}", "`gaps` goes with `keyframes`"),
+    ("q: {any_of: [{any_of: [kick], class: x}]}", "`class` belongs to a query of its own"),
+    ("q: {any_of: [kick], mirror: left}", "'both' or 'other'"),
+    ("q: {sequence: [kick, down]}", "say `then` which query follows"),
+    ("q: {sequence: [kick, {then: down}]}", "say how soon"),
+    ("q: {sequence: [kick, {then: down, within: 2}]}", "must be a valid string, got 2"),
+    ("q: {sequence: [kick, {then: down, within: 2 m}]}", "'within 2 m' is no gap; written so: \"within 2 s\""),
+    ("q: {sequence: [kick, {thn: down, within: 2 s}]}", "say `then`"),
+    ("q: {sequence: [kick, {then: down, withn: 2 s}]}", "did you mean 'within'"),
+    ("f: {takes: x, any_of: [kick]}\nq: {any_of: [f]}", "'f' has a filter `takes`"),
+    ("q: {keyframes: [{after: any time, on: [1]}]}", "no keyframe comes before the first"),
+    ("q: {keyframes: [{on: [1]}, {on: [2]}, {after: any time, on: [1]}]}", "say `after`"),
+    ("q: {keyframes: [{on: [1]}, {after: any time, on: [1]}], gaps: [any time]}", "say their gaps themselves"),
+    ("q: {keyframes: [{on: [1]}, {after: soon, on: [1]}]}", "'soon' is no gap"),
+    ("q: {keyframes: [{on: [1]}, {after: 0.01 to 0.02 s, on: [1]}]}", "whole number of frames"),
+    ("q: {keyframes: [{on: [1]}, {after: {seconds: 1, stiffness: 1, tolerance: 1}, on: [1]}]}", "or else its"),
+    (
+        "q: {sequence: [{any_of: [kick, down]}" + ", {then: {any_of: [kick, down]}, within: 1 s}" * 6 + "]}",
+        "chains of keyframes, as alternatives multiply",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG_BUILDINGS)
+def test_what_is_wrong_with_a_building_is_told_with_its_line(text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as fault:
+        parse(PARTS + text)
+    assert message in str(fault.value)
+    assert fault.value.line in (8, 9)
+
+
+def test_every_feature_has_one_mirror_image() -> None:
+    numbers = mirror_numbers(BODY)
+    assert all(numbers[numbers[number]] == number for number in numbers)
+    pairs = {(number, other) for number, other in numbers.items() if number < other}
+    assert {(1, 2), (15, 16), (20, 21), (25, 26), (29, 30), (33, 34), (35, 36)} <= pairs
+    alone = {number for number, other in numbers.items() if number == other}
+    assert alone == {9, 10, 19, 22, 23, 24, 31, 32, 37, 38, 39, 40}
+
+
+def test_the_features_of_a_mirrored_body_whose_pelvis_stands_still_are_the_mirrored_features() -> None:
+    joints = [(BODY.joints.index(name), BODY.joints.index(twin)) for name, twin in _twins(BODY.joints)]
+    rng = np.random.default_rng(5)
+    body = np.cumsum(rng.normal(0, 0.05, (len(BODY.joints), 3, 400)), axis=2) + rng.normal(0, 0.5, (24, 3, 1))
+    # In frame 0, where the lengths are taken, the body is symmetric.
+    middle = sorted(set(range(24)) - {joint for pair in joints for joint in pair})
+    body[middle, 0, 0] = 0
+    for one, other in joints:
+        body[other, :, 0] = body[one, :, 0] * [-1, 1, 1]
+    hips = [BODY.joints.index("lhip"), BODY.joints.index("rhip")]
+    body[hips] = body[hips, :, :1]
+    turning = np.zeros((4, 400))
+    turning[0] = 1.0
+    glass = body.copy()
+    for one, other in joints:
+        glass[one], glass[other] = body[other], body[one]
+    glass[:, 0] *= -1
+    words = {name: feature_words(seen, turning, 30.0, BODY.rules) for name, seen in (("body", body), ("glass", glass))}
+    numbers = mirror_numbers(BODY)
+    matrix, mirror = bits(words["body"], 40), bits(words["glass"], 40)
+    for number, other in numbers.items():
+        assert matrix[:, number - 1].tolist() == mirror[:, other - 1].tolist(), BODY.feature(number).name
+    assert (matrix.any(axis=0) & ~matrix.all(axis=0)).sum() > 25
+
+
+def _twins(joints: tuple[str, ...]) -> list[tuple[str, str]]:
+    return [(name, "l" + name[1:]) for name in joints if name.startswith("r") and "l" + name[1:] in joints]
 
 
 def test_the_least_stiffness_tells_how_much_slower_a_hit_may_be() -> None:

@@ -13,7 +13,8 @@ import numpy as np
 from catalog.classes import load_classes
 from catalog.configs import config_names, config_path
 from catalog.features import load_feature_set
-from catalog.queryfiles import parse_queries, read_queries, write_queries
+from catalog.queryfiles import parse_queries, read_queries
+from catalog.querywriting import write_queries
 from catalog.skeletons import load_skeleton
 from ops.errors import KinedexError, SourceError
 from pipelines.analysis import analyse, blind
