@@ -142,10 +142,9 @@ def _stretch(
     body = _Body(positions, orientation, rate_hz, measured[:, :, 0])
     for bit, rule in enumerate(rules):
         scale = body.length(rule.length) if rule.length else 1.0
-        quantity = body.quantity(rule.terms)
-        weak = np.array(rule.weak) * scale
-        strong = np.array(rule.strong) * scale
-        p.hysteresis(quantity, rule.comparison, weak, strong, bit, out)
+        weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
+        strong = p.bounds(rule.comparison, rule.strong[0] * scale, rule.strong[1] * scale)
+        p.hysteresis(body.quantity(rule.terms), *weak, *strong, bit, out)
     return out
 
 
@@ -157,11 +156,14 @@ class _Body:
         self.measured = measured
         self.orientation = orientation
         self.rate_hz = rate_hz
+        self._lengths: dict[tuple[tuple[int, int], ...], float] = {}
         self._terms: dict[Term, F64] = {}
         self._velocities: dict[tuple[int, int, float], F64] = {}
 
     def length(self, pairs: tuple[tuple[int, int], ...]) -> float:
-        return float(sum(np.linalg.norm(self.measured[a] - self.measured[b]) for a, b in pairs))
+        if pairs not in self._lengths:
+            self._lengths[pairs] = float(sum(np.linalg.norm(self.measured[a] - self.measured[b]) for a, b in pairs))
+        return self._lengths[pairs]
 
     def quantity(self, terms: tuple[Term, ...]) -> F64:
         total = self._term(terms[0])

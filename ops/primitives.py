@@ -17,13 +17,13 @@ F64 = npt.NDArray[np.float64]
 DEGREES = 180.0 / math.pi
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def difference(q: F64, c: F64) -> F64:
     """The vector from c to q in every frame, (3, T)."""
     return q - c
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _reflect(index: int, length: int) -> int:
     """The index that symmetric reflection (edge value repeated) maps an index outside 0 … length − 1 to."""
     period = 2 * length
@@ -31,7 +31,7 @@ def _reflect(index: int, length: int) -> int:
     return index if index < length else period - 1 - index
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def velocity(x: F64, window: int, rate_hz: float) -> F64:
     """Smoothed velocity of a trajectory: `vel` of features.md for a window of W samples.
 
@@ -49,20 +49,21 @@ def velocity(x: F64, window: int, rate_hz: float) -> F64:
         row = x[k]
         for t in range(first, last):
             out[k, t] = (row[t + window - pad + 1] - row[t + 1 - pad]) * scale
-        for t in range(frames):
-            if first <= t < last:
-                continue
-            total = 0.0
+    for t in range(frames):
+        if first <= t < last:
+            continue
+        a, b, c = 0.0, 0.0, 0.0
+        if frames > 1:
             for j in range(t + 1 - pad, t + 1 - pad + window):
-                i = _reflect(_reflect(j, extended), frames)
-                if frames > 1:
-                    i = min(i, frames - 2)
-                    total += row[i + 1] - row[i]
-            out[k, t] = total * scale
+                i = min(_reflect(_reflect(j, extended), frames), frames - 2)
+                a += x[0, i + 1] - x[0, i]
+                b += x[1, i + 1] - x[1, i]
+                c += x[2, i + 1] - x[2, i]
+        out[0, t], out[1, t], out[2, t] = a * scale, b * scale, c * scale
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def along_plane_normal(a: F64, b: F64, c: F64, v: F64) -> F64:
     """n · v with the unit normal n = (a − c) × (b − c) / |…| of the plane through a, b, c."""
     frames = v.shape[1]
@@ -76,7 +77,7 @@ def along_plane_normal(a: F64, b: F64, c: F64, v: F64) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def along_direction(a: F64, b: F64, v: F64) -> F64:
     """n · v with the unit vector n = (b − a) / |b − a|."""
     frames = v.shape[1]
@@ -88,7 +89,7 @@ def along_direction(a: F64, b: F64, v: F64) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def norm(v: F64) -> F64:
     """The length of a vector in every frame, (T,)."""
     frames = v.shape[1]
@@ -98,7 +99,7 @@ def norm(v: F64) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def angle_between(u: F64, v: F64) -> F64:
     """The angle between two vectors in degrees, (T,); NaN where one has no length."""
     frames = u.shape[1]
@@ -116,7 +117,7 @@ def angle_between(u: F64, v: F64) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def lowest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
     """The lowest Y over the given joints of positions (J, 3, T), NaN joints left out, (T,)."""
     frames = positions.shape[2]
@@ -129,7 +130,7 @@ def lowest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def widest_xz(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
     """The largest horizontal distance between any two of the given joints of positions (J, 3, T), (T,)."""
     frames = positions.shape[2]
@@ -148,7 +149,7 @@ def widest_xz(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def turn_rate(orientation: F64, rate_hz: float) -> F64:
     """Unsigned rate of turning around Y in degrees per second, (T,), from unit quaternions (4, T) w x y z.
 
@@ -173,35 +174,33 @@ def turn_rate(orientation: F64, rate_hz: float) -> F64:
 ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
 
 
-@njit(cache=True, error_model="numpy")
-def _holds(x: float, comparison: int, low: float, high: float) -> bool:
+def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
+    """The least and the greatest number for which a comparison holds; only WITHIN uses `high`."""
     if comparison == ABOVE:
-        return x > low
+        return math.nextafter(low, math.inf), math.inf
     if comparison == AT_LEAST:
-        return x >= low
+        return low, math.inf
     if comparison == BELOW:
-        return x < low
+        return -math.inf, math.nextafter(low, -math.inf)
     if comparison == AT_MOST:
-        return x <= low
-    return low <= x <= high
+        return -math.inf, low
+    return low, high
 
 
-@njit(cache=True, error_model="numpy")
-def hysteresis(x: F64, comparison: int, weak: F64, strong: F64, bit: int, words: npt.NDArray[np.uint64]) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def hysteresis(
+    x: F64, weak_low: float, weak_high: float, strong_low: float, strong_high: float, bit: int,
+    words: npt.NDArray[np.uint64],
+) -> None:  # fmt: skip
     """Set one bit of the words where the feature is on.
 
-    It turns on where the strong condition becomes true and stays on until the weak one is false. weak and strong are
-    (low, high); only WITHIN uses high.
+    It turns on where the strong condition becomes true and stays on until the weak one is false; a condition holds
+    from its low to its high number, both included (`bounds`), and never for NaN.
     """
-    flag = np.uint64(1) << np.uint64(bit)
-    on = False
-    strong_before = False
+    on, before = False, False
     for t in range(len(x)):
-        strong_now = _holds(x[t], comparison, strong[0], strong[1])
-        if on and not _holds(x[t], comparison, weak[0], weak[1]):
-            on = False
-        if strong_now and not strong_before:
-            on = True
-        if on:
-            words[t] |= flag
-        strong_before = strong_now
+        strong = (x[t] >= strong_low) & (x[t] <= strong_high)
+        weak = (x[t] >= weak_low) & (x[t] <= weak_high)
+        on = (on & weak) | (strong & (not before))
+        before = strong
+        words[t] |= np.uint64(on) << np.uint64(bit)
