@@ -130,12 +130,17 @@ class FramesWriter:
                 self._writer = _parquet_writer(self._temporary, self.schema)
             # what stays is at least one whole group, so that the last group of a part is not a small one
             while table.num_rows >= 2 * ROW_GROUP:
-                self._writer.write_table(table.slice(0, ROW_GROUP), row_group_size=ROW_GROUP)
+                self._write_group(table.slice(0, ROW_GROUP))
                 table = table.slice(ROW_GROUP)
             if last:
-                self._writer.write_table(table, row_group_size=max(1, table.num_rows))
+                self._write_group(table)
         self._waiting = [] if last else [table]
         self._waiting_rows = 0 if last else table.num_rows
+
+    def _write_group(self, rows: pa.Table) -> None:
+        assert self._writer is not None
+        # columns in one piece are written in half the time of columns in a piece for every take, copying included
+        self._writer.write_table(rows.combine_chunks(), row_group_size=max(1, rows.num_rows))
 
     def __enter__(self) -> FramesWriter:
         return self
