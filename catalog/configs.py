@@ -133,7 +133,7 @@ def _model_in(annotation: Any) -> Any:
 def _dotted(key: Key) -> str:
     text = ""
     for step in key:
-        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else str(step)
     return text
 
 
@@ -172,8 +172,8 @@ def parse_yaml(text: str, path: str | Path) -> Located:
     except yaml.MarkedYAMLError as fault:
         line = fault.problem_mark.line + 1 if fault.problem_mark else None
         raise ConfigError(path, f"is not valid YAML: {fault.problem}", line=line) from None
-    except (yaml.YAMLError, ValueError, TypeError) as fault:
-        # Values that look like dates but are none, and keys that cannot be keys.
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as fault:
+        # Values that look like dates but are none, keys that cannot be keys, and what PyYAML itself trips over.
         raise ConfigError(path, f"is not valid YAML: {fault}") from None
     except RecursionError:
         raise ConfigError(path, "is nested too deeply, or an alias contains itself") from None

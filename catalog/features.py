@@ -266,6 +266,9 @@ def _terms(
         parts = quantity["sum"]
         if len(quantity) > 1 or not isinstance(parts, list) or not parts:
             raise located.error("sum must be a list of [factor, primitive] and stand alone", *key)
+        for part in parts:
+            if not (isinstance(part, list) and len(part) == 2 and _is_number(part[0]) and isinstance(part[1], dict)):
+                raise located.error(f"sum must be a list of [factor, primitive], got {part!r}", *key)
         return tuple(_term(located, parsed, part, float(factor), key) for factor, part in parts)
     return (_term(located, parsed, quantity, 1.0, key),)
 
@@ -279,6 +282,12 @@ def _term(
         wrong = next((name for name in names if name not in JOINTS_OF), "nothing")
         raise located.error(f"expected one primitive, got '{wrong}'{did_you_mean(wrong, JOINTS_OF)}", *key)
     primitive = names[0]
+    for name in (primitive, "without"):
+        if not isinstance(part.get(name, []), list):
+            raise located.error(f"{name} must be a list of joints, got {part[name]!r}", *key)
+    window_ms = part.get("window_ms", 0.0)
+    if not _is_number(window_ms) or window_ms < 0:
+        raise located.error(f"window_ms must be a number of milliseconds, got {window_ms!r}", *key)
     joints = tuple(_joint(located, parsed, name, *key) for name in part[primitive])
     wanted = JOINTS_OF[primitive]
     if wanted is None and not joints:
@@ -289,13 +298,17 @@ def _term(
         primitive=primitive,
         joints=joints,
         factor=factor,
-        window_ms=float(part.get("window_ms", 0.0)),
+        window_ms=float(window_ms),
         without=tuple(_joint(located, parsed, name, *key) for name in part.get("without", ())),
         absolute=bool(part.get("abs", False)),
     )
 
 
-def _joint(located: Located, parsed: _FeatureFile, name: str, *key: str | int) -> int:
-    if name not in parsed.joints:
-        raise located.error(f"no joint '{name}'{did_you_mean(name, parsed.joints)}", *key)
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
+
+
+def _joint(located: Located, parsed: _FeatureFile, name: object, *key: str | int) -> int:
+    if not isinstance(name, str) or name not in parsed.joints:
+        raise located.error(f"no joint '{name}'{did_you_mean(str(name), parsed.joints)}", *key)
     return parsed.joints.index(name)

@@ -245,7 +245,7 @@ def frames_along(across: F64, up: F64) -> F64:
         z = np.cross(x, up / np.linalg.norm(up, axis=0), axis=0)
         length = np.linalg.norm(z, axis=0)
         z = z / np.where(length > 1e-9, length, 0.0)
-    matrices: F64 = np.stack([x, np.cross(z, x, axis=0), z], axis=1)  # columns are the axes
+        matrices: F64 = np.stack([x, np.cross(z, x, axis=0), z], axis=1)  # columns are the axes
     return np.ascontiguousarray(matrices.reshape(9, -1))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -91,3 +92,14 @@ def test_the_words_digest_does_not_depend_on_the_mirror(tmp_path: Path):
     plain = load_feature_set(path)
     assert plain.digest == BODY.digest
     assert plain.mirror == ()
+
+
+@pytest.mark.parametrize(
+    ("window", "said"), [("-", "must be a number"), ("[]", "must be a number"), ("-5", "must be"), ("1e999", "must be")]
+)  # fmt: skip
+def test_a_window_that_is_no_time_is_refused_with_its_line(tmp_path: Path, window: str, said: str):
+    text = config_path("features", "body40").read_text()
+    path = tmp_path / "mine.yaml"
+    path.write_text(re.sub(r"window_ms: \w+", f"window_ms: {window}", text, count=1))
+    with pytest.raises(ConfigError, match=rf"mine.yaml:\d+: .*window_ms {said}"):
+        load_feature_set(path)

@@ -100,7 +100,7 @@ def test_a_text_that_the_user_sets_is_taken_as_it_is(tmp_path: Path, value: str)
     assert pipeline.stage("ingest").params.model_dump()["source"] == value
 
 
-@pytest.mark.parametrize("line", ["{{train}}", "2001-99-99", "!x y", "&a [*a]"])
+@pytest.mark.parametrize("line", ["{{train}}", "2001-99-99", "!x y", "&a [*a]", "!!float ''", "!!timestamp x"])
 def test_values_that_yaml_stumbles_over_are_refused_with_the_file(tmp_path: Path, line: str) -> None:
     path = write(tmp_path, GOOD.replace("rate: 120", f"rate: {line}"))
     with pytest.raises(ConfigError, match=r"is not valid YAML|contains itself"):
