@@ -18,7 +18,7 @@ from storage.bodies import Body, Given, read_body
 from storage.manifest import Part
 from storage.parts import FramesWriter, frames_table
 from storage.schemas import frames_schema
-from storage.sources import SourceFile
+from storage.sources import SourceFile, checksum
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,6 @@ class Task:
     skeleton: SourceFile | None
     groups: dict[str, str]
     recipe: str
-    checksum: str
     warnings: tuple[str, ...]
 
 
@@ -70,11 +69,13 @@ def read_batch(batch: Batch) -> Written:
     try:
         for task in batch.tasks:
             try:
+                # not before: it reads the whole file, which is work for many processes
+                content = checksum(task.motion.absolute)
                 asf = task.skeleton.absolute if task.skeleton is not None else None
                 joints = batch.feature_set.joints
                 body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.given)
                 rows = _frames(batch, task, body)
-                take = _take_row(batch, task, body, rows)
+                take = _take_row(batch, task, content, body, rows)
             except StoreError:
                 raise
             except Exception as fault:
@@ -101,14 +102,14 @@ def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
     return frames_table(task.take_id, positions, orientation, words, schema)
 
 
-def _take_row(batch: Batch, task: Task, body: Body, rows: pa.Table) -> dict[str, Any]:
+def _take_row(batch: Batch, task: Task, content: str, body: Body, rows: pa.Table) -> dict[str, Any]:
     groups = dict(task.groups)
     return {
         "take_id": task.take_id,
         "name": task.name,
         "source": task.motion.path,
         "source_root": task.motion.root,
-        "checksum": task.checksum,
+        "checksum": content,
         "source_bytes": task.motion.size,
         "source_mtime_ns": task.motion.mtime_ns,
         "format": task.motion.format,

@@ -99,15 +99,25 @@ def ingest(
     store: StorePath,
     source: Annotated[Path, typer.Argument(help="folder that holds the motion files")],
     rate: RateOption = None,
+    prune: Annotated[bool, typer.Option("--prune", help="drop takes whose file is no longer in the source")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="stop at the first file that does not come in, and fail with its message")
+    ] = False,
     assign: SetOption = None,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Bring motion files into a store and index them (the pipeline `ingest`)."""
+    """Bring motion files into a store and index them (the pipeline `ingest`).
+
+    What comes in is committed batch by batch: stopped in the middle, the same command goes on where it was.
+    """
     from pipelines.runner import run_pipeline
 
     assignments = {"source": str(source), **assignments_of(assign)}
+    for name, wanted in (("prune", prune), ("strict", strict)):
+        if wanted:
+            assignments[f"ingest.{name}"] = "true"
     if rate is not None:
         assignments["ingest.override_rate_hz"] = str(rate)
     outcome = run_pipeline(

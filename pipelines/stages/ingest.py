@@ -193,19 +193,15 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
             of_skeleton = skeleton_sums[skeleton.path] if skeleton is not None else ""
             made = _digest([recipes[motion.format], of_skeleton, sorted((groups or {}).items())])
             row = known.get(name)
-            if row is not None and row["recipe"] == made and _same_stamp(row, motion):
-                unchanged += 1
-                continue
-            content = checksum(motion.absolute)
             if row is not None and _moved(row, motion):
                 former.add(row["source_root"])
-            elif row is not None and row["checksum"] == content and row["recipe"] == made:
+            elif row is not None and row["recipe"] == made and _same_content(row, motion):
                 unchanged += 1
                 continue
-            elif row is not None and row["checksum"] != content:
-                _refuse_stranger(row, motion)
+            elif row is not None and not _same_place(row, motion) and not _same_content(row, motion):
+                raise _stranger(row, motion)
             warnings = () if groups is not None or not patterns else ("its path matches no pattern of the config",)
-            tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, content, warnings))
+            tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
         except SourceError as fault:
             failures.append(failure(motion, fault))
     ids = writer.assign_take_ids(task.name for task in tasks)
@@ -236,9 +232,16 @@ def _apart(paths: Sequence[str]) -> str:
     return "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
 
 
-def _same_stamp(row: dict[str, Any], motion: SourceFile) -> bool:
-    now = (motion.root, motion.path, motion.size, motion.mtime_ns)
-    return (row["source_root"], row["source"], row["source_bytes"], row["source_mtime_ns"]) == now
+def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:
+    return (row["source_root"], row["source"]) == (motion.root, motion.path)
+
+
+def _same_content(row: dict[str, Any], motion: SourceFile) -> bool:
+    """Whether a file is what the take was read from; it is read only where its place, size or time say otherwise."""
+    if row["source_bytes"] != motion.size:
+        return False
+    untouched = _same_place(row, motion) and row["source_mtime_ns"] == motion.mtime_ns
+    return bool(untouched or row["checksum"] == checksum(motion.absolute))
 
 
 def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
@@ -247,14 +250,13 @@ def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
     return same and not (Path(row["source_root"]) / row["source"]).exists()
 
 
-def _refuse_stranger(row: dict[str, Any], motion: SourceFile) -> None:
+def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
     """A changed file replaces its take; a different file of the same name does not."""
-    if (row["source_root"], row["source"]) != (motion.root, motion.path):
-        raise SourceError(
-            motion.absolute,
-            f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
-            "differs; rename one, set `name: path`, or use a store of its own",
-        )
+    return SourceError(
+        motion.absolute,
+        f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
+        "differs; rename one, set `name: path`, or use a store of its own",
+    )
 
 
 def _matters(given: Given, form: Format) -> object:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -114,6 +115,25 @@ def test_files_left_out_show_in_the_exit_code_every_time(tmp_path: Path) -> None
         assert "1 source files were left out" in done.stdout
     log = kinedex("sql", tmp_path / "store", "SELECT source, line FROM ingest_log", "--format", "csv")
     assert log.stdout == "source,line\nx_2.amc,2\n"
+
+
+def test_an_ingest_may_be_strict_and_drop_what_is_gone(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 9, "x_2.amc": 9, "x_3.amc": 9})
+    whole = (source / "x_2.amc").read_text()
+    (source / "x_2.amc").write_text(whole[:-40])
+    words = ("ingest", tmp_path / "store", source, "--executor", "serial")
+    failed = kinedex(*words, "--strict", "--prune")
+    assert failed.returncode == 1
+    assert "x_2.amc:" in failed.stderr
+    assert "strict: stopped at this file" in failed.stderr
+    assert "--set ingest.prune=true --set ingest.strict=true" in failed.stderr
+    logged = kinedex("sql", tmp_path / "store", "SELECT source, line FROM ingest_log", "--format", "csv")
+    assert re.fullmatch(r"source,line\nx_2\.amc,27\d\n", logged.stdout)
+    (source / "x_2.amc").write_text(whole)
+    (source / "x_1.amc").unlink()
+    assert kinedex(*words, "--strict").returncode == 0
+    assert "1 takes whose file is gone: dropped" in kinedex(*words, "--prune").stdout
+    assert kinedex("takes", tmp_path / "store", "--columns", "name", "--format", "csv").stdout == "name\nx_2\nx_3\n"
 
 
 def test_search_prints_hits_and_explains(store: Path) -> None:

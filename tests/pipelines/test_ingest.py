@@ -16,7 +16,9 @@ import pytest
 from catalog.skeletons import load_skeleton
 from ops import features, kinematics
 from ops.errors import ConfigError, KinedexError
+from pipelines import reading
 from pipelines.stages import ingest
+from storage import sources
 from storage.acclaim import read_amc, read_asf
 from storage.store import open_store
 from storage.verify import verify
@@ -63,6 +65,28 @@ def test_a_second_run_reads_nothing_and_a_changed_file_only(tmp_path: Path) -> N
     assert after["take_id"].to_list() == before["take_id"].to_list()
     assert after["frames"].to_list() == [13, 12, 31]
     assert verify(open_store(store)) == []
+
+
+def test_files_are_read_once_and_only_those_that_are_not_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = write_archive(tmp_path / "source", {f"x_{number}.amc": 9 for number in range(4)})
+    read: list[str] = []
+
+    def checksum(path: Path) -> str:
+        read.append(path.stem)
+        return sources.checksum(path)
+
+    monkeypatch.setattr(ingest, "checksum", checksum)
+    monkeypatch.setattr(reading, "checksum", checksum)
+    bring_in(tmp_path / "store", source)
+    assert sorted(read) == ["x", "x_0", "x_1", "x_2", "x_3"]
+    read.clear()
+    os.utime(source / "x_1.amc")
+    text = (source / "x_2.amc").read_text()
+    (source / "x_2.amc").write_text(text[:-1] + " \n")
+    assert bring_in(tmp_path / "store", source)["unchanged"] == 3
+    assert read == ["x", "x_1", "x_2"]
 
 
 def test_a_changed_skeleton_reads_its_takes_again(tmp_path: Path) -> None:
@@ -174,6 +198,7 @@ def test_what_a_path_says_becomes_columns(tmp_path: Path) -> None:
 INGEST = """
 import sys
 from pathlib import Path
+from pipelines import reading
 from pipelines.stages import ingest
 from tests.pipelines.archives import context
 ingest.MEGABYTE = 1 << 12
