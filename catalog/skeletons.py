@@ -5,32 +5,42 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from catalog.configs import Located, config_names, config_path, load_yaml
+from catalog.fitting import Axis, Fit, Format, Mix, SkeletonMapping
 from ops.errors import SourceError, did_you_mean
 
+__all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton"]
+
 F64 = npt.NDArray[np.float64]
-Format: TypeAlias = Literal["acclaim", "bvh", "positions"]
-Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+
+class _Aside(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    plane: list[str] = Field(min_length=3, max_length=3)
+    times: float
 
 
 class _Mix(BaseModel):
     model_config = ConfigDict(extra="forbid")
     virtual: dict[str, float] | None = Field(None, min_length=1)
     nodes: dict[str, float] | None = Field(None, min_length=1)
+    aside: _Aside | None = None
 
     @model_validator(mode="after")
     def _one(self) -> _Mix:
         if (self.virtual is None) == (self.nodes is None):
             raise ValueError("expected `virtual` (weights over named joints) or `nodes` (weights over nodes)")
+        if self.aside is not None and self.nodes is None:
+            raise ValueError("`aside` goes with `nodes`, whose plane it leaves")
         return self
 
 
@@ -38,6 +48,15 @@ class _Root(BaseModel):
     model_config = ConfigDict(extra="forbid")
     up: Axis
     facing: Axis
+
+
+_ONLY: dict[str, tuple[Format, ...]] = {
+    "bones": ("acclaim", "bvh"),
+    "root_axes": ("acclaim", "bvh", "amass"),
+    "order": ("positions",),
+    "screen": ("c3d",),
+}
+"""Keys that mean something for some formats only."""
 
 
 class _SkeletonFile(BaseModel):
@@ -53,166 +72,9 @@ class _SkeletonFile(BaseModel):
     strip_prefix: str | None = None
     bones: dict[str, dict[str, float]] = Field(default_factory=dict)
     order: list[str] = Field(default_factory=list)
+    screen: bool | None = None
+    aliases: dict[str, list[str]] = Field(default_factory=dict)
     joints: dict[str, Any]  # see `_mix`
-
-
-@dataclass(frozen=True)
-class Mix:
-    """A fixed linear combination of nodes of a skeleton, or (`of_joints`) of other named joints."""
-
-    weights: tuple[tuple[str, float], ...]
-    of_joints: bool = False
-
-    @property
-    def node(self) -> str | None:
-        """The node that this is, where it is just one."""
-        return self.weights[0][0] if len(self.weights) == 1 and not self.of_joints else None
-
-    def __str__(self) -> str:
-        return " ".join(f"{weight:+g} {name}" for name, weight in self.weights)
-
-
-@dataclass(frozen=True)
-class SkeletonMapping:
-    """One mapping file.
-
-    joints: named joint → what it may be, the first that a skeleton can supply counts; None: such a skeleton has none.
-    unit_m: metres of one unit, None where it is to be guessed. axes: (3, 3), turns source coordinates into X, Y up, Z
-    (right-handed). root_axes: (3, 3), the same for the axes of the root node itself.
-    bones: node → weights over the offsets of other nodes, which it is given where the file leaves its own at zero.
-    order: the points of files that do not name theirs, in order; empty where these cannot be read.
-    """
-
-    name: str
-    path: Path
-    digest: str
-    format: Format
-    unit_m: float | None
-    axes: F64
-    root_axes: F64
-    strip_prefix: str | None
-    bones: dict[str, dict[str, float]]
-    joints: dict[str, tuple[Mix | None, ...]]
-    order: tuple[str, ...] = ()
-
-    def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
-        """Node name → index, by the names that the mapping uses; what a stripped prefix makes ambiguous is left out."""
-        if self.strip_prefix is None:
-            return dict(nodes)
-        short: dict[str, list[int]] = {}
-        for name, index in nodes.items():
-            found = re.match(self.strip_prefix, name)
-            short.setdefault(name[found.end() :] if found else name, []).append(index)
-        return {name: indices[0] for name, indices in short.items() if len(indices) == 1} | dict(nodes)
-
-    def fit(self, nodes: Mapping[str, int]) -> Fit:
-        """Find the named joints in a skeleton, given as node name → index."""
-        places = self.places(nodes)
-        found: dict[str, Mix | None] = {}
-        missing: dict[str, str] = {}
-        # Virtual joints last: what they are made of is never virtual itself.
-        for joint in sorted(self.joints, key=lambda joint: any(mix and mix.of_joints for mix in self.joints[joint])):
-            for mix in self.joints[joint]:
-                there: Mapping[str, object] = found if mix and mix.of_joints else places
-                if mix is None or all(there.get(name) is not None for name, _ in mix.weights):
-                    found[joint] = mix
-                    break
-            else:
-                names = [name for mix in self.joints[joint] if mix and not mix.of_joints for name, _ in mix.weights]
-                missing[f"joint '{joint}'"] = next((name for name in names if name not in places), joint)
-        for bone, weights in self.bones.items():
-            lacking = [name for name in (bone, *weights) if name not in places]
-            if lacking:
-                missing[f"bone '{bone}'"] = lacking[0]
-        return Fit(self, places, found, missing)
-
-    def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
-        """Pick and build the named joints.
-
-        Parameters
-        ----------
-        source: the file that errors name. nodes: node name → index. positions: float64 (nodes, 3, T).
-        joints: the named joints wanted, in order.
-
-        Returns
-        -------
-        float64 (len(joints), 3, T), Y up; NaN for a joint that the skeleton does not have.
-
-        Raises
-        ------
-        SourceError: the skeleton lacks a node that the mapping names.
-        """
-        fit = self.fit(nodes)
-        fit.check(source)
-        return fit.apply(positions, joints)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A mapping laid over one skeleton.
-
-    places: node name → index, under the names that the mapping uses. joints: named joint → what it is here.
-    missing: what the mapping cannot make here (a joint, a bone) → the first node that it would need.
-    """
-
-    mapping: SkeletonMapping
-    places: dict[str, int]
-    joints: dict[str, Mix | None]
-    missing: dict[str, str]
-
-    @property
-    def named(self) -> int:
-        """How many joints the skeleton itself supplies."""
-        return sum(mix is not None and not mix.of_joints for mix in self.joints.values())
-
-    @property
-    def root(self) -> int:
-        """The index of the node whose turns are those of the body: that of joint `root`, else the skeleton's first."""
-        mix = self.joints.get("root")
-        return self.places[mix.node] if mix is not None and mix.node is not None else 0
-
-    @property
-    def nodes(self) -> tuple[int, ...]:
-        """The indices of the nodes that the named joints are made of."""
-        own = [mix for mix in self.joints.values() if mix is not None and not mix.of_joints]
-        return tuple(sorted({self.places[name] for mix in own for name, _ in mix.weights}))
-
-    @property
-    def unknown(self) -> tuple[str, ...]:
-        """The joints that the skeleton does not have."""
-        return tuple(joint for joint, mix in self.joints.items() if mix is None)
-
-    @property
-    def virtual(self) -> dict[str, Mix]:
-        """The joints that are built from others, and how."""
-        return {joint: mix for joint, mix in self.joints.items() if mix is not None and mix.node is None}
-
-    def check(self, source: str | Path) -> None:
-        """Raise a SourceError that names `source` and the first node that is missing, if there is one."""
-        for what, node in self.missing.items():
-            raise SourceError(
-                source,
-                f"the skeleton has no '{node}', which mapping '{self.mapping.name}' ({self.mapping.path}) takes for "
-                f"{what}{did_you_mean(node, self.places)}",
-            )
-
-    def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:
-        """The named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of the skeleton's nodes."""
-        tracks: dict[str, F64] = {}
-        frames = positions.shape[2]
-        for joint, mix in self.joints.items():  # in the order of `fit`: what a virtual joint needs is there before it
-            if mix is None:
-                tracks[joint] = np.full((3, frames), np.nan)
-            elif mix.node is not None:
-                tracks[joint] = positions[self.places[mix.node]]
-            else:
-                of = tracks if mix.of_joints else {name: positions[self.places[name]] for name, _ in mix.weights}
-                with np.errstate(over="ignore", invalid="ignore"):  # faulty numbers become infinite, and are refused
-                    tracks[joint] = np.sum([weight * of[name] for name, weight in mix.weights], axis=0)
-        result = np.stack([tracks[joint] for joint in joints])
-        if not np.array_equal(self.mapping.axes, np.eye(3)):
-            result = np.einsum("ab,jbt->jat", self.mapping.axes, result)
-        return np.ascontiguousarray(result)
 
 
 @dataclass(frozen=True)
@@ -249,12 +111,28 @@ class Mappings:
         near = self.nearest(form, nodes)
         if near is None:
             raise SourceError(source, f"no skeleton mapping for {form} files; {way_out}")
+        lacks = _listed([f"{node} (for {what})" for what, node in near.missing.items()])
+        has = (
+            f"file has the markers {_listed(list(nodes), 24)}"
+            if form == "c3d"
+            else f"skeleton has {_listed(list(nodes))}"
+        )
         raise SourceError(
             source,
-            f"no skeleton mapping fits; the nearest, '{near.mapping.name}', finds {len(near.joints)} joints and lacks "
-            f"{_listed([f'{node} (for {what})' for what, node in near.missing.items()])}; the skeleton has "
-            f"{_listed(list(nodes))}; {way_out}",
+            f"no skeleton mapping fits; the nearest, '{near.mapping.name}', finds "
+            f"{len(near.joints) - len(near.unknown)} joints and lacks {lacks}; the {has}{self._several(form, nodes)}; "
+            f"{way_out}",
         )
+
+    def _several(self, form: Format, nodes: Iterable[str]) -> str:
+        """A clause about a file of several figures, whose joints differ by their prefix only."""
+        found = [mapping.shared(nodes) for mapping in self.of_format.get(form, ())]
+        most = max(found, key=len, default={})
+        if not most:
+            return ""
+        name, whole = next(iter(most.items()))
+        differ = f"names that differ by their prefix only, as {' and '.join(whole[:2])} ({name})"
+        return f"; of {differ}, none is taken: write one figure a file"
 
     def names_in_order(self, source: str | Path, count: int) -> tuple[str, ...]:
         """The names of the points of a file that does not name them: those of the mapping with as many in its `order`.
@@ -275,9 +153,9 @@ class Mappings:
         )
 
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        """The mapping that lacks the least in a skeleton, and of these the one that finds the most joints."""
+        """The mapping that finds the most joints in a skeleton, and of these the one that lacks the least."""
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
-        return min(fits, key=lambda fit: (len(fit.missing), -fit.named), default=None)
+        return min(fits, key=lambda fit: (-fit.named, len(fit.missing) + len(fit.unknown)), default=None)
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:
@@ -331,8 +209,8 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
         raise located.error(f"must be a positive number of metres, or guess; got {unit_m!r}", "unit_m")
     if parsed.format == "acclaim" and parsed.unit_m == "guess":
         raise located.error("an ASF file states its unit; give the metres of one inch, 0.0254", "unit_m")
-    for key in ("bones", "root_axes") if parsed.format == "positions" else ("order",):
-        if getattr(parsed, key):
+    for key, formats in _ONLY.items():
+        if getattr(parsed, key) and parsed.format not in formats:
             raise located.error(f"means nothing for format {parsed.format}", key)
     if parsed.strip_prefix is not None:
         try:
@@ -353,6 +231,8 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
         bones=parsed.bones,
         joints={joint: _choices(located, parsed, joint) for joint in parsed.joints},
         order=tuple(parsed.order),
+        aliases={name: tuple(others) for name, others in parsed.aliases.items()},
+        screen=parsed.format == "c3d" and parsed.screen is not False,
     )
 
 
@@ -380,7 +260,8 @@ def _mix(located: Located, parsed: _SkeletonFile, joint: str, value: object) -> 
             )  # fmt: skip
     if abs(sum(weights.values()) - 1.0) > 1e-9:
         raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", "joints", joint)
-    return Mix(tuple(weights.items()), of_joints=mix.virtual is not None)
+    plane, out = (tuple(mix.aside.plane), mix.aside.times) if mix.aside else ((), 0.0)
+    return Mix(tuple(weights.items()), of_joints=mix.virtual is not None, plane=plane, out=out)
 
 
 def _has_virtual(what: object) -> bool:

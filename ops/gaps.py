@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -52,16 +53,15 @@ def fill_gaps(positions: F64, longest: int) -> tuple[F64, list[Gap], list[Gap]]:
     """
     filled = positions.copy()
     frames = np.arange(positions.shape[2])
-    closed, left = [], []
+    closed: list[Gap] = []
+    left: list[Gap] = []
     for gap in find_gaps(positions):
-        if gap.frames > longest or gap.frames == len(frames):
-            left.append(gap)
-            continue
-        seen = ~np.isnan(positions[gap.point]).any(axis=0)
+        (left if gap.frames > longest or gap.frames == len(frames) else closed).append(gap)
+    for point, gaps in groupby(closed, key=lambda gap: gap.point):
+        missing = np.isnan(positions[point]).any(axis=0)
+        wanted = np.zeros(len(frames), np.bool_)
+        for gap in gaps:
+            wanted[gap.start : gap.stop] = True
         for axis in range(3):
-            track = positions[gap.point, axis]
-            filled[gap.point, axis, gap.start : gap.stop] = np.interp(
-                frames[gap.start : gap.stop], frames[seen], track[seen]
-            )
-        closed.append(gap)
+            filled[point, axis, wanted] = np.interp(frames[wanted], frames[~missing], positions[point, axis, ~missing])
     return filled, closed, left

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +18,15 @@ from catalog.units import body_height
 from ops import kinematics
 from ops.errors import KinedexError, SourceError
 from ops.gaps import find_gaps
+from ops.words import NO_WORD
 from pipelines.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
 from storage.acclaim import INCH_M, read_asf
 from storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
 from storage.bvh import parse_bvh
+from storage.c3d import parse_c3d
 from storage.export import TREE
-from storage.positions import parse_positions
+from storage.positions import Points, parse_positions
 from storage.sources import UNREAD, SourceFile, skeleton_of
 
 F64 = npt.NDArray[np.float64]
@@ -37,9 +39,10 @@ ABOVE = 3
 
 _READ = f"kinedex reads {', '.join(FORMS)}"
 _FORMATS = {
-    ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".trc": "TRC, positions",
+    ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".c3d": "C3D, markers", ".trc": "TRC, positions",
     ".csv": "CSV, positions", ".npz": "NPZ, positions", ".npy": "NPY, positions",
 }  # fmt: skip
+_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # the file's axes that are drawn to the right, up, and to the right
 _AXES = ("x to the right, y up", "z to the right, y up")
 _DRAWN = 1e9  # units; a joint farther away than this is a fault, and would leave nothing else to be seen
 _RATE_HZ = 30.0  # the analysis rate of a store
@@ -160,7 +163,14 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings) ->
         _say_nodes(found, nodes)
         return _Skeleton("acclaim", nodes)
     if form_of(file) == "positions":
-        return _raw_points(found, file, mappings)
+        points = parse_positions(file)
+        names = points.names or mappings.names_in_order(file, len(points.positions))
+        return _raw_points(found, file, "positions", points, points.places(names))
+    if form_of(file) == "c3d":
+        markers = parse_c3d(file)
+        axes = _UPRIGHT[markers.up or "z"]
+        upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
+        return _raw_points(found, file, "c3d", upright, markers.places(), axes)
     bvh = parse_bvh(file)
     _say_nodes(found, bvh.places)
     _say_time(found, bvh.rate_hz, len(bvh.channels))
@@ -170,14 +180,17 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings) ->
     return _Skeleton("bvh", bvh.places, _raw_figure(file, positions, bones, _times(shown, bvh.rate_hz)))
 
 
-def _raw_points(found: Inspection, file: Path, mappings: Mappings) -> _Skeleton:
-    points = parse_positions(file)
+def _raw_points(
+    found: Inspection, file: Path, form: Format, points: Points, nodes: dict[str, int], axes: str = "xyz"
+) -> _Skeleton:
+    """What a file of points holds, said and returned."""
     count, frames = len(points.positions), points.positions.shape[2]
     if points.names:
         _say_nodes(found, points.names)
     else:
         found.say("nodes", f"{count}, which the file does not name")
-    shown = _shown(frames)
+    seen = np.flatnonzero(np.isfinite(points.positions[:, 0]).any(axis=0))
+    shown = seen[_shown(len(seen))].tolist() if len(seen) else _shown(frames)
     times = _times(shown, points.rate_hz) if points.rate_hz else [f"frame {frame}" for frame in shown]
     if points.rate_hz:
         _say_time(found, points.rate_hz, frames)
@@ -187,12 +200,13 @@ def _raw_points(found: Inspection, file: Path, mappings: Mappings) -> _Skeleton:
     if gaps:
         longest = max(gap.frames for gap in gaps)
         found.say("gaps", f"{len(gaps)} in {len({gap.point for gap in gaps})} points, the longest of {longest} frames")
-    names = points.names or mappings.names_in_order(file, count)
     dots = [(i, i, MIDDLE) for i in range(count)]
-    return _Skeleton("positions", points.places(names), _raw_figure(file, points.positions[:, :, shown], dots, times))
+    return _Skeleton(form, nodes, _raw_figure(file, points.positions[:, :, shown], dots, times, axes))
 
 
-def _raw_figure(file: Path, points: F64, bones: list[tuple[int, int, str]], times: list[str]) -> Figure | None:
+def _raw_figure(
+    file: Path, points: F64, bones: list[tuple[int, int, str]], times: list[str], axes: str = "xyz"
+) -> Figure | None:
     """The file's own joints, as they stand in it; None where there is nothing to be seen."""
     known = np.isfinite(points).all(axis=1)
     if not known.any(axis=0).all() or not np.nanmax(np.abs(points)) < _DRAWN:
@@ -202,11 +216,11 @@ def _raw_figure(file: Path, points: F64, bones: list[tuple[int, int, str]], time
         points=points,
         bones=bones,
         times=times,
-        views=[(_AXES[0], 0, 1), (_AXES[1], 2, 1)],
+        views=[(f"{axes[0]} to the right, {axes[1]} up", 0, 1), (f"{axes[2]} to the right, {axes[1]} up", 2, 1)],
         ground=ground,
         title=f"{file.name}: the file's own joints and axes",
         legend=[],
-        note=f"ground line: lowest joint, y = {ground:.4g} units",
+        note=f"ground line: lowest joint, {axes[1]} = {ground:.4g} units",
     )
 
 
@@ -244,7 +258,10 @@ def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Giv
         how = "given" if said else "assumed: Acclaim files do not say it"
         _say_time(found, body.rate_hz, body.frames, f" ({how})")
     found.say("unit", body.unit)
-    height = body_height(body.positions, feature_set.joints)
+    valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
+    if len(valid) < body.frames:
+        found.say("valid frames", f"{len(valid)} of {body.frames}; the others have no word")
+    height = body_height(body.positions[:, :, valid], feature_set.joints)
     if height is not None:
         found.say("height", f"{height:.2f} m, legs and trunk stretched out")
     low = float(np.nanmin(body.positions[:, 1]))
@@ -253,8 +270,9 @@ def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Giv
     for i, warning in enumerate(warnings or ["none"]):
         found.say("warnings" if i == 0 else "", warning)
     _, _, words = analyse(body, feature_set, _RATE_HZ)
+    words = words[words != NO_WORD]
     shares = {
-        feature.number: float(np.mean((words >> np.uint64(feature.number - 1)) & np.uint64(1)))
+        feature.number: float(np.mean((words >> np.uint64(feature.number - 1)) & np.uint64(1))) if len(words) else 0.0
         for feature in feature_set.features
     }
     on = sorted((n for n, share in shares.items() if share > 0), key=lambda n: -shares[n])
@@ -271,7 +289,8 @@ def _percent(share: float) -> str:
 
 def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
     """The named joints, each frame seen from where its hips face."""
-    shown = _shown(body.frames)
+    valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
+    shown = valid[_shown(len(valid))].tolist()
     points = _facing(body.positions[:, :, shown], joints)
     bones = [
         (joints.index(joint), joints.index(parent), _side(joint))

@@ -14,12 +14,11 @@ from pathlib import Path
 from ops.errors import SourceError, StoreError
 from storage.positions import is_positions_csv
 
-MOTIONS = (".amc", ".bvh", ".trc", ".csv", ".npz", ".npy")
+MOTIONS = (".amc", ".bvh", ".c3d", ".trc", ".csv", ".npz", ".npy")
 """Endings of motion files; a .csv is one where its header names joint positions."""
 
 UNREAD = {
     ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
-    ".c3d": "markers are not read; export the solved skeleton as BVH or ASF/AMC",
     ".htr": "export it as BVH",
     ".bip": "export it as BVH",
     ".glb": "convert it to BVH first, for instance with Blender (import glTF, export BVH)",

@@ -20,7 +20,9 @@ def inspect(
         Path | None, typer.Option(metavar="DIR", help="source root: the ASF of an AMC file is looked for up to there")
     ] = None,
     rate: RateOption = None,
-    fill_gap_frames: Annotated[int, typer.Option(min=0, help="longest gap of a point that is closed")] = 0,
+    fill_gap_frames: Annotated[
+        int | None, typer.Option(min=0, help="longest gap of a point that is closed; a tenth of a second unless given")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
     ] = None,

@@ -68,11 +68,11 @@ class Params(BaseModel):
         le=FASTEST_HZ,
         description="frames per second of every file of the source, whatever the file says (`kinedex ingest --rate`)",
     )
-    fill_gap_frames: int = Field(
-        0,
+    fill_gap_frames: int | None = Field(
+        None,
         ge=0,
-        description="longest gap of a point, in source frames, that is closed along a straight line (TRC, CSV, NPZ, "
-        "NPY); a file with a longer one does not come in",
+        description="longest gap of a point, in source frames, that is closed along a straight line (C3D, TRC, CSV, "
+        "NPZ, NPY); a tenth of a second unless given; the frames of a longer one are invalid and get no word",
     )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
@@ -261,7 +261,7 @@ def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
 
 def _matters(given: Given, form: Format) -> object:
     """What of the user's word changes a take of a format."""
-    if form == "positions":
+    if form in ("positions", "c3d"):
         return astuple(given)
     return given.acclaim_hz if form == "acclaim" else given.override_rate_hz
 

@@ -22,14 +22,13 @@ from tests.oracles import features as oracle
 
 JOINTS = load_feature_set().joints
 AUTO = load_mappings("auto", JOINTS)
+ARMS = ("lelbow", "lwrist", "lfingers", "relbow", "rwrist", "rfingers")
 
 
 def nodes_of(name: str) -> dict[str, int]:
     """A skeleton that has the nodes which a mapping names first, and no others."""
     mapping = load_skeleton(name, JOINTS)
-    names = [
-        node for mixes in mapping.joints.values() if (mix := mixes[0]) and not mix.of_joints for node, _ in mix.weights
-    ]
+    names = [node for mixes in mapping.joints.values() if (mix := mixes[0]) and not mix.of_joints for node in mix.names]
     names += [node for bone, weights in mapping.bones.items() for node in (bone, *weights)]
     return {node: i for i, node in enumerate(dict.fromkeys(names))}
 
@@ -49,7 +48,8 @@ def test_every_shipped_mapping_is_told_by_the_names_of_its_own_skeleton(name: st
     mapping = load_skeleton(name, JOINTS)
     fit = AUTO.detect("x", mapping.format, nodes_of(name))
     assert fit.mapping.name == name
-    assert fit.unknown == (("ltoes", "rtoes") if name == "coco-17" else ())
+    lacks = {"coco-17": ("ltoes", "rtoes"), "gait-c3d": ("head", "headtop", *ARMS)}
+    assert set(fit.unknown) == set(lacks.get(name, ()))
     assert set(fit.joints) == set(JOINTS)
 
 
@@ -129,6 +129,45 @@ def test_joints_are_nodes_and_fixed_combinations_in_our_axes(tmp_path: Path) -> 
     assert np.isnan(found["belly"]).all()
 
 
+def test_a_joint_aside_of_a_plane_lies_as_deep_however_the_body_turns(tmp_path: Path) -> None:
+    own = user_file(
+        tmp_path,
+        "bandai",
+        ("chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Hips, Neck, Spine], times: -0.5}}"),
+    )
+    nodes = nodes_of("bandai")
+    places = np.zeros((len(nodes), 3, 1))
+    # The normal of the plane is Z, and its first side 2 long.
+    for name, place in {"Chest": (1, 1, 1), "Hips": (0, 0, 0), "Neck": (2, 0, 0), "Spine": (0, 3, 0)}.items():
+        places[nodes[name], :, 0] = place
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    for turned in (np.eye(3), turn):
+        found = load_skeleton(own, JOINTS).apply("x", nodes, np.einsum("ab,nbt->nat", turned, places), JOINTS)
+        np.testing.assert_allclose(found[JOINTS.index("chest"), :, 0], turned @ [1, 1, 0])
+    left = user_file(tmp_path, "bandai", ("up: y\n", "up: y\nhandedness: left\n"), ("handedness: right\n", ""), (
+        "chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Hips, Neck, Spine], times: -0.5}}"
+    ))  # fmt: skip
+    mirrored = load_skeleton(left, JOINTS).apply("x", nodes, places * [[-1], [1], [1]], JOINTS)
+    np.testing.assert_allclose(mirrored[JOINTS.index("chest"), :, 0], [1, 1, 0])
+
+
+def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None:
+    other = {"LFWT": "LASI", "RFWT": "RASI", "LBWT": "LPSI", "RBWT": "RPSI"}
+    nodes = {f"Ann:{other.get(name, name)}": i for name, i in nodes_of("hdm05-c3d").items()}
+    fit = AUTO.detect("x", "c3d", nodes)
+    assert fit.mapping.name == "hdm05-c3d"
+    assert fit.places["LFWT"] == nodes["Ann:LASI"]
+    assert fit.upright(None) is fit
+    assert fit.upright("z") is fit
+    for up in "xy":
+        axes = fit.upright(up).mapping.axes
+        np.testing.assert_array_equal(axes[1], np.eye(3)["xyz".index(up)])
+        assert np.linalg.det(axes) == 1.0
+    with pytest.raises(SourceError, match=r"finds 0 joints and .* the file has the markers Marker_1, Marker_2; give"):
+        AUTO.detect("x", "c3d", {"Marker_1": 0, "Marker_2": 1})
+
+
 FAULTS = {
     "an unknown joint": (("belly: Spine", "bely: Spine"), "joints.bely", "did you mean 'belly'"),
     "a missing joint": (("  belly: Spine\n", ""), "joints", "write `belly: null`"),
@@ -144,8 +183,19 @@ FAULTS = {
         "strip_prefix",
         "no regular expression",
     ),
+    "a plane of two": (
+        ("chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Neck, Hips], times: 1}}"),
+        "joints.chest.aside.plane",
+        "at least 3 items",
+    ),
+    "aside of joints": (
+        ("{virtual: {neck: -2, head: 3}}", "{virtual: {neck: 1}, aside: {plane: [Neck, Hips, Head], times: 1}}"),
+        "joints.headtop",
+        "`aside` goes with `nodes`",
+    ),
+    "a key of other formats": (("unit_m: 0.01", "unit_m: 0.01\nscreen: true"), "screen", "nothing for format bvh"),
     "a misspelt key": (("unit_m: 0.01", "unit_m: 0.01\nstrip: x"), "strip", "no such key"),
-    "another format": (("format: bvh", "format: fbx"), "format", "'acclaim', 'bvh' or 'positions'"),
+    "another format": (("format: bvh", "format: fbx"), "format", "'positions', 'c3d' or 'amass'"),
 }
 
 

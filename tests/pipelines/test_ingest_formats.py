@@ -99,11 +99,11 @@ def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tm
 
 def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, source: Path) -> None:
     (source / "b" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
-    (source / "b" / "markers.C3D").write_bytes(b"\x02P")
+    (source / "b" / "dance.HTR").write_bytes(b"[Header]")
     summary, said = bring_in(tmp_path / "store", source)
     assert summary["not_read"] == 2
     assert "1 file of a format not read (.fbx): convert it to BVH first" in said
-    assert "1 file of a format not read (.c3d)" in said
+    assert "1 file of a format not read (.htr)" in said
     (tmp_path / "only").mkdir()
     (tmp_path / "only" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
     with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh, .* below .* \(.fbx\): convert it to BVH"):
@@ -165,22 +165,23 @@ def test_a_take_that_was_exported_comes_back(tmp_path: Path, source: Path, form:
         np.testing.assert_allclose(after, before, atol=1e-5)
 
 
-def test_positions_come_in_beside_other_formats_and_their_gaps_are_logged_until_they_may_be_closed(
+def test_positions_come_in_beside_other_formats_and_frames_in_long_gaps_have_no_word(
     tmp_path: Path, source: Path
 ) -> None:
-    track = np.moveaxis(standing(20), 2, 0).copy()
-    track[5:8, JOINTS.index("rwrist")] = np.nan
+    track = np.moveaxis(standing(40), 2, 0).copy()
+    track[10:20, JOINTS.index("rwrist")] = np.nan
     np.savez(source / "b" / "seen.npz", positions=track, names=np.array(JOINTS), rate_hz=60)
-    summary, said = bring_in(tmp_path / "store", source)
-    assert (summary["takes"], summary["left_out"]) == (3, 1)
-    assert "`fill_gap_frames: 3` closes them" in said
-    summary, _ = bring_in(tmp_path / "store", source, fill_gap_frames=3)
+    summary, _ = bring_in(tmp_path / "store", source)
+    assert (summary["takes"], summary["left_out"]) == (4, 0)
+    (seen,) = (row for row in rows(open_store(tmp_path / "store")) if row["name"] == "seen")
+    assert (seen["format"], seen["skeleton"], seen["source_rate_hz"]) == ("npz", "named-positions", 60.0)
+    assert (seen["frames"], seen["invalid_frames"]) == (20, 5)
+    assert "`fill_gap_frames: 10` closes all gaps" in str(seen["warnings"])
+    words = open_store(tmp_path / "store").frames("seen").column("word")
+    assert [word is None for word in words.to_pylist()] == [5 <= t < 10 for t in range(20)]
+    assert verify(open_store(tmp_path / "store")) == []
+    summary, _ = bring_in(tmp_path / "store", source, fill_gap_frames=10)
     assert (summary["takes"], summary["read"]) == (4, 1)
     (seen,) = (row for row in rows(open_store(tmp_path / "store")) if row["name"] == "seen")
-    assert (seen["format"], seen["skeleton"], seen["source_rate_hz"], seen["frames"]) == (
-        "npz",
-        "named-positions",
-        60.0,
-        10,
-    )
-    assert bring_in(tmp_path / "store", source, fill_gap_frames=3)[0]["read"] == 0
+    assert seen["invalid_frames"] == 0
+    assert bring_in(tmp_path / "store", source, fill_gap_frames=10)[0]["read"] == 0

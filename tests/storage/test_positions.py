@@ -127,18 +127,30 @@ def test_joints_that_a_file_never_shows_are_unknown(tmp_path: Path) -> None:
     assert np.isfinite(body.orientation).all()
 
 
-def test_gaps_are_an_error_with_the_way_out_and_closed_up_to_a_length(tmp_path: Path) -> None:
-    walk = keypoints(COCO, 12)
+def test_long_gaps_make_frames_invalid_and_short_ones_are_closed(tmp_path: Path) -> None:
+    walk = keypoints(COCO, 24)
     gap = walk.copy()
     gap[4:7, COCO.index("left_wrist"), 1] = np.nan
+    gap[12:20, COCO.index("left_hip"), 0] = np.nan
     gap[2, COCO.index("nose")] = np.nan  # nothing takes it
     path = write(tmp_path / "a.trc", trc(1000 * gap, COCO))
-    with pytest.raises(SourceError, match=r"'left_wrist' is missing in source frames 4 to 6 .* `fill_gap_frames: 3`"):
-        read(path, Given(fill_gap_frames=2))
-    body = read(path, Given(fill_gap_frames=3))
+    body = read(path)  # at 60 Hz, a tenth of a second is six frames
+    assert body.valid is not None
+    assert np.flatnonzero(~body.valid).tolist() == list(range(12, 20))
+    assert body.warnings[-2:] == (
+        "gaps closed along straight lines: left_wrist 3 frames (longest 3)",
+        "8 of 24 source frames are invalid and have no word; points that the mapping 'coco-17' takes are missing for "
+        "more than 6 frames: left_hip 8 frames (longest 8); `fill_gap_frames: 8` closes all gaps along straight lines",
+    )
+    assert np.isnan(body.orientation).any(axis=0).tolist() == (~body.valid).tolist()
     whole = read(write(tmp_path / "b.trc", trc(1000 * walk, COCO)))
-    np.testing.assert_allclose(body.positions, whole.positions, atol=1e-5)
-    assert body.warnings[-1] == "gaps closed along straight lines: left_wrist 3 frames (longest 3)"
+    np.testing.assert_allclose(body.positions[:, :, body.valid], whole.positions[:, :, body.valid], atol=1e-5)
+    closed = read(path, Given(fill_gap_frames=8))
+    assert closed.valid is None
+    np.testing.assert_allclose(closed.positions, whole.positions, atol=1e-5)
+    none = read(path, Given(fill_gap_frames=0)).valid
+    assert none is not None
+    assert np.count_nonzero(~none) == 11
 
 
 def test_rates_that_contradict_each_other_are_said_and_missing_ones_asked_for(tmp_path: Path) -> None:

@@ -1,0 +1,225 @@
+"""Skeletons and their fits: what a mapping makes of the nodes, points or markers that a source has."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import SourceError, did_you_mean
+
+F64 = npt.NDArray[np.float64]
+Format: TypeAlias = Literal["acclaim", "bvh", "positions", "c3d", "amass"]
+Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+
+@dataclass(frozen=True)
+class Mix:
+    """A fixed linear combination of nodes of a skeleton, or (`of_joints`) of other named joints.
+
+    plane, out: nodes a, b, c, and how many times |b − a| the place lies off along (b − a) × (c − a), the normal of
+    their plane: where a joint lies beneath the markers on the skin.
+    """
+
+    weights: tuple[tuple[str, float], ...]
+    of_joints: bool = False
+    plane: tuple[str, ...] = ()
+    out: float = 0.0
+
+    @property
+    def node(self) -> str | None:
+        """The node that this is, where it is just one."""
+        return self.weights[0][0] if len(self.weights) == 1 and not self.of_joints and not self.plane else None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All nodes, or joints, that it is made of."""
+        return tuple(dict.fromkeys([*(name for name, _ in self.weights), *self.plane]))
+
+    def __str__(self) -> str:
+        mixed = " ".join(f"{weight:+g} {name}" for name, weight in self.weights)
+        return f"{mixed} {self.out:+g} aside of {'-'.join(self.plane)}" if self.plane else mixed
+
+    def apply(self, places: Mapping[str, F64], hand: float) -> F64:
+        """The place (3, T) by those of the nodes; hand: 1 for right-handed axes, −1 for left-handed ones."""
+        with np.errstate(over="ignore", invalid="ignore"):  # faulty numbers become infinite, and are refused
+            mixed: F64 = np.sum([weight * places[name] for name, weight in self.weights], axis=0)
+            if self.plane:
+                a, b, c = (places[name] for name in self.plane)
+                normal = np.cross(b - a, c - a, axis=0)
+                far = np.linalg.norm(b - a, axis=0) / np.maximum(np.linalg.norm(normal, axis=0), np.finfo(float).tiny)
+                mixed = mixed + hand * self.out * far * normal
+        return mixed
+
+
+@dataclass(frozen=True)
+class SkeletonMapping:
+    """One mapping file.
+
+    joints: named joint → what it may be, the first that a skeleton can supply counts; None: such a skeleton has none.
+    unit_m: metres of one unit, None where it is to be guessed. axes: (3, 3), turns source coordinates into X, Y up, Z
+    (right-handed). root_axes: (3, 3), the same for the axes of the root node itself.
+    bones: node → weights over the offsets of other nodes, which it is given where the file leaves its own at zero.
+    order: the points of files that do not name theirs, in order; empty where these cannot be read.
+    aliases: node → what else it may be called, by the first name that is there.
+    screen: whether the axis that a file calls vertical counts in place of the mapping's own.
+    """
+
+    name: str
+    path: Path
+    digest: str
+    format: Format
+    unit_m: float | None
+    axes: F64
+    root_axes: F64
+    strip_prefix: str | None
+    bones: dict[str, dict[str, float]]
+    joints: dict[str, tuple[Mix | None, ...]]
+    order: tuple[str, ...] = ()
+    screen: bool = False
+    aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
+        """Node name → index, by the names that the mapping uses; what a stripped prefix makes ambiguous is left out."""
+        short = self._short(nodes)
+        places = {name: nodes[whole[0]] for name, whole in short.items() if len(whole) == 1} | dict(nodes)
+        for name, others in self.aliases.items():
+            there = next((places[other] for other in others if other in places), None)
+            if there is not None:
+                places.setdefault(name, there)
+        return places
+
+    def shared(self, nodes: Iterable[str]) -> dict[str, list[str]]:
+        """The names that a stripped prefix makes ambiguous, and the nodes whose names they are."""
+        return {name: whole for name, whole in self._short(nodes).items() if len(whole) > 1}
+
+    def _short(self, nodes: Iterable[str]) -> dict[str, list[str]]:
+        """What node names are without their prefix, and the nodes of each such name."""
+        short: dict[str, list[str]] = {}
+        for name in nodes if self.strip_prefix is not None else ():
+            found = re.match(self.strip_prefix or "", name)
+            short.setdefault(name[found.end() :] if found else name, []).append(name)
+        return short
+
+    def fit(self, nodes: Mapping[str, int]) -> Fit:
+        """Find the named joints in a skeleton, given as node name → index."""
+        places = self.places(nodes)
+        found: dict[str, Mix | None] = {}
+        missing: dict[str, str] = {}
+        # Virtual joints last: what they are made of is never virtual itself.
+        for joint in sorted(self.joints, key=lambda joint: any(mix and mix.of_joints for mix in self.joints[joint])):
+            for mix in self.joints[joint]:
+                there: Mapping[str, object] = found if mix and mix.of_joints else places
+                if mix is None or all(there.get(name) is not None for name in mix.names):
+                    found[joint] = mix
+                    break
+            else:
+                names = [name for mix in self.joints[joint] if mix and not mix.of_joints for name in mix.names]
+                missing[f"joint '{joint}'"] = next((name for name in names if name not in places), joint)
+        for bone, weights in self.bones.items():
+            lacking = [name for name in (bone, *weights) if name not in places]
+            if lacking:
+                missing[f"bone '{bone}'"] = lacking[0]
+        return Fit(self, places, found, missing)
+
+    def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
+        """Pick and build the named joints.
+
+        Parameters
+        ----------
+        source: the file that errors name. nodes: node name → index. positions: float64 (nodes, 3, T).
+        joints: the named joints wanted, in order.
+
+        Returns
+        -------
+        float64 (len(joints), 3, T), Y up; NaN for a joint that the skeleton does not have.
+
+        Raises
+        ------
+        SourceError: the skeleton lacks a node that the mapping names.
+        """
+        fit = self.fit(nodes)
+        fit.check(source)
+        return fit.apply(positions, joints)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A mapping laid over one skeleton.
+
+    places: node name → index, under the names that the mapping uses. joints: named joint → what it is here.
+    missing: what the mapping cannot make here (a joint, a bone) → the first node that it would need.
+    """
+
+    mapping: SkeletonMapping
+    places: dict[str, int]
+    joints: dict[str, Mix | None]
+    missing: dict[str, str]
+
+    @property
+    def named(self) -> int:
+        """How many joints the skeleton itself supplies."""
+        return sum(mix is not None and not mix.of_joints for mix in self.joints.values())
+
+    @property
+    def root(self) -> int:
+        """The index of the node whose turns are those of the body: that of joint `root`, else the skeleton's first."""
+        mix = self.joints.get("root")
+        return self.places[mix.node] if mix is not None and mix.node is not None else 0
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """The indices of the nodes that the named joints are made of."""
+        own = [mix for mix in self.joints.values() if mix is not None and not mix.of_joints]
+        return tuple(sorted({self.places[name] for mix in own for name in mix.names}))
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """The joints that the skeleton does not have."""
+        return tuple(joint for joint, mix in self.joints.items() if mix is None)
+
+    @property
+    def virtual(self) -> dict[str, Mix]:
+        """The joints that are built from others, and how."""
+        return {joint: mix for joint, mix in self.joints.items() if mix is not None and mix.node is None}
+
+    def upright(self, up: str | None) -> Fit:
+        """The same where the file calls the axis `up` vertical and the mapping lets it; None: the file says nothing."""
+        mapping = self.mapping
+        if up is None or not mapping.screen or np.array_equal(mapping.axes[1], np.eye(3)["xyz".index(up)]):
+            return self
+        index = "xyz".index(up)
+        # The next two axes in turn, so that the three are right-handed; which way the figure looks, its hips say.
+        return replace(self, mapping=replace(mapping, axes=np.eye(3)[[(index + 2) % 3, index, (index + 1) % 3]]))
+
+    def check(self, source: str | Path) -> None:
+        """Raise a SourceError that names `source` and the first node that is missing, if there is one."""
+        for what, node in self.missing.items():
+            raise SourceError(
+                source,
+                f"the skeleton has no '{node}', which mapping '{self.mapping.name}' ({self.mapping.path}) takes for "
+                f"{what}{did_you_mean(node, self.places)}",
+            )
+
+    def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:
+        """The named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of the skeleton's nodes."""
+        tracks: dict[str, F64] = {}
+        frames = positions.shape[2]
+        hand = float(np.sign(np.linalg.det(self.mapping.axes)))
+        for joint, mix in self.joints.items():  # in the order of `fit`: what a virtual joint needs is there before it
+            if mix is None:
+                tracks[joint] = np.full((3, frames), np.nan)
+            elif mix.node is not None:
+                tracks[joint] = positions[self.places[mix.node]]
+            else:
+                of = tracks if mix.of_joints else {name: positions[self.places[name]] for name in mix.names}
+                tracks[joint] = mix.apply(of, hand)
+        result = np.stack([tracks[joint] for joint in joints])
+        if not np.array_equal(self.mapping.axes, np.eye(3)):
+            result = np.einsum("ab,jbt->jat", self.mapping.axes, result)
+        return np.ascontiguousarray(result)
