@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -165,7 +167,13 @@ def load_yaml(path: str | Path) -> Located:
 
 def parse_yaml(text: str, path: str | Path) -> Located:
     """Like `load_yaml`, for text that is already read; `path` is what errors name."""
-    located = Located(Path(path), None, {})
+    known = _parsed(text, Path(path))
+    return Located(known.path, copy.deepcopy(known.data), dict(known.lines))
+
+
+@lru_cache(maxsize=32)  # a run asks for the same dozen files again and again, and YAML is slow to read
+def _parsed(text: str, path: Path) -> Located:
+    located = Located(path, None, {})
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
         data = None if node is None else _construct(node, (), located, yaml.SafeLoader(""))
