@@ -302,15 +302,8 @@ def read_amc(path: str | Path, skeleton: Skeleton) -> Motion:
         raise SourceError(path, _explain(fault, data, skeleton), line=fault.line)
     if not len(values):
         raise SourceError(path, "no frames: the file ends after its header", line=line)
-    column = 0
-    for _, dofs in skeleton.channels:
-        for dof in dofs:
-            if dof in ("rx", "ry", "rz"):
-                if degrees:
-                    values[:, column] *= np.pi / 180.0
-            else:
-                values[:, column] *= skeleton.unit_m / skeleton.length_scale
-            column += 1
+    turn, metres = np.pi / 180.0 if degrees else 1.0, skeleton.unit_m / skeleton.length_scale
+    values *= [turn if dof in ("rx", "ry", "rz") else metres for _, dofs in skeleton.channels for dof in dofs]
     warnings = () if first == 1 else (f"frame numbers begin at {first}; its source frame here is 0",)
     return Motion(values, warnings)
 
