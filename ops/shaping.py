@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.errors import ParameterError
-from ops.templates import QuantisedTemplate, Template
+from ops.templates import Template, quantise
 from ops.warping import align
-from ops.words import bits
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -21,7 +20,7 @@ WILDCARD = 0.5
 
 @dataclass(frozen=True)
 class Contrast:
-    """Two quantised templates laid along each other.
+    """Two templates laid along each other.
 
     path: int64 (P, 2), the columns of the first and the second that stand side by side.
     against: int8 (P, f): 1 where the first says on and the second off, −1 the other way round, 0 where they do not
@@ -90,18 +89,20 @@ def consistency(template: Template) -> F64:
     return result
 
 
-def contrast(first: QuantisedTemplate, second: QuantisedTemplate, features: int) -> Contrast:
-    """Lay two templates along each other, by classical DTW, so that they contradict each other as little as possible.
+def contrast(first: Template, second: Template, delta: float) -> Contrast:
+    """Lay two templates along each other, by classical DTW of their averages, and find what their fixed entries deny.
 
     Parameters
     ----------
-    features: how many features both have.
+    delta: values within δ of 0 or 1 are fixed, as in `quantise`; the rest contradicts nothing.
     """
-    both = first.mask[:, None] & second.mask[None, :]
-    local = np.bitwise_count((first.value[:, None] ^ second.value[None, :]) & both) / features
+    if first.values.shape[1] != second.values.shape[1]:
+        shapes = [first.values.shape[1], second.values.shape[1]]
+        raise ParameterError("templates", "templates of the same features", shapes)
+    local = np.abs(first.values[:, None, :] - second.values[None, :, :]).mean(axis=2)
     path = align(local, np.ones(len(first)), np.ones(len(second))).path
-    k, m = path[:, 0], path[:, 1]
-    compared = first.mask[k] & second.mask[m]
-    ones = bits(first.value[k] & ~second.value[m] & compared, features).astype(np.int8)
-    zeros = bits(second.value[m] & ~first.value[k] & compared, features).astype(np.int8)
-    return Contrast(path, ones - zeros, bits(compared, features).astype(np.bool_))
+    features = first.values.shape[1]
+    one, other = (quantise(template, delta).values(features) for template in (first, second))
+    one, other = one[path[:, 0]], other[path[:, 1]]
+    compared = (one != WILDCARD) & (other != WILDCARD)
+    return Contrast(path, np.where(compared, one - other, 0).astype(np.int8), compared)

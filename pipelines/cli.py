@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from pipelines.commands import exploring, keeping, running
+from pipelines.commands import exploring, keeping, queries, running, templates
 from pipelines.commands.shell import app
 
-PANELS = {running: "Run pipelines", exploring: "Ask a store", keeping: "Look after files and stores"}
+PANELS = {
+    running: "Run pipelines",
+    exploring: "Ask a store",
+    templates: "Ask a store",
+    queries: "Search for motion",
+    keeping: "Look after files and stores",
+}
 """The modules whose commands the app has (importing one registers them), in the order of the help, and their titles."""
 
 _TITLES = {module.__name__: title for module, title in PANELS.items()}

@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar, cast
 
 import typer
 
@@ -38,6 +38,12 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 def command(function: Command) -> Command:
     """Register a command; its errors are shown as one message, without a traceback."""
+    app.command()(guard(function))
+    return function
+
+
+def guard(function: Command) -> Command:
+    """A command whose errors are shown as one message, without a traceback."""
 
     @functools.wraps(function)
     def guarded(*args: object, **kwargs: object) -> None:
@@ -61,8 +67,7 @@ def command(function: Command) -> Command:
         print(f"kinedex: {reason}", file=sys.stderr)
         raise typer.Exit(FAILED)
 
-    app.command()(guarded)
-    return function
+    return cast("Command", guarded)
 
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="directory of the store")]

@@ -63,13 +63,12 @@ def test_features_that_the_clips_disagree_about_are_less_consistent():
 
 
 @given(templates(), templates())
-def test_a_contrast_reads_the_same_from_the_other_side_and_finds_none_in_itself(one: Template, other: Template):
+def test_a_contrast_is_where_fixed_entries_side_by_side_differ(one: Template, other: Template):
     first, second = quantise(one, 0.1), quantise(other, 0.1)
-    there, back = contrast(first, second, 5), contrast(second, first, 5)
-    assert np.abs(there.against).sum() == np.abs(back.against).sum()
+    there = contrast(one, other, 0.1)
     assert there.path[0].tolist() == [0, 0]
     assert there.path[-1].tolist() == [len(one) - 1, len(other) - 1]
-    assert not contrast(first, first, 5).against.any()
+    assert not contrast(one, one, 0.1).against.any()
     for (k, m), row, compared in zip(there.path, there.against, there.compared, strict=True):
         a, b = first.values(5)[k], second.values(5)[m]
         assert compared.tolist() == ((a != 0.5) & (b != 0.5)).tolist()
@@ -79,7 +78,7 @@ def test_a_contrast_reads_the_same_from_the_other_side_and_finds_none_in_itself(
 def test_what_two_templates_contradict_each_other_in_is_told_by_sign():
     still = Template(np.zeros((3, 5)), np.ones(3))
     kick = Template(np.array([[0, 0, 0, 0, 0], [1, 0, 0.5, 0, 0], [0, 0, 0, 0, 0]], float), np.ones(3))
-    found = contrast(quantise(kick, 0), quantise(still, 0), 5)
+    found = contrast(kick, still, 0)
     assert found.against.sum(axis=0).tolist() == [1, 0, 0, 0, 0]
     assert not found.compared[1, 2]
 

@@ -1,0 +1,182 @@
+"""Commands about motion templates: template list, show, diff, from-clip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from ops.errors import KinedexError
+from pipelines.commands.shell import Format, Output, StorePath, app, guard, show_table
+from pipelines.terminal import make_console
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from catalog.features import FeatureSet
+    from catalog.templatefiles import NamedTemplate
+    from ops.templates import Kind
+
+template = typer.Typer(name="template", help="Look at motion templates, compare them, make them.", no_args_is_help=True)
+app.add_typer(template, rich_help_panel="Ask a store")
+
+KindOption = Annotated[str, typer.Option("--kind", help="soft or hard")]
+DeltaOption = Annotated[
+    float, typer.Option("--delta", min=0, max=0.4999, help="values within δ of 0 or 1 count as off and on")
+]
+StageOption = Annotated[
+    str | None, typer.Option("--stage", metavar="STAGE", help="of this stage: PIPELINE/STAGE, or the pipeline alone")
+]
+Name = Annotated[str, typer.Argument(metavar="CLASS", help="class (subclass) of the template")]
+
+
+def list_(
+    store: StorePath,
+    delta: DeltaOption = 0.05,
+    stage: StageOption = None,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """List the templates of a store."""
+    from pipelines.templates import stored_templates, templates_overview
+    from storage.store import open_store
+
+    opened = open_store(store)
+    table = templates_overview(opened, delta, stage)
+    plain = form == "table" and output is None
+    show_table(
+        table.drop_columns(["stage", "remarks"] if one_stage(table) else ["remarks"]) if plain else table, form, output
+    )
+    if plain:
+        console = make_console()
+        said = {
+            (each.one.subclass, remark): None for each in stored_templates(opened, stage) for remark in each.one.remarks
+        }
+        for subclass, remark in said:
+            console.print(f"! {subclass}: {remark}", markup=False)
+
+
+def show(
+    store: StorePath,
+    name: Name,
+    kind: KindOption = "soft",
+    delta: DeltaOption = 0.05,
+    stage: StageOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="a figure (.svg, .png), or the template as a file to edit (.yaml, .csv)"),
+    ] = None,
+) -> None:
+    """Show a template: how it was learned, and every feature over time, with how much the clips agree about it."""
+    from catalog.templatefiles import NamedTemplate
+    from pipelines.report.matrix import write_figure
+    from pipelines.report.templatefigures import template_figure
+    from pipelines.templates import choose_template
+    from pipelines.templatetext import heading, template_lines
+    from storage.store import open_store
+
+    opened = open_store(store)
+    one = choose_template(opened, name, kind_of(kind), stage)
+    console = make_console()
+    if output is None:
+        for line in template_lines(one, opened.feature_set, delta, opened.rate_hz, console.width):
+            console.print(line, markup=False)
+    elif output.suffix.lower() in (".yaml", ".yml", ".csv"):
+        write_template(
+            NamedTemplate(name, one.learned.template, heading(one, opened.rate_hz)), opened.feature_set, output
+        )
+    else:
+        note = heading(one, opened.rate_hz).split(": ", 1)[1]
+        figure = template_figure(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
+        write_figure(figure, output)
+    if output is not None:
+        print(output)
+
+
+def diff(
+    store: StorePath,
+    first: Annotated[str, typer.Argument(metavar="CLASS", help="one class")],
+    second: Annotated[str, typer.Argument(metavar="CLASS", help="the other class")],
+    kind: KindOption = "soft",
+    delta: DeltaOption = 0.05,
+    stage: StageOption = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="a figure (.svg, .png) instead of words")
+    ] = None,
+) -> None:
+    """Say what distinguishes two templates: features that contradict each other, and when."""
+    from ops.shaping import contrast
+    from pipelines.report.matrix import write_figure
+    from pipelines.report.templatefigures import contrast_figure
+    from pipelines.templates import choose_template
+    from pipelines.templatetext import contrast_lines
+    from storage.store import open_store
+
+    opened = open_store(store)
+    names = (first, second)
+    one, other = (choose_template(opened, name, kind_of(kind), stage).learned.template for name in names)
+    found = contrast(one, other, delta)
+    lines = list(contrast_lines(names, found, opened.feature_set, opened.rate_hz))
+    if output is None:
+        console = make_console()
+        for line in lines:
+            console.print(line, markup=False)
+        return
+    write_figure(contrast_figure(one, other, names, found, delta, lines[0], opened.feature_set, opened.rate_hz), output)
+    print(output)
+
+
+def from_clip(
+    store: StorePath,
+    take: Annotated[str, typer.Argument(help="name of the take")],
+    start: Annotated[str | None, typer.Argument(help="first frame (45), or seconds (1.5s); the take's first")] = None,
+    stop: Annotated[str | None, typer.Argument(help="the frame behind the last, or seconds; the take's end")] = None,
+    name: Annotated[str, typer.Option("--name", help="name of the template")] = "",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="file to write (.yaml, .csv); the terminal unless given")
+    ] = None,
+) -> None:
+    """Make a template from one example: a take, or a stretch of it. `template_files` of learn_templates reads it."""
+    from catalog.templatefiles import write_yaml
+    from pipelines.templates import template_from_clip
+    from storage.store import open_store
+
+    opened = open_store(store)
+    made = template_from_clip(opened, take, start, stop, name or take)
+    if output is None:
+        print(write_yaml([made], opened.feature_set), end="")
+        return
+    write_template(made, opened.feature_set, output)
+    print(output)
+
+
+def one_stage(table: pa.Table) -> bool:
+    """Whether all templates of an overview are of one stage, which then need not be said."""
+    return len(set(table.column("stage").to_pylist())) == 1
+
+
+def kind_of(text: str) -> Kind:
+    """The kind that an option names."""
+    if text not in ("soft", "hard"):
+        raise KinedexError(f"--kind {text}: expected soft or hard")
+    return cast("Kind", text)
+
+
+def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:
+    """Write a template file, as the path's ending says."""
+    from catalog.templatefiles import write_csv, write_yaml
+    from pipelines.report.write import write_page
+
+    ending = path.suffix.lower()
+    if ending not in (".yaml", ".yml", ".csv"):
+        raise KinedexError(f"{path}: a template file ends in .yaml or .csv")
+    if ending == ".csv" and path.stem != made.name:
+        raise KinedexError(f"{path}: a CSV file holds the template that it is named after; call it {made.name}.csv")
+    write_page(write_csv(made.template, features) if ending == ".csv" else write_yaml([made], features), path)
+
+
+template.command("list")(guard(list_))
+for _function in (show, diff):
+    template.command()(guard(_function))
+template.command("from-clip")(guard(from_clip))
