@@ -108,7 +108,7 @@ def _checked(words: U64, offsets: I64) -> tuple[U64, I64]:
     return words, offsets
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _count_word_runs(words: U64, offsets: I64) -> int:
     count = 0
     for take in range(len(offsets) - 1):
@@ -118,7 +118,7 @@ def _count_word_runs(words: U64, offsets: I64) -> int:
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fill_word_runs(words: U64, offsets: I64, take: I64, start: I64, stop: I64, word: U64) -> None:
     run = -1
     for t in range(len(offsets) - 1):
@@ -134,23 +134,31 @@ def _fill_word_runs(words: U64, offsets: I64, take: I64, start: I64, stop: I64, 
             stop[run] = i - first + 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, inline="always")
+def _lowest(bits: np.uint64) -> np.int64:
+    """The place of the lowest bit that is set, by halves; there is one."""
+    place = np.int64(0)
+    for half in (32, 16, 8, 4, 2, 1):
+        if not bits & np.uint64((1 << half) - 1):
+            bits >>= np.uint64(half)
+            place += half
+    return place
+
+
+@njit(cache=True, nogil=True)
 def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) -> None:
     for take in range(len(offsets) - 1):
         before = np.uint64(0)
         for i in range(offsets[take], offsets[take + 1]):
             now = words[i] & mask if words[i] != NO_WORD else np.uint64(0)
             rising = now & ~before
-            feature = 0
             while rising:
-                if rising & np.uint64(1):
-                    counts[feature] += 1
-                rising >>= np.uint64(1)
-                feature += 1
+                counts[_lowest(rising)] += 1
+                rising &= rising - np.uint64(1)
             before = now
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fill_feature_runs(
     words: U64, offsets: I64, mask: np.uint64, cursor: I64, take: I64, start: I64, stop: I64
 ) -> None:
@@ -162,16 +170,14 @@ def _fill_feature_runs(
             # one step past the take's end everything is off
             now = words[i] & mask if i < offsets[t + 1] and words[i] != NO_WORD else np.uint64(0)
             changed = now ^ before
-            feature = 0
             while changed:
-                if changed & np.uint64(1):
-                    run = cursor[feature]
-                    if (now >> np.uint64(feature)) & np.uint64(1):
-                        take[run] = t
-                        start[run] = i - first
-                    else:
-                        stop[run] = i - first
-                        cursor[feature] = run + 1
-                changed >>= np.uint64(1)
-                feature += 1
+                feature = _lowest(changed)
+                run = cursor[feature]
+                if (now >> np.uint64(feature)) & np.uint64(1):
+                    take[run] = t
+                    start[run] = i - first
+                else:
+                    stop[run] = i - first
+                    cursor[feature] = run + 1
+                changed &= changed - np.uint64(1)
             before = now

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,33 +23,46 @@ def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) 
 
     Only the columns take_id and word of the parts and row groups that hold these takes are read.
     """
-    wanted = sorted({int(take) for take in (manifest.live_takes if take_ids is None else take_ids)})
-    homes = {take: part for part in manifest.frames for take in part.live}
-    unknown = [take for take in wanted if take not in homes]
-    if unknown:
+    alive = manifest.live_takes
+    wanted = alive if take_ids is None else sorted({int(take) for take in take_ids})
+    if take_ids is not None and (unknown := sorted(set(wanted).difference(alive))):
         shown = ", ".join(map(str, unknown[:5]))
         raise StoreError(f"{store}: no live take has the id {shown}; `Store.takes()` lists those that are")
-    places = {take: place for place, take in enumerate(wanted)}
-    found: list[npt.NDArray[np.uint64]] = [np.empty(0, np.uint64)] * len(wanted)
-    for part in manifest.frames:
-        here = [take for take in part.live if take in places]
-        for take, words in _part_words(store, part, here) if here else ():
-            found[places[take]] = words
-    offsets = np.zeros(len(wanted) + 1, np.int64)
-    np.cumsum([len(words) for words in found], out=offsets[1:])
-    words = np.concatenate(found) if found else np.empty(0, np.uint64)
-    return TakeWords(np.array(wanted, np.int64), offsets, words)
+    asked = np.array(wanted, np.int64)
+    read = [_part_words(store, part, here) for part in manifest.frames if (here := _here(part, asked)) is not None]
+    ids = np.concatenate([np.empty(0, np.int64), *(takes for takes, _, _ in read)])
+    lengths = np.concatenate([np.empty(0, np.int64), *(counts for _, counts, _ in read)])
+    # a copy even of a single part: what Arrow holds cannot be written to, and kernels would be compiled for it anew
+    words = np.concatenate([np.empty(0, np.uint64), *(found for *_, found in read)])
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    if np.any(np.diff(ids) < 0):
+        # the takes of several parts interleave
+        order = np.argsort(ids)
+        ids, lengths, starts = ids[order], lengths[order], offsets[:-1][order]
+        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        words = words[np.arange(len(words)) + np.repeat(starts - offsets[:-1], lengths)]
+    return TakeWords(ids, offsets, words)
 
 
-def _part_words(store: Path, part: Part, takes: list[int]) -> Iterator[tuple[int, npt.NDArray[np.uint64]]]:
-    table = _read(store, part, ["take_id", "word"], min(takes), max(takes))
+def _here(part: Part, asked: I64) -> I64 | None:
+    """Those of the takes asked for that are live in a part; None where none is."""
+    live = np.array(part.live, np.int64)
+    places = np.searchsorted(asked, live)
+    live, places = live[places < len(asked)], places[places < len(asked)]
+    here = live[asked[places] == live]
+    return here if len(here) else None
+
+
+def _part_words(store: Path, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
+    """The takes asked for of one part, their lengths, and their words one after the other; no copy of a whole part."""
+    table = _read(store, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
     ids = table.column("take_id").to_numpy()
     words = words_of(table)
-    asked = np.array(takes, np.int64)
-    starts = np.searchsorted(ids, asked, side="left")
-    stops = np.searchsorted(ids, asked, side="right")
-    for take, start, stop in zip(takes, starts, stops, strict=True):
-        yield take, words[start:stop]
+    starts = np.searchsorted(ids, takes, side="left")
+    lengths = np.searchsorted(ids, takes, side="right") - starts
+    if int(lengths.sum()) != len(words):
+        words = words[np.arange(lengths.sum()) + np.repeat(starts - (np.cumsum(lengths) - lengths), lengths)]
+    return takes, lengths, words
 
 
 def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:

@@ -116,6 +116,7 @@ class _Start:
     """What a build begins with: the shards of an earlier generation that was copied, or none in an empty file."""
 
     shards: tuple[Shard, ...] = ()
+    surface: str = ""
     whole_bytes_per_frame: float | None = None
 
 
@@ -123,6 +124,7 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
     began = time.perf_counter()
     file = folder / FILE
     start = _copied(store, file)
+    surface = tables.surface(store.feature_set, store.rate_hz)
     work = plan(store.manifest.frames, start.shards, shard_frames)
     connection = duck.connect(threads, memory_mb)
     try:
@@ -135,7 +137,7 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
             tables.create(connection, store.feature_set)
         tables.delete(connection, store.feature_set, work.removed, work.dropped)
         fresh = _insert(connection, store, work, start, threads)
-        tables.describe(connection, store)
+        tables.describe(connection, store, anew=start.surface != surface)
         rows = tables.count(connection)
         valid = tables.valid_frames(connection, store.feature_set)
         connection.execute("COMMIT")
@@ -159,7 +161,7 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
         content=store.manifest.content_digest(),
         feature_set_digest=store.feature_set.digest,
         rate_hz=store.rate_hz,
-        surface=tables.surface(store.feature_set, store.rate_hz),
+        surface=surface,
         shards=shards,
         rows=rows,
         valid_frames=valid,
@@ -189,7 +191,7 @@ def _copied(store: Store, file: Path) -> _Start:
             and says.bytes <= MOST_WASTE * says.whole_bytes_per_frame * says.frames + SPARE_BYTES
         ):
             if _copy(generation / FILE, file) == says.sha256:
-                return _Start(says.shards, says.whole_bytes_per_frame)
+                return _Start(says.shards, says.surface, says.whole_bytes_per_frame)
             # damaged: what is copied from it would get a checksum that fits
             file.unlink(missing_ok=True)
     return _Start()

@@ -106,18 +106,24 @@ def delete(
                 )
 
 
-def describe(connection: duck.Connection, store: Store) -> None:
-    """Make everything that stands beside the shards anew: takes, features, help, vocabulary, views and macros."""
-    _clear(connection)
-    _create_as(connection, "features", features_table(store), "ORDER BY number")
-    _create_as(connection, "help", help_table(index_only=True), "")
+def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:
+    """Make what stands beside the shards: takes and vocabulary, and, `anew`, also features, help, views and macros.
+
+    What an earlier generation had of them goes.
+    """
+    if anew:
+        _clear(connection)
+        _create_as(connection, "features", features_table(store), "ORDER BY number")
+        _create_as(connection, "help", help_table(index_only=True), "")
     _create_as(connection, "takes", store.takes().to_arrow(), "ORDER BY name")
     connection.execute(
-        "CREATE TABLE vocabulary AS SELECT feature_set, word, sum(runs)::BIGINT AS runs, sum(frames)::BIGINT AS frames "
+        "CREATE OR REPLACE TABLE vocabulary AS "
+        "SELECT feature_set, word, sum(runs)::BIGINT AS runs, sum(frames)::BIGINT AS frames "
         "FROM stored_vocabulary GROUP BY feature_set, word ORDER BY feature_set, word"
     )
-    for statement in _statements(store.feature_set, store.rate_hz):
-        connection.execute(statement)
+    if anew:
+        for statement in _statements(store.feature_set, store.rate_hz):
+            connection.execute(statement)
 
 
 def count(connection: duck.Connection) -> dict[str, int]:
@@ -204,7 +210,7 @@ def _clear(connection: duck.Connection) -> None:
 
 def _create_as(connection: duck.Connection, table: str, source: pa.Table, order: str) -> None:
     connection.register("source", source)
-    connection.execute(f"CREATE TABLE {table} AS SELECT * FROM source {order}")
+    connection.execute(f"CREATE OR REPLACE TABLE {table} AS SELECT * FROM source {order}")
     connection.unregister("source")
 
 

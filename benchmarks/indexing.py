@@ -1,0 +1,142 @@
+"""Words to a published index: how fast, in how much memory, and what ten more takes cost; on one core."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from benchmarks.archive import BUILD
+from benchmarks.harness import Figure, seconds
+from benchmarks.searching import _tile
+from catalog.features import FeatureSet
+from ops.words import TakeWords
+from storage import index
+from storage.duck import connect, quote
+from storage.parts import FramesWriter, frames_table
+from storage.schemas import frames_schema, takes_schema
+from storage.store import Store, open_store
+from storage.writer import StoreWriter
+
+HOURS = 20.0
+TAKES_A_PART = 2000
+
+
+def figures(store: Store) -> list[Figure]:
+    """Time the index of the store's words, tiled to twenty hours of motion."""
+    large = _store(_tile(store.words(), HOURS), store.feature_set)
+    frames = float(large.takes()["frames"].sum()) / 1e6
+    whole = seconds(lambda: _build_anew(large), 3)
+    return [
+        Figure(
+            f"words to a published index, {HOURS:g} h", frames, "M frames", whole,
+            "runs by SQL, in order, to a DuckDB file", seconds(lambda: _by_sql(large), 1),
+        ),
+        Figure("the same in a process of its own", _peak_mb(large) / 1024, "GiB at most", 1.0),
+        _ten_more(large, whole),
+    ]  # fmt: skip
+
+
+def _build_anew(store: Store) -> Path:
+    shutil.rmtree(store.path / "index")
+    return index.build(store, threads=1)
+
+
+def _peak_mb(store: Store) -> float:
+    """The peak memory of a process that builds the index, in MiB."""
+    shutil.rmtree(store.path / "index")
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.indexing", str(store.path)], check=True, capture_output=True, text=True
+    )
+    return float(done.stdout)
+
+
+def _ten_more(store: Store, whole: float) -> Figure:
+    """Ten more takes in an index of many; every run begins with the index of the version before."""
+    index.build(store)
+    more = BUILD / "index-ten-more"
+
+    def fresh() -> Store:
+        shutil.rmtree(more, ignore_errors=True)
+        shutil.copytree(store.path, more)
+        words = _tile(store.words(store.manifest.live_takes[:10]), 1e-9)
+        _add(more, store.feature_set, words, "more")
+        return open_store(more)
+
+    opened = fresh()
+    kept = {path.name for path in (more / "index").glob("gen-*")}
+
+    def build() -> None:
+        for generation in (more / "index").glob("gen-*"):
+            if generation.name not in kept:
+                shutil.rmtree(generation)
+        index.build(opened, threads=1)
+
+    return Figure("ten takes more in that index", 10.0, "takes", seconds(build, 5), "building it whole", whole)
+
+
+def _by_sql(store: Store) -> None:
+    """What one would write without kernels: gaps and islands by window functions, for the three sets of words."""
+    parts = ", ".join(quote(str(store.path / part.path)) for part in store.manifest.frames)
+    file = BUILD / "by-sql.duckdb"
+    file.unlink(missing_ok=True)
+    with connect(threads=1) as connection:
+        connection.execute(f"ATTACH {quote(str(file))} AS by_sql")
+        for name, home in store.feature_set.sets.items():
+            connection.execute(f"""CREATE TABLE by_sql.{name} AS
+                WITH cut AS (SELECT take_id, frame, (word >> {home.first - 1}) & {(1 << home.count) - 1} AS word
+                    FROM read_parquet([{parts}])),
+                marked AS (SELECT *, frame - row_number() OVER (PARTITION BY take_id, word ORDER BY frame) AS island
+                    FROM cut)
+                SELECT word, take_id, min(frame) AS start, max(frame) + 1 AS stop FROM marked
+                GROUP BY take_id, word, island ORDER BY word, take_id, start""")
+    file.unlink()
+
+
+def _store(words: TakeWords, feature_set: FeatureSet) -> Store:
+    path = BUILD / f"index-store-{len(words.words)}"
+    if not (path / "manifest").is_dir():
+        _add(path, feature_set, words, "take")
+    return open_store(path)
+
+
+def _add(path: Path, feature_set: FeatureSet, words: TakeWords, name: str) -> None:
+    """Add takes that have words, and no positions."""
+    names = [f"{name}_{i:06d}" for i in range(len(words))]
+    frames, takes = frames_schema(feature_set, 30.0), takes_schema()
+    with StoreWriter.open(path, feature_set) as writer:
+        ids = writer.assign_take_ids(names)
+        for first in range(0, len(words), TAKES_A_PART):
+            chosen = range(first, min(first + TAKES_A_PART, len(words)))
+            with FramesWriter(path, feature_set) as part:
+                for i in chosen:
+                    count = int(words.frames[i])
+                    nowhere = np.full((len(feature_set.joints), 3, count), np.nan, np.float32)
+                    turned = np.full((4, count), np.nan, np.float32)
+                    part.add_table(ids[names[i]], frames_table(ids[names[i]], nowhere, turned, words.take(i), frames))
+                done = part.close()
+            rows = [_row(ids[names[i]], names[i], int(words.frames[i]), takes) for i in chosen]
+            writer.add_takes(pa.Table.from_pylist(rows, schema=takes), done)
+        writer.commit()
+
+
+def _row(take_id: int, name: str, frames: int, schema: pa.Schema) -> dict[str, object]:
+    empty = {pa.string(): "", pa.int32(): 0, pa.int64(): 0, pa.float64(): 0.0}
+    row = {field.name: empty.get(field.type, []) for field in schema}
+    known = {"take_id": take_id, "name": name, "rate_hz": 30.0, "frames": frames, "seconds": frames / 30.0}
+    return row | known | {"groups": "{}"}
+
+
+def _own_peak_mb() -> float:
+    """The peak memory of this process; what `getrusage` says would be that of the process that has started it, too."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return next(float(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM"))
+
+
+if __name__ == "__main__":
+    index.build(open_store(sys.argv[1]), threads=1)
+    print(_own_peak_mb())
