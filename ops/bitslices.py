@@ -110,6 +110,34 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     return BitSlices(bits, first, frames.astype(np.int64), left.astype(np.int32))
 
 
+def slice_runs(takes: I64, starts: I64, stops: I64, words: U64, frames: I64, features: int) -> BitSlices:
+    """Slice takes that are given by the word runs of all feature sets.
+
+    Parameters
+    ----------
+    takes: int64 (R,), the position of each run's take. starts, stops: int64 (R,), frames of the take.
+    words: uint64 (R,), bits of whole words: those of one feature set, shifted up to its place.
+    frames: int64 (T,), the length of each take; a frame in no run is invalid. features: number of features, 1 to 63.
+
+    Raises
+    ------
+    ParameterError: a run beyond its take, or a number of features out of range.
+    """
+    if len(takes) and not (
+        takes.min() >= 0
+        and takes.max() < len(frames)
+        and starts.min() >= 0
+        and (starts < stops).all()
+        and (stops <= frames[takes]).all()
+    ):
+        raise ParameterError("runs", "within their takes, none of them empty", "others")
+    offsets = np.zeros(len(frames) + 1, np.int64)
+    np.cumsum(frames, out=offsets[1:])
+    laid = np.full(int(offsets[-1]), NO_WORD)
+    _lay(laid, offsets[takes] + starts, offsets[takes] + stops, words)
+    return slice_words(laid, offsets, features)
+
+
 def keyframe_segments(slices: BitSlices, mask: int, value: int) -> Segments:
     """The inverted list of a keyframe (thesis, Eq. 3.4 to 3.6): where `word & mask == value`, as maximal segments.
 
@@ -162,6 +190,13 @@ def search_slices(
         slices.bits, slices.first, slices.left, slices.onward, slices.groups, slices.often, wanted[0], wanted[1], bounds
     )
     return Segments(starts, stops)
+
+
+@njit(cache=True, nogil=True)
+def _lay(laid, starts, stops, words):  # type: ignore[no-untyped-def]
+    for run in range(len(starts)):
+        for frame in range(starts[run], stops[run]):
+            laid[frame] = words[run] if laid[frame] == NO_WORD else laid[frame] | words[run]
 
 
 @njit(cache=True, nogil=True)

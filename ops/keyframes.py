@@ -188,11 +188,20 @@ def keyframe_list(starts: I64, stops: I64, words: U64, mask: int, value: int) ->
     if value & ~mask or mask < 0 or mask >= 2**64:
         raise ParameterError("value", f"within the bits of the mask {mask:#x}", value)
     matching = (words & np.uint64(mask)) == np.uint64(value)
-    kept_starts, kept_stops = starts[matching], stops[matching]
-    if (kept_starts[1:] < kept_starts[:-1]).any():
+    return join_runs(starts[matching], stops[matching])
+
+
+def join_runs(starts: I64, stops: I64) -> Segments:
+    """Unite runs that touch; unlike those of `merge`, they are pairwise disjoint, and none is empty.
+
+    Parameters
+    ----------
+    starts, stops: int64 (n,), positions, half-open, in any order.
+    """
+    if (starts[1:] < starts[:-1]).any():
         # Runs are disjoint, so starts and stops sorted each for itself still belong together.
-        kept_starts, kept_stops = np.sort(kept_starts, kind="stable"), np.sort(kept_stops, kind="stable")
-    return _close_up(kept_starts, kept_stops)
+        starts, stops = np.sort(starts, kind="stable"), np.sort(stops, kind="stable")
+    return _close_up(starts, stops)
 
 
 def survivors(lists: Sequence[Segments], gaps: Sequence[tuple[int, int]]) -> list[Segments]:

@@ -21,7 +21,8 @@ from ops.templates import QuantisedTemplate, quantise
 from ops.words import TakeWords
 from pipelines.executors import Executor
 from pipelines.learning import SubclassTemplate, run_of
-from pipelines.search import preselect, template_ranges
+from pipelines.search import preselect
+from pipelines.windows import template_ranges
 from pipelines.wording import few
 from storage.schemas import result_schema
 from storage.store import Store, open_store

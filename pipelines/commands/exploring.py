@@ -1,4 +1,4 @@
-"""Commands that ask a store: search, sql, takes, export."""
+"""Commands that ask a store: sql, takes, export."""
 
 from __future__ import annotations
 
@@ -11,28 +11,6 @@ import typer
 from ops.errors import KinedexError, did_you_mean
 from pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
 from pipelines.terminal import make_console
-
-
-@command
-def search(
-    store: StorePath,
-    queries: Annotated[str, typer.Argument(help="a query file: a shipped name, or a path to a .yaml or .json file")],
-    name: Annotated[list[str] | None, typer.Option("--query", "-q", help="only this query; may be repeated")] = None,
-    where: Where = None,
-    explain: Annotated[bool, typer.Option(help="show list sizes per keyframe and the share of frames kept")] = False,
-    form: Format = "table",
-    output: Output = None,
-) -> None:
-    """Search keyframe queries over the index; prints the ranges that hold hits."""
-    from pipelines.search import explain_search, load_query_file, search_store
-    from storage.store import open_store
-
-    opened = open_store(store)
-    loaded = load_query_file(queries, opened.feature_set, name)
-    if explain:
-        show_table(explain_search(opened, loaded, where), form, output)
-        return
-    show_table(search_store(opened, loaded, where), form, output)
 
 
 @command

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ops import bitslices
-from ops.bitslices import BitSlices, keyframe_segments, search_slices, slice_words
+from ops.bitslices import BitSlices, keyframe_segments, search_slices, slice_runs, slice_words
 from ops.errors import ParameterError
 from ops.keyframes import UNBOUNDED, Segments, from_axis, gap_bounds, keyframe_list, search, to_axis
 from ops.runs import word_runs
@@ -86,6 +86,23 @@ def test_slices_hold_the_words() -> None:
         assert not shown[:, len(take) :].any()
         np.testing.assert_array_equal(shown[:40, : len(take)].T, bits(np.where(valid, take, 0), 40))
     assert slices.often[40] == 1 + 64 + 63 + 127
+
+
+@given(archives(longest=150))
+def test_runs_of_all_sets_give_the_slices_of_the_words(archive: list[U64]) -> None:
+    words, offsets = np.concatenate([np.zeros(0, np.uint64), *archive]), offsets_of(archive)
+    low, high = (word_runs(cut(words, first, count), offsets) for first, count in ((1, 2), (3, 3)))
+    together = [np.concatenate(pair) for pair in zip(low[:3], high[:3], strict=True)]
+    shifted = np.concatenate([low.word, high.word << np.uint64(2)])
+    found = slice_runs(*together, shifted, np.diff(offsets), FEATURES)
+    np.testing.assert_array_equal(found.bits, slices_of(archive).bits)
+    np.testing.assert_array_equal(found.left, slices_of(archive).left)
+
+
+def test_a_run_beyond_its_take_is_refused() -> None:
+    for take, start, stop in ((1, 0, 1), (0, 0, 4), (0, 2, 2), (0, -1, 2), (-1, 0, 1)):
+        with pytest.raises(ParameterError, match="within their takes"):
+            slice_runs(*(np.array([one]) for one in (take, start, stop)), np.ones(1, np.uint64), np.array([3]), 5)
 
 
 @settings(max_examples=150, deadline=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,13 @@ from catalog.features import load_feature_set
 from catalog.queries import KeyframeQuery, choose_queries
 from catalog.queryfiles import parse_queries, read_queries
 from ops.errors import KinedexError, StoreError
+from ops.preselection import TakeRanges
 from ops.words import U64, TakeWords, pack
-from pipelines.search import (
-    explain_search,
-    explain_store,
-    lists_of_store,
-    lists_of_words,
-    load_query_file,
-    preselect,
-    search_store,
-    template_ranges,
-    template_window,
-)
+from pipelines.explaining import explain_search, explain_store
+from pipelines.lists import lists_of_store, lists_of_words
+from pipelines.resident import resident_store, resident_words
+from pipelines.search import load_query_file, preselect, save_hits, search_store
+from pipelines.windows import template_ranges, template_window
 from storage import index
 from storage.parts import FramesWriter
 from storage.schemas import result_schema
@@ -120,16 +116,61 @@ def test_a_search_explains_what_its_keyframes_found(store: Store) -> None:
     assert (hand_up.keyframes[0].words, hand_up.keyframes[0].runs, hand_up.keyframes[0].segments) == (1, 3, 3)
 
 
-def test_an_explanation_has_a_row_for_each_keyframe_and_for_the_hits(store: Store) -> None:
-    table = explain_search(store, choose_queries(QUERIES, ["hand_up"])).to_pylist()
+def test_an_explanation_has_a_row_for_reading_one_for_each_keyframe_and_one_for_the_hits(store: Store) -> None:
+    table = explain_search(store, choose_queries(QUERIES, ["hand_up"]))
+    assert (np.array(table.column("milliseconds").to_pylist()) >= 0).all()
+    nothing = dict.fromkeys(table.drop_columns(["milliseconds"]).column_names)
     pattern = "**1***********"
     first = {"query": "hand_up", "step": "1", "set": "upper", "pattern": pattern, "words": 1, "runs": 3}
-    hits = {"query": "hand_up", "step": "hits", "set": None, "pattern": None, "words": None, "runs": None}
-    assert table == [
-        first | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving": 4},
-        hits | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving": None},
+    assert table.drop_columns(["milliseconds"]).to_pylist() == [
+        nothing | {"step": "read"},
+        nothing | first | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving": 4},
+        nothing | {"query": "hand_up", "step": "hits", "segments": 3, "frames": 4, "share": 4 / 21},
     ]
-    assert explain_search(store, QUERIES, "frames > 100").num_rows == 7
+    assert explain_search(store, QUERIES, "frames > 100").num_rows == 8
+    assert explain_search(store, []).num_rows == 0
+
+
+def test_alternatives_and_names_show_in_the_explanation(store: Store) -> None:
+    text = "q: {any_of: [{keyframes: [{name: down, on: [body_low]}]}, {keyframes: [{on: [rhand_above_neck]}]}]}"
+    rows = explain_search(store, parse_queries(text, BODY)).to_pylist()
+    told = [(row["step"], row["name"], row["frames"]) for row in rows]
+    assert told == [("read", None, None), ("1.1", "down", 7), ("2.1", None, 4), ("hits", None, 11)]
+
+
+def test_a_hit_of_an_alternative_is_a_hit_of_the_query(store: Store) -> None:
+    either, low = parse_queries(
+        "either: {any_of: [low, {keyframes: [{on: [rhand_above_neck]}]}]}\nlow: {keyframes: [{on: [body_low]}]}", BODY
+    )
+    rows = [(row["take"], row["start"], row["stop"]) for row in search_store(store, [either]).to_pylist()]
+    assert rows == [("amy", 0, 4), ("kim", 1, 2), ("kim", 5, 7), ("zoe", 1, 4), ("zoe", 6, 7)]
+    assert explain_store(store, [either])[0].frames_kept == 11
+    assert search_store(store, [low]).num_rows == 4
+
+
+def test_a_query_searches_the_takes_of_its_own_filter(store: Store) -> None:
+    query, wrong = parse_queries(
+        "q: {takes: \"name <> 'zoe'\", keyframes: [{on: [body_low]}]}\nw: {takes: a b, keyframes: [{on: [1]}]}", BODY
+    )
+    assert search_store(store, [query]).column("take").to_pylist() == ["amy", "kim", "kim"]
+    assert search_store(store, [query], "name <> 'amy'").column("take").to_pylist() == ["kim", "kim"]
+    (report,) = explain_store(store, [query])
+    assert (report.takes, report.frames_kept, report.frames_searched) == (2, 6, 14)
+    with pytest.raises(KinedexError, match="query 'w': the filter over takes does not work"):
+        search_store(store, [wrong])
+    with pytest.raises(KinedexError, match="'q' has a filter over takes"):
+        preselect(store.words(), BODY, [query])
+
+
+def test_hits_are_kept_in_place_of_those_of_the_same_name(tmp_path: Path) -> None:
+    store = make_store(tmp_path / "store", TAKES)
+    save_hits(store, search_store(store, QUERIES, run="r1"), "mine", "r1")
+    save_hits(store, search_store(store, QUERIES[1:], run="r2"), "mine", "r2")
+    save_hits(store, search_store(store, QUERIES[:1], run="r3"), "others", "r3")
+    again = open_store(tmp_path / "store")
+    kept = again.sql("SELECT run, query, count(*) AS hits FROM hits GROUP BY ALL ORDER BY ALL").to_pylist()
+    assert kept == [{"run": "r2", "query": "hand_up", "hits": 3}, {"run": "r3", "query": "squat", "hits": 2}]
+    assert search_store(again, QUERIES).num_rows == 5
 
 
 def test_a_query_file_is_loaded_whole_or_by_name() -> None:
@@ -139,14 +180,30 @@ def test_a_query_file_is_loaded_whole_or_by_name() -> None:
         load_query_file("example", BODY, ["squad"])
 
 
+def ranges_of(found: TakeRanges) -> list[list[list[int]]]:
+    return [[part.tolist() for part in found.take(i)] for i in range(len(found))]
+
+
 def test_words_in_memory_give_what_the_index_gives(store: Store) -> None:
     words = store.words()
+    queries = [*QUERIES, *read_queries("example", BODY)]
     in_memory = lists_of_words(words, BODY, BODY.sets)
-    stored = lists_of_store(store, QUERIES, words.take_ids)
-    for query in QUERIES:
-        one, other = in_memory.search(query), stored.search(query)
-        for i in range(len(words)):
-            assert [part.tolist() for part in one.take(i)] == [part.tolist() for part in other.take(i)]
+    stored = lists_of_store(store, queries, words.take_ids)
+    sliced, resident = resident_words(words, BODY), resident_store(store)
+    np.testing.assert_array_equal(sliced.slices.bits, resident.slices.bits)
+    np.testing.assert_array_equal(resident.take_ids, words.take_ids)
+    for query in queries:
+        expected = ranges_of(in_memory.search(query))
+        for one in (stored, sliced, resident):
+            assert ranges_of(one.search(query)) == expected
+
+
+def test_several_threads_share_resident_words(store: Store) -> None:
+    resident = resident_store(store)
+    expected = [ranges_of(resident.search(query)) for query in QUERIES]
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda _: [ranges_of(resident.search(query)) for query in QUERIES], range(40)))
+    assert all(one == expected for one in found)
 
 
 def test_without_an_index_the_way_to_build_it_is_told(tmp_path: Path) -> None:

@@ -1,0 +1,133 @@
+"""Keyframes for an example: the poses by which it stands out from an archive, by the archive's own word counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+from ops.words import I64, NO_WORD, U64
+
+MOST_FEATURES_FIXED = 6
+"""No keyframe of a proposal fixes more: what is left open is what makes it general."""
+
+RARE_ENOUGH = 0.01
+"""A keyframe that so small a share of the frames meets needs no further features."""
+
+WORTH_FIXING = 0.8
+"""A feature is fixed only if it leaves at most this share of the frames that are left without it."""
+
+_STEADY = 1
+"""Frames on either side in which a feature must not change, to be fixed."""
+
+
+@dataclass(frozen=True)
+class SetCounts:
+    """How often the words of one feature set occur: uint64 (V,) words cut down to it, int64 (V,) frames."""
+
+    first: int
+    count: int
+    words: U64
+    frames: I64
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One keyframe of a proposal: a frame of the example, bits of whole words, and the share of frames like it.
+
+    share: as if the feature sets were independent.
+    """
+
+    frame: int
+    mask: int
+    value: int
+    share: float
+
+
+def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int) -> list[Pose]:
+    """Choose the keyframes of an example by which it stands out.
+
+    In every run of the example a pose is made: feature by feature, the one that leaves the fewest of the archive's
+    frames, among those that are steady there. Then those poses are chosen whose shares have the least product, in
+    order, no two neighbours equal, and none closer than half of what an even spacing would be.
+
+    Parameters
+    ----------
+    clip: uint64 (L,), the whole words of the example. counts: the archive's words, set by set. most: keyframes, >= 1.
+
+    Returns
+    -------
+    1 to `most` poses, in order of time. The example itself meets all of them.
+
+    Raises
+    ------
+    ParameterError: an example without a single valid frame, or `most` below 1.
+    """
+    if most < 1:
+        raise ParameterError("keyframes", "at least 1", most)
+    valid = clip != NO_WORD
+    if not valid.any():
+        raise ParameterError("clip", "of at least one valid frame", len(clip))
+    changed = np.flatnonzero(clip[1:] != clip[:-1]) + 1
+    edges = np.concatenate([[0], changed, [len(clip)]])
+    middles = (edges[:-1] + edges[1:] - 1) // 2
+    poses = [_pose(clip, int(frame), counts) for frame in middles if valid[frame]]
+    apart = max(len(clip) // (2 * most), 1)
+    return _choose(poses, min(most, len(poses)), apart)
+
+
+def _pose(clip: U64, frame: int, counts: Sequence[SetCounts]) -> Pose:
+    around = clip[max(frame - _STEADY, 0) : frame + _STEADY + 1]
+    around = around[around != NO_WORD]
+    changing = int(np.bitwise_or.reduce(around ^ clip[frame]))
+    word = int(clip[frame])
+    masks = [0] * len(counts)
+    shares = [1.0] * len(counts)
+    for _ in range(MOST_FEATURES_FIXED):
+        best = (WORTH_FIXING, -1, 0, 0.0)
+        for number, one in enumerate(counts):
+            mine, unsteady = word >> (one.first - 1), changing >> (one.first - 1)
+            for bit in range(one.count):
+                if (masks[number] | unsteady) >> bit & 1:
+                    continue
+                mask = masks[number] | 1 << bit
+                share = _share(one, mask, mine & mask)
+                if share < best[0] * shares[number]:
+                    best = (share / shares[number], number, mask, share)
+        if best[1] < 0 or np.prod(shares) <= RARE_ENOUGH:
+            break
+        masks[best[1]], shares[best[1]] = best[2], best[3]
+    mask = sum(m << (one.first - 1) for m, one in zip(masks, counts, strict=True))
+    return Pose(frame, mask, word & mask, float(np.prod(shares)))
+
+
+def _share(counts: SetCounts, mask: int, value: int) -> float:
+    met = (counts.words & np.uint64(mask)) == np.uint64(value)
+    return float(counts.frames[met].sum() / max(counts.frames.sum(), 1))
+
+
+def _choose(poses: list[Pose], most: int, apart: int) -> list[Pose]:
+    """The best chain of at most `most` poses, by dynamic programming over (poses used, last pose)."""
+    gains = np.array([-np.log2(max(pose.share, 1e-12)) for pose in poses])
+    frames = np.array([pose.frame for pose in poses])
+    kinds = {key: number for number, key in enumerate(dict.fromkeys((pose.mask, pose.value) for pose in poses))}
+    kind = np.array([kinds[pose.mask, pose.value] for pose in poses])
+    totals = [gains]
+    before: list[npt.NDArray[np.int64]] = []
+    for _ in range(most - 1):
+        total, last = np.full(len(poses), -np.inf), np.full(len(poses), -1)
+        for place in range(1, len(poses)):
+            allowed = (frames[:place] <= frames[place] - apart) & (kind[:place] != kind[place])
+            reached = np.where(allowed, totals[-1][:place], -np.inf)
+            last[place] = int(np.argmax(reached))
+            total[place] = reached[last[place]] + gains[place]
+        totals.append(total)
+        before.append(last)
+    used = max(range(most), key=lambda count: float(totals[count].max()))
+    chain = [int(np.argmax(totals[used]))]
+    for last in reversed(before[:used]):
+        chain.append(int(last[chain[-1]]))
+    return [poses[place] for place in reversed(chain)]

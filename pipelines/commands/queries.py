@@ -1,0 +1,82 @@
+"""Commands about keyframe queries: search, and the group `query`, which makes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ops.errors import KinedexError
+from pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
+from pipelines.terminal import make_console
+
+query = typer.Typer(no_args_is_help=True, help="Make keyframe queries.")
+app.add_typer(query, name="query", rich_help_panel="Search for motion")
+
+
+@command
+def search(
+    store: StorePath,
+    queries: Annotated[str, typer.Argument(help="a query file: a shipped name, or a path to a .yaml or .json file")],
+    name: Annotated[list[str] | None, typer.Option("--query", "-q", help="only this query; may be repeated")] = None,
+    where: Where = None,
+    explain: Annotated[
+        bool, typer.Option(help="show list sizes per keyframe, the frames kept, and the time of each step")
+    ] = False,
+    save: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="keep the hits in the store under this name; they are in the view `hits`"),
+    ] = None,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Search keyframe queries over the index; prints the ranges that hold hits."""
+    from pipelines.explaining import explain_search
+    from pipelines.search import load_query_file, save_hits, search_store
+    from storage.store import open_store
+
+    opened = open_store(store)
+    loaded = load_query_file(queries, opened.feature_set, name, opened.rate_hz)
+    if explain:
+        if save is not None:
+            raise KinedexError("--explain shows no hits that --save could keep; leave one of them out")
+        show_table(explain_search(opened, loaded, where), form, output)
+        return
+    if save is None:
+        show_table(search_store(opened, loaded, where), form, output)
+        return
+    from pipelines.runner import new_run_id
+
+    run = new_run_id()
+    hits = search_store(opened, loaded, where, run)
+    opened.close()
+    save_hits(opened, hits, save, run)
+    if output is not None or form != "table":
+        show_table(hits, form, output)
+    else:
+        make_console().print(f"{hits.num_rows} hits kept as '{save}' (run {run})", markup=False)
+
+
+@query.command()
+@guard
+def from_clip(
+    store: StorePath,
+    take: Annotated[str, typer.Argument(help="name of the take that holds the example")],
+    start: Annotated[int, typer.Argument(help="first frame of the example, from 0")],
+    stop: Annotated[int, typer.Argument(help="frame after its last")],
+    name: Annotated[str, typer.Option(help="name of the query")] = "proposed",
+    keyframes: Annotated[int, typer.Option(min=1, max=20, help="at most so many keyframes")] = 3,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="write to this file instead of the terminal")
+    ] = None,
+) -> None:
+    """Propose a keyframe query from an example: YAML with comments, to be edited."""
+    from pipelines.proposing import propose_query
+    from storage.store import open_store
+
+    text = propose_query(open_store(store), take, start, stop, name=name, keyframes=keyframes)
+    if output is None:
+        print(text, end="")
+    else:
+        output.write_text(text, encoding="utf-8")
