@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import multiprocessing.connection
 import os
 import secrets
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ops.errors import KinedexError, ParameterError
 
@@ -28,6 +31,9 @@ KINDS = ("serial", "processes", "dask")
 
 TRIES = 3
 """How often a task is started before its workers' deaths are taken to be its own doing."""
+
+PATIENCE_SECONDS = 60.0
+"""How long a Dask cluster may be without any worker, or without its scheduler, before its tasks are given up."""
 
 THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -178,6 +184,8 @@ class DaskExecutor:
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         from distributed import Client, LocalCluster
 
+        # what it logs of lost connections is said in our own words
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self._cluster: LocalCluster | None = None
         if scheduler is None:
             # Workers of the cluster inherit this process's environment.
@@ -187,7 +195,15 @@ class DaskExecutor:
             self._client: Client = Client(self._cluster or scheduler, timeout="10s")
         except (OSError, ValueError) as fault:
             raise KinedexError(f"--scheduler {scheduler}: no Dask scheduler answers there ({fault})") from None
-        self.workers = max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+        self._scheduler = scheduler
+        self.workers = self._slots()
+        deadline = time.monotonic() + min(10.0, PATIENCE_SECONDS)
+        while not self.workers:
+            if time.monotonic() > deadline:
+                self.close()
+                raise self._without_workers()
+            time.sleep(0.2)
+            self.workers = self._slots()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Apply a function to every item; results come in the items' order, two tasks a worker in flight."""
@@ -202,6 +218,7 @@ class DaskExecutor:
                 if not waiting:
                     return
                 try:
+                    self._wait(waiting[0])
                     result = waiting.popleft().result()
                 except KilledWorker as fault:
                     raise WorkerDied(f"Dask workers died again and again on one task: {fault}") from None
@@ -212,13 +229,48 @@ class DaskExecutor:
             for future in waiting:
                 future.cancel()
 
+    def _wait(self, future: Future[Any]) -> None:
+        """Wait for a task, however long it takes, as long as there is anyone to do it."""
+        from distributed import wait
+
+        seen = time.monotonic()
+        while True:
+            with suppress(TimeoutError):
+                wait([future], timeout=min(2.0, PATIENCE_SECONDS))
+                return
+            if self._slots():
+                seen = time.monotonic()
+            elif time.monotonic() - seen > PATIENCE_SECONDS:
+                raise self._without_workers()
+
+    def _slots(self) -> int:
+        """How many tasks the cluster's workers do at a time; 0 where there is none, or no scheduler to ask."""
+        try:
+            return sum(worker["nthreads"] for worker in self._client.scheduler_info(n_workers=-1)["workers"].values())
+        except (OSError, ValueError, KeyError):
+            return 0
+
+    def _without_workers(self) -> KinedexError:
+        where = self._scheduler or "of this machine"
+        return KinedexError(
+            f"the Dask cluster {where} has no workers (any more); start some with `dask worker {where}`, then run the "
+            "same command again: it goes on where it was"
+        )
+
     def check(self, store: Path) -> None:
         """Let every worker look for a file that was just written into the store."""
         store.mkdir(parents=True, exist_ok=True)
         token = store / f".tmp-shared-{secrets.token_hex(4)}"
         token.touch()
         try:
-            blind = [worker for worker, sees in self._client.run(_sees, str(token.resolve())).items() if not sees]
+            seen = self._client.run(_sees, str(token.resolve()), on_error="return")
+            blind = [worker for worker, sees in seen.items() if sees is not True]
+            broken = [fault for fault in seen.values() if isinstance(fault, BaseException)]
+            if broken:
+                raise KinedexError(
+                    f"the Dask workers {', '.join(blind[:3])} cannot do kinedex's work ({broken[0]}); the same kinedex "
+                    "must be installed where they run"
+                )
         finally:
             token.unlink()
         if blind:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from ops.errors import KinedexError, ParameterError
+from pipelines import executors
 from pipelines.executors import DaskExecutor, ProcessExecutor, SerialExecutor, make_executor
 
 
@@ -137,6 +139,68 @@ def test_a_dask_cluster_does_the_same_and_must_see_the_store(tmp_path: Path) -> 
 def test_a_scheduler_that_does_not_answer_is_refused() -> None:
     with pytest.raises(KinedexError, match="no Dask scheduler answers there"):
         DaskExecutor(1, "tcp://127.0.0.1:9")
+
+
+class Cluster:
+    """A Dask scheduler and workers as somebody else would start them: processes of their own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        self.address = f"tcp://127.0.0.1:{port}"
+        self.processes = [self._start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")]
+
+    def add_worker(self) -> subprocess.Popen[bytes]:
+        folder = ("--local-directory", str(self.folder))
+        self.processes.append(
+            self._start("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", *folder)
+        )
+        return self.processes[-1]
+
+    def _start(self, *words: str) -> subprocess.Popen[bytes]:
+        environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+        with open(self.folder / f"{words[0]}.log", "ab") as log:
+            return subprocess.Popen([sys.executable, "-m", "dask", *words], stdout=log, stderr=log, env=environment)
+
+    def close(self) -> None:
+        for process in reversed(self.processes):
+            process.kill()
+            process.wait()
+
+
+def die_if_told(task: tuple[str, int]) -> int:
+    """Kill this very process at one task, once."""
+    time.sleep(0.05)
+    return die_once(task)
+
+
+@pytest.mark.slow
+def test_a_running_cluster_does_the_work_and_outlives_a_workers_death(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executors, "PATIENCE_SECONDS", 0.5)
+    cluster = Cluster(tmp_path)
+    try:
+        with pytest.raises(KinedexError, match=r"has no workers \(any more\); start some with `dask worker tcp://"):
+            DaskExecutor(1, cluster.address)
+        monkeypatch.setattr(executors, "PATIENCE_SECONDS", 30.0)
+        cluster.add_worker()
+        cluster.add_worker()
+        executor = DaskExecutor(1, cluster.address)
+        executor.check(tmp_path / "store")
+        tasks = [(str(tmp_path), number) for number in range(8)]
+        assert list(executor.map(die_if_told, tasks)) == [number * number for number in range(8)]
+        assert (tmp_path / "died-3").exists()
+        assert [process.poll() for process in cluster.processes].count(-signal.SIGKILL) == 1
+        monkeypatch.setattr(executors, "PATIENCE_SECONDS", 0.5)
+        (tmp_path / "died-3").unlink()
+        with pytest.raises(KinedexError, match="has no workers"):
+            list(executor.map(die_if_told, tasks))
+        executor.close()
+    finally:
+        cluster.close()
 
 
 @pytest.mark.parametrize(
