@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba as nb
 import numpy as np
@@ -20,7 +20,8 @@ TOLERANCE = 1e-9
 class Segment:
     """Frames [start, stop) that bear the label of a class.
 
-    cost: the least distance in the segment. subclass: index of the curve that reached it.
+    cost: the least distance in the segment. subclass: index of the curve that reached it. confidence: from 0 (something
+    else explains the frames as well) to 1 (nothing else comes near).
     """
 
     start: int
@@ -28,6 +29,7 @@ class Segment:
     class_index: int
     cost: float
     subclass: int
+    confidence: float = field(default=1.0, compare=False)
 
 
 def local_minima(curve: F64, threshold: float) -> I64:
@@ -73,7 +75,7 @@ def spread_minima(curve: F64, starts: I64, ends: I64) -> F64:
     return spread
 
 
-def annotate(modified: F64, classes: I64) -> list[Segment]:
+def annotate(modified: F64, classes: I64, threshold: float = np.inf) -> list[Segment]:
     """Label every frame with the class that explains it best, and grow the labelled runs (Eq. 5.5 to 5.7).
 
     A class takes the least of its subclasses' modified curves; ties go to the first class, and within it to the
@@ -84,6 +86,8 @@ def annotate(modified: F64, classes: I64) -> list[Segment]:
     ----------
     modified: float64 (S, L), the modified curve of each subclass (see `spread_minima`).
     classes: int64 (S,), the class of each subclass, 0 … P − 1.
+    threshold: τ, which the confidence is measured against where no other class is nearer: 1 − cost / rival, the rival
+        being the mean over the segment's frames of the nearest other class's modified curve, or τ where that is less.
 
     Returns
     -------
@@ -101,8 +105,15 @@ def annotate(modified: F64, classes: I64) -> list[Segment]:
         for start, stop in grow(curves[class_index], labels == class_index):
             at = start + int(np.argmin(curves[class_index, start:stop]))
             cost = float(curves[class_index, at])
-            segments.append(Segment(start, stop, class_index, cost, int(best[class_index, at])))
+            sure = _confidence(curves, class_index, slice(start, stop), cost, threshold)
+            segments.append(Segment(start, stop, class_index, cost, int(best[class_index, at]), sure))
     return sorted(segments)
+
+
+def _confidence(curves: F64, class_index: int, frames: slice, cost: float, threshold: float) -> float:
+    others = np.delete(curves[:, frames], class_index, axis=0)
+    rival = float(np.minimum(others.min(axis=0, initial=np.inf), threshold).mean())
+    return 1.0 - min(cost / rival, 1.0) if rival > 0 else 0.0
 
 
 def _class_curves(modified: F64, classes: I64) -> tuple[F64, I64]:

@@ -42,9 +42,9 @@ class Decoding:
     """
 
     smoothing: float = 0.05
-    entry: float = 0.3
+    entry: float = 1.0
     skip: float = 0.05
-    gain: float = 0.03
+    gain: float = -0.06
 
     def __post_init__(self) -> None:
         if not 0.0 < self.smoothing < 0.5:
@@ -180,7 +180,7 @@ def margins(
     words: U64,
     decoding: Decoding,
 ) -> F64:
-    """How much worse the frames of each segment are explained without its class: the confidence in its label.
+    """How much of a segment's value its class alone can give: the confidence in its label.
 
     Parameters
     ----------
@@ -188,16 +188,17 @@ def margins(
 
     Returns
     -------
-    float64 (len(found),), 0 or more, in nats per frame and feature: the segment's value less the greatest value that
-    the templates of other classes, or the background, reach on the same frames.
+    float64 (len(found),), from 0 (the frames are explained as well without the class) to 1 (nothing else explains them
+    better than the background): 1 − rivals / value, rivals being the greatest value that the templates of other
+    classes reach on the same frames.
     """
     result = np.empty(len(found))
     for place, one in enumerate(found):
         label = classes[one.template]
         others = [template for template, other in zip(templates, classes, strict=True) if other != label]
         rivals = explain(others, usual, words[one.start : one.stop], decoding)
-        result[place] = (one.value - sum(rival.value for rival in rivals)) / (one.stop - one.start)
-    return np.maximum(result, 0.0)
+        result[place] = 1.0 - sum(rival.value for rival in rivals) / one.value
+    return np.clip(result, 0.0, 1.0)
 
 
 def _begin(template: Template, usual: F64, words: U64, decoding: Decoding, allowed: Bool, value: F64, stop: int) -> int:

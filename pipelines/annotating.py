@@ -15,10 +15,11 @@ from catalog.classes import Classes
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery
 from ops.annotation import Segment, annotate, local_minima, spread_minima
+from ops.decoding import Decoding, explain, margins
 from ops.dtw import distance_curves, start_frames
 from ops.errors import KinedexError, did_you_mean
-from ops.templates import QuantisedTemplate, quantise
-from ops.words import TakeWords
+from ops.templates import QuantisedTemplate, Template, quantise
+from ops.words import U64, TakeWords
 from pipelines.executors import Executor
 from pipelines.learning import SubclassTemplate, run_of
 from pipelines.search import preselect
@@ -40,12 +41,25 @@ VAGUE = 1.0
 
 
 @dataclass(frozen=True)
+class Row:
+    """What labels all frames of a take together: see `ops.decoding.explain`.
+
+    templates: S templates as learned. usual: float64 (f,), how often each feature is on.
+    """
+
+    templates: tuple[Template, ...]
+    usual: F64
+    decoding: Decoding
+
+
+@dataclass(frozen=True)
 class Annotator:
     """All that is needed to annotate words.
 
     classes: names of the P classes. subclasses: names of the S templates; class_index: int64 (S,), their classes.
     queries: for each template the keyframe queries that preselect frames for it, none for all frames.
     remarks: templates that say too little, in words.
+    row: what labels all frames of a take together; None: each frame gets the label of the nearest template (thesis).
     """
 
     feature_set: FeatureSet
@@ -56,11 +70,13 @@ class Annotator:
     queries: tuple[tuple[KeyframeQuery, ...], ...]
     tau: float
     remarks: tuple[str, ...] = ()
+    row: Row | None = None
 
     @property
     def method(self) -> str:
         """How annotations of this annotator are found, for the results."""
-        return "templates within keyframe hits" if any(self.queries) else "templates"
+        how = "templates" if self.row is None else "templates in a row"
+        return f"{how} within keyframe hits" if any(self.queries) else how
 
 
 @dataclass(frozen=True)
@@ -91,6 +107,7 @@ def make_annotator(
     delta: float,
     tau: float,
     queries: Sequence[KeyframeQuery] = (),
+    usual: F64 | None = None,
 ) -> Annotator:
     """Quantise templates and sort them and the queries into classes.
 
@@ -100,6 +117,8 @@ def make_annotator(
         at no cost. Those with fewer than `VAGUE` fixed entries a column stay, with a remark.
     queries: a query whose target is a subclass preselects for it, one whose target is a class for those of its
         subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
+    usual: float64 (f,), how often each feature is on (`ops.decoding.background`): all frames of a take are labelled
+        together, by the explanation of the greatest value. None: frame by frame, as in the thesis.
 
     Raises
     ------
@@ -129,6 +148,7 @@ def make_annotator(
         tuple(tuple(by_target.get(one.subclass) or by_target.get(of_subclass[one.subclass]) or ()) for one in used),
         tau,
         _remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
+        None if usual is None else Row(tuple(one.learned.template for one in used), usual, Decoding()),
     )
 
 
@@ -226,6 +246,28 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
     """Annotate takes, all templates against all words at once."""
     ranges = _ranges(annotator, words)
     curves = _curves(annotator, words, ranges)
+    modified = _modified(annotator, words, ranges, curves) if annotator.row is None else None
+    found = []
+    for index, take_id in enumerate(words.take_ids.tolist()):
+        piece = slice(int(words.offsets[index]), int(words.offsets[index + 1]))
+        kept = np.array([_frames_within(one, piece) for one in ranges], np.float64)
+        if modified is None:
+            segments = _explained(annotator, words.words[piece], ranges, curves[:, piece], piece)
+        else:
+            segments = annotate(modified[:, piece], annotator.class_index, annotator.tau)
+        found.append(
+            TakeAnnotation(
+                take_id,
+                tuple(segments),
+                kept / max(piece.stop - piece.start, 1),
+                curves[:, piece].astype(np.float32) if keep_curves else None,
+            )
+        )
+    return found
+
+
+def _modified(annotator: Annotator, words: TakeWords, ranges: Sequence[I64], curves: F64) -> F64:
+    """The modified curves of all templates (thesis, Eq. 5.4)."""
     modified = np.full_like(curves, np.inf)
     for subclass, template in enumerate(annotator.templates):
         minima = [
@@ -235,19 +277,27 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
         ends = np.concatenate([np.empty(0, np.int64), *minima])
         starts = start_frames(template, words.words, ends, ranges[subclass])
         modified[subclass] = spread_minima(curves[subclass], starts, ends)
-    found = []
-    for index, take_id in enumerate(words.take_ids.tolist()):
-        piece = slice(int(words.offsets[index]), int(words.offsets[index + 1]))
-        kept = np.array([_frames_within(one, piece) for one in ranges], np.float64)
-        found.append(
-            TakeAnnotation(
-                take_id,
-                tuple(annotate(modified[:, piece], annotator.class_index)),
-                kept / max(piece.stop - piece.start, 1),
-                curves[:, piece].astype(np.float32) if keep_curves else None,
-            )
-        )
-    return found
+    return modified
+
+
+def _explained(annotator: Annotator, words: U64, ranges: Sequence[I64], curves: F64, piece: slice) -> list[Segment]:
+    """The segments of the best explanation of one take; cost: the least distance within, NaN where no path ends
+    there."""
+    row = annotator.row
+    assert row is not None
+    within = None
+    if any(annotator.queries):
+        clipped = [np.clip(one - piece.start, 0, len(words)) for one in ranges]
+        within = [one[one[:, 0] < one[:, 1]] for one in clipped]
+    found = explain(row.templates, row.usual, words, row.decoding, within)
+    sure = margins(found, row.templates, annotator.class_index, row.usual, words, row.decoding)
+    segments = []
+    for one, confidence in zip(found, sure.tolist(), strict=True):
+        least = float(curves[one.template, one.start : one.stop].min())
+        cost = least if np.isfinite(least) else np.nan
+        class_index = int(annotator.class_index[one.template])
+        segments.append(Segment(one.start, one.stop, class_index, cost, one.template, confidence))
+    return segments
 
 
 def _ranges(annotator: Annotator, words: TakeWords) -> list[I64]:
@@ -300,7 +350,8 @@ def annotations_table(
             "stop": segment.stop,
             "start_seconds": segment.start / rate_hz,
             "stop_seconds": segment.stop / rate_hz,
-            "cost": segment.cost,
+            "cost": None if np.isnan(segment.cost) else segment.cost,
+            "confidence": segment.confidence,
             "method": annotator.method,
         }
         for one in sorted(found, key=lambda one: names[one.take_id])

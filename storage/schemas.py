@@ -102,6 +102,7 @@ _RESULTS: dict[str, pa.Schema] = {
         ("start_seconds", pa.float64()),
         ("stop_seconds", pa.float64()),
         ("cost", pa.float64()),
+        ("confidence", pa.float64()),
         ("method", pa.string()),
     ),
     "ground_truth": _fields(

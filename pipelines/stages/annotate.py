@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -12,6 +15,7 @@ from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
 from catalog.queryfiles import read_queries
+from ops.decoding import background
 from ops.errors import KinedexError
 from pipelines.annotating import (
     Annotator,
@@ -29,6 +33,8 @@ from pipelines.learning import Kind, SubclassTemplate, read_templates
 from pipelines.wording import few
 from storage.store import Store
 
+F64 = npt.NDArray[np.float64]
+
 
 class Params(BaseModel):
     """What the stage `annotate` takes."""
@@ -36,6 +42,11 @@ class Params(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     where: str = Field("class IS NULL", description="takes to annotate: a SQL filter over the columns of takes")
+    method: Literal["thesis", "best"] = Field(
+        "thesis",
+        description="thesis: each frame gets the label of the nearest template, below tau; best: the templates in a "
+        "row, with background between them, that explain all frames of a take best together (tau does not matter then)",
+    )
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
     delta: float = Field(
         0.05, ge=0, lt=0.5, description="template values within delta of 0 or 1 count, the rest are wildcards"
@@ -71,7 +82,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         classes = classes_of(store, params, templates)
         queries = queries_of(store, params)
-        annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries)
+        usual = usual_features(store, templates) if params.method == "best" else None
+        annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries, usual)
         _say_what_is_left_out(context, classes, annotator, queries)
         found: list[TakeAnnotation] = []
         names = dict(takes.select("take_id", "name").iter_rows())
@@ -94,6 +106,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "templates": len(annotator.templates),
         "segments": segments.num_rows,
         "searched": round(searched, 6),
+        "method": params.method,
         "delta": params.delta,
         "tau": params.tau,
         "remarks": list(annotator.remarks),
@@ -131,6 +144,15 @@ def classes_of(store: Store, params: Params, templates: Sequence[SubclassTemplat
     learned = {one.subclass for one in templates}
     labelled = set(store.takes()["class"].drop_nulls().unique())
     return load_classes(params.classes, learned if params.classes == OWN else learned | labelled)
+
+
+def usual_features(store: Store, templates: Sequence[SubclassTemplate]) -> F64:
+    """How often each feature is on in the clips that templates were learned from, or in all takes where they are of
+    none."""
+    clips = {name for one in templates for name in one.clips}
+    takes = store.takes().filter(pl.col("name").is_in(clips))
+    words = store.words(takes["take_id"].to_list() if takes.height else None)
+    return background([words.words], len(store.feature_set.features))
 
 
 def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import Classes
 from catalog.queries import KeyframeQuery
+from ops.decoding import background
 from ops.errors import KinedexError, did_you_mean
 from pipelines.annotating import annotate_takes, annotated_takes, annotations_table, make_annotator
 from pipelines.context import StageContext
@@ -183,7 +184,12 @@ def _evaluate_fold(
     context: StageContext, setting: Setting, fold: Fold, templates: Sequence[SubclassTemplate], name: str
 ) -> Evaluation:
     store, params = setting.store, setting.params
-    annotator = make_annotator(store.feature_set, templates, setting.classes, params.delta, params.tau, setting.queries)
+    usual = None
+    if params.method == "best":
+        usual = background([words for one in fold.clips for words in one.words], len(store.feature_set.features))
+    annotator = make_annotator(
+        store.feature_set, templates, setting.classes, params.delta, params.tau, setting.queries, usual
+    )
     batches = annotate_takes(context.store_path, annotator, fold.takes, context.executor, keep_curves=False)
     for remark in annotator.remarks:
         context.say(f"{fold.value}: {remark}")

@@ -113,7 +113,7 @@ def test_of_templates_that_fit_equally_the_first_is_taken() -> None:
     assert found == Explained(0, 2, 0, pytest.approx(value))
 
 
-def test_a_margin_is_what_the_next_best_class_would_cost() -> None:
+def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> None:
     columns = [(0.9, 0.5, 0.5), (0.9, 0.9, 0.5), (0.8, 0.5, 0.5), (0.1, 0.1, 0.1)]
     templates = [template([one]) for one in columns]
     words = np.array([0b011] * 6, np.uint64)
@@ -121,11 +121,11 @@ def test_a_margin_is_what_the_next_best_class_would_cost() -> None:
     decoding = Decoding(entry=0.1, gain=0.0)
     found = explain(templates, usual, words, decoding)
     assert [one.template for one in found] == [1]
-    ratios = log_ratios(templates, usual, words[:1], decoding)[0]
-    expected = {0: ratios[1] - ratios[2], 1: ratios[1] - ratios[0]}
+    values = 6 * log_ratios(templates, usual, words[:1], decoding)[0] - 0.1
+    expected = 1 - values / values[1]
     # without class 0, which has templates 0 and 1, template 2 is next; where each is a class of its own, template 0
-    assert margins(found, templates, np.array([0, 0, 1, 2]), usual, words, decoding) == pytest.approx([expected[0]])
-    assert margins(found, templates, np.arange(4), usual, words, decoding) == pytest.approx([expected[1]])
+    assert margins(found, templates, np.array([0, 0, 1, 2]), usual, words, decoding) == pytest.approx([expected[2]])
+    assert margins(found, templates, np.arange(4), usual, words, decoding) == pytest.approx([expected[0]])
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from catalog.classes import Classes, MotionClass, load_classes
 from catalog.queries import Gap, Keyframe, KeyframeQuery
+from ops.decoding import background
 from ops.errors import KinedexError
 from ops.templates import Learned, Template, learn_soft
 from ops.words import TakeWords
@@ -50,6 +53,31 @@ def test_motions_are_found_where_they_are():
     assert found.curves is not None
     assert found.curves.shape == (3, len(take))
     assert found.preselected.tolist() == [1, 1, 1]
+
+
+def test_labelled_together_motions_in_a_row_are_told_apart():
+    names = ("rest", "walk", "rest", "kick", "kick", "rest")
+    take = np.concatenate([motion(name) for name in names])
+    templates = [template(subclass) for subclass in ("kick", "walk")]
+    usual = background([take], 40)
+    made = make_annotator(BODY, templates, load_classes("own", ["kick", "walk"]), 0.05, 0.13, (), usual)
+    (found,) = annotate_words(made, laid_out([take]))
+    lengths = np.cumsum([0, *(len(motion(name)) for name in names)]).tolist()
+    expected = [(lengths[i], lengths[i + 1], name) for i, name in enumerate(names) if name != "rest"]
+    assert [(s.start, s.stop, ("kick", "walk")[s.class_index]) for s in found.segments] == expected
+    assert all(segment.cost == 0 and segment.confidence > 0.5 for segment in found.segments)
+    assert made.method == "templates in a row"
+
+
+def test_labelled_together_a_motion_is_found_in_the_hits_of_its_keyframes_only():
+    take = np.concatenate([motion(name) for name in ("walk", "rest", "kick", "rest")])
+    templates = [template(subclass) for subclass in ("kick", "walk")]
+    classes = load_classes("own", ["kick", "walk"])
+    nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
+    for query, expected in ((KICK, [1, 0]), (nowhere, [1])):
+        made = make_annotator(BODY, templates, classes, 0.05, 0.13, (query,), background([take], 40))
+        (found,) = annotate_words(made, laid_out([take]))
+        assert [one.class_index for one in found.segments] == expected
 
 
 words_of_takes = st.lists(
