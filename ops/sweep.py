@@ -15,7 +15,10 @@ _NO_WORD = np.uint64(NO_WORD)
 
 LANES = 4
 """Stretches computed at a time. A frame waits for the one before it, which has just been written; while one stretch
-waits, another one computes."""
+waits, another one computes. (Always so many, so that the loop over them is unrolled.)"""
+
+CHUNK = 512
+"""Frames after which the lanes lay down what they have found."""
 
 CAP = 21845
 """Sums of whole units stop here: with a (2,1) step of the dearest cost on top, a third of 65,535 still fits 16 bits."""
@@ -45,37 +48,40 @@ def pieces_of(stretches: I64, longest: int, reach: int) -> I64:
 
 
 @nb.njit(cache=True, nogil=True)
-def refill(pieces: I64, slots: I64, active: int, following: int) -> tuple[int, int, int]:
-    """Give slots that are done the next piece; close those for which there is none (kernel).
+def refill(pieces: I64, following: int, lanes: I64, state: Table, nothing: float) -> tuple[int, int]:
+    """Give lanes that are done the next piece; return which one comes then, and how far all can go on (kernel).
 
-    slots: int64 (LANES, 4): frame to compute next, where to keep results from, where to stop, and 1 for a new piece;
-    −1 − k instead of 1 for one moved here from slot k. Returns how many slots are active, the next piece, and
-    how many frames all of them can go on.
+    lanes: int64 (LANES, 3): the frame to compute next, the frame to keep results from, and where to stop; −1 there for
+    a lane without a piece, which computes what another one does, for nobody. state: (3, LANES, columns).
     """
-    for k in range(len(slots)):
-        slots[k, 3] = 0
-    k = 0
-    while k < active or (active < len(slots) and following < len(pieces)):
-        if k == active:
-            active += 1
-        elif slots[k, 0] < slots[k, 2]:
-            k += 1
-            continue
-        elif following == len(pieces):
-            active -= 1
-            if k < active:
-                slots[k, :3] = slots[active, :3]
-                slots[k, 3] = -1 - active
-            continue
-        slots[k, :3] = pieces[following]
-        slots[k, 3] = 1
-        following += 1
-        k += 1
     steps = 0
-    for k in range(active):
-        left = slots[k, 2] - slots[k, 0]
-        steps = left if k == 0 or left < steps else steps
-    return active, following, steps
+    for k in range(len(lanes)):
+        if lanes[k, 0] == lanes[k, 2] and following < len(pieces):
+            lanes[k] = pieces[following]
+            state[:, k, :] = nothing
+            following += 1
+        elif lanes[k, 0] == lanes[k, 2]:
+            lanes[k, 2] = -1
+        left = lanes[k, 2] - lanes[k, 0]
+        if lanes[k, 2] >= 0 and (steps == 0 or left < steps):
+            steps = left
+    for k in range(len(lanes)):
+        if lanes[k, 2] < 0:
+            for other in range(len(lanes)):
+                if lanes[other, 2] >= 0:
+                    lanes[k, 0] = lanes[other, 0]
+    return following, min(steps, CHUNK)
+
+
+@nb.njit(cache=True, nogil=True)
+def keep(lanes: I64, steps: int, found: Table, sums: Table) -> None:
+    """Put what the lanes have found where it belongs, and move them on (kernel)."""
+    for k in range(len(lanes)):
+        at = lanes[k, 0]
+        begin = max(at, lanes[k, 1])
+        if lanes[k, 2] >= 0 and begin < at + steps:
+            sums[:, begin : at + steps] = found[:, k, begin - at : steps]
+        lanes[k, 0] = at + steps
 
 
 @nb.njit(cache=True, nogil=True)
@@ -88,74 +94,64 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
     """
     columns = table.shape[1]
     state = np.full((3, LANES, columns + 2), np.inf, table.dtype)
-    previous, last, here = state[0], state[1], state[2]
-    slots = np.zeros((LANES, 4), np.int64)
-    active, following, steps = refill(pieces, slots, 0, 0)
-    while active > 0:
-        for k in range(LANES):
-            if slots[k, 3] == 1:
-                previous[k, :] = np.inf
-                last[k, :] = np.inf
-            elif slots[k, 3] < 0:
-                previous[k, :] = previous[-1 - slots[k, 3]]
-                last[k, :] = last[-1 - slots[k, 3]]
+    found = np.empty((len(firsts), LANES, CHUNK), table.dtype)
+    lanes = np.zeros((LANES, 3), np.int64)
+    previous, last, here = 0, 1, 2
+    following, steps = refill(pieces, 0, lanes, state, np.inf)
+    while steps > 0:
+        before, behind, now = state[previous], state[last], state[here]
         for step in range(steps):
-            for k in range(active):
-                frame = slots[k, 0] + step
-                cost = table[codes[frame]]
-                before, behind, now = previous[k], last[k], here[k]
+            for k in range(LANES):
+                cost = table[codes[lanes[k, 0] + step]]
+                a, b, c = before[k], behind[k], now[k]
                 for n in range(columns):
-                    one, two = behind[n + 1], before[n + 1]
+                    one, two = b[n + 1], a[n + 1]
                     single = (one if one < two else two) + cost[n]
-                    double = behind[n] + (cost[n] + cost[n])
-                    now[n + 2] = double if double < single else single
+                    double = b[n] + (cost[n] + cost[n])
+                    c[n + 2] = double if double < single else single
                 for t in range(len(firsts)):
-                    now[firsts[t] + 2] = cost[firsts[t]]
-                if frame >= slots[k, 1]:
-                    for t in range(len(firsts)):
-                        sums[t, frame] = now[lasts[t] + 2]
-            previous, last, here = last, here, previous
-        slots[:active, 0] += steps
-        active, following, steps = refill(pieces, slots, active, following)
+                    c[firsts[t] + 2] = cost[firsts[t]]
+                for t in range(len(firsts)):
+                    found[t, k, step] = c[lasts[t] + 2]
+            before, behind, now = behind, now, before
+        turn = steps % 3
+        previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
+        keep(lanes, steps, found, sums)
+        following, steps = refill(pieces, following, lanes, state, np.inf)
 
 
 @nb.njit(cache=True, nogil=True)
-def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, curve: U16) -> None:
-    """Fill one template's curve of lower bounds in whole units, `CAP` for all that is no less (kernel).
+def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> None:
+    """Fill one template's lower bounds in whole units, `CAP` for all that is no less: uint16 (1, L) (kernel).
 
     The same as `sweep` with sums that stop at `CAP`: a cell at `CAP` is reached by no path of fewer units.
     """
     columns = table.shape[1]
     cap = np.uint16(CAP)
     state = np.full((3, LANES, columns + 2), cap, np.uint16)
-    previous, last, here = state[0], state[1], state[2]
-    slots = np.zeros((LANES, 4), np.int64)
-    active, following, steps = refill(pieces, slots, 0, 0)
-    while active > 0:
-        for k in range(LANES):
-            if slots[k, 3] == 1:
-                previous[k, :] = cap
-                last[k, :] = cap
-            elif slots[k, 3] < 0:
-                previous[k, :] = previous[-1 - slots[k, 3]]
-                last[k, :] = last[-1 - slots[k, 3]]
+    found = np.empty((1, LANES, CHUNK), np.uint16)
+    lanes = np.zeros((LANES, 3), np.int64)
+    previous, last, here = 0, 1, 2
+    following, steps = refill(pieces, 0, lanes, state, CAP)
+    while steps > 0:
+        before, behind, now = state[previous], state[last], state[here]
         for step in range(steps):
-            for k in range(active):
-                frame = slots[k, 0] + step
-                cost = table[codes[frame]]
-                before, behind, now = previous[k], last[k], here[k]
+            for k in range(LANES):
+                cost = table[codes[lanes[k, 0] + step]]
+                a, b, c = before[k], behind[k], now[k]
                 for n in range(columns):
-                    one, two = behind[n + 1], before[n + 1]
+                    one, two = b[n + 1], a[n + 1]
                     single = np.uint16((one if one < two else two) + cost[n])
-                    double = np.uint16(behind[n] + np.uint16(cost[n] + cost[n]))
+                    double = np.uint16(b[n] + np.uint16(cost[n] + cost[n]))
                     least = double if double < single else single
-                    now[n + 2] = least if least < cap else cap
-                now[2] = cost[0]
-                if frame >= slots[k, 1]:
-                    curve[frame] = now[final + 2]
-            previous, last, here = last, here, previous
-        slots[:active, 0] += steps
-        active, following, steps = refill(pieces, slots, active, following)
+                    c[n + 2] = least if least < cap else cap
+                c[2] = cost[0]
+                found[0, k, step] = c[final + 2]
+            before, behind, now = behind, now, before
+        turn = steps % 3
+        previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
+        keep(lanes, steps, found, sums)
+        following, steps = refill(pieces, following, lanes, state, CAP)
 
 
 @nb.njit(cache=True, nogil=True)
