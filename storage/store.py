@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -19,6 +19,9 @@ from storage.frames import read_frames, read_words
 from storage.manifest import Manifest, read_newest
 from storage.parts import part_file
 from storage.schemas import result_schema, takes_schema
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 def open_store(path: str | Path) -> Store:
@@ -68,22 +71,29 @@ class Store:
         ------
         KinedexError: the filter is not valid; the message names the columns.
         """
+        import polars as pl  # a tenth of a second, which a query from a cold start need not wait for
+
+        found = pl.from_arrow(self.takes_table(where))
+        assert isinstance(found, pl.DataFrame)
+        return found
+
+    def takes_table(self, where: str | None = None) -> pa.Table:
+        """The same as an Arrow table; parameters and errors as `takes`."""
         if where is None:
             return self._takes
         if not where.strip():
             raise KinedexError("the filter over takes is empty; leave it out to get all takes")
         try:
-            found = pl.from_arrow(duck.filtered(self._takes.to_arrow(), "takes", where))
+            found = duck.filtered(self._takes, "takes", where)
         except duck.Error as fault:
             raise KinedexError(
                 f"the filter over takes does not work: {where}\n  {duck.first_line(fault)}\n"
-                f"  columns of takes: {', '.join(self._takes.columns)}"
+                f"  columns of takes: {', '.join(self._takes.column_names)}"
             ) from None
-        assert isinstance(found, pl.DataFrame)
-        return found.cast(dict(self._takes.schema)).sort("name")  # type: ignore[arg-type]
+        return found.cast(self._takes.schema).sort_by("name")
 
     @cached_property
-    def _takes(self) -> pl.DataFrame:
+    def _takes(self) -> pa.Table:
         schema = takes_schema()
         tables = []
         for part in self.manifest.takes:
@@ -92,9 +102,7 @@ class Store:
                 keep = [take not in set(part.dropped) for take in table.column("take_id").to_pylist()]
                 table = table.filter(pa.array(keep, pa.bool_()))
             tables.append(table)
-        frame = pl.from_arrow(pa.concat_tables(tables) if tables else schema.empty_table())
-        assert isinstance(frame, pl.DataFrame)
-        return frame.sort("name")
+        return pa.concat_tables([schema.empty_table(), *tables]).sort_by("name").combine_chunks()
 
     def take_id(self, name: str) -> int:
         """The id of a take by its name; a StoreError names the nearest."""
@@ -104,10 +112,16 @@ class Store:
 
     @cached_property
     def _ids(self) -> dict[str, int]:
-        return dict(zip(self._takes["name"].to_list(), self._takes["take_id"].to_list(), strict=True))
+        return dict(zip(*(self._takes.column(name).to_pylist() for name in ("name", "take_id")), strict=True))
+
+    @cached_property
+    def _lengths(self) -> dict[int, int]:
+        return dict(zip(*(self._takes.column(name).to_pylist() for name in ("take_id", "frames")), strict=True))
 
     def words(self, take_ids: Sequence[int] | None = None) -> TakeWords:
         """The words of these takes (of all takes for None), in order of take_id, each take once.
+
+        One numpy array for all of them; `TakeWords.take` gives those of one take without a copy.
 
         Raises
         ------
@@ -118,12 +132,14 @@ class Store:
     def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
         """The frames [start, stop) of a take (to its end for None), one row per analysis frame.
 
+        Every column is one chunk, so that `frames("a").column("rwrist").chunk(0).field("y").to_numpy()` is no copy.
+
         Raises
         ------
         StoreError: no take of that name. ParameterError: the range is not inside the take.
         """
         take_id = self.take_id(take)
-        count = int(self._takes.filter(pl.col("take_id") == take_id)["frames"][0])
+        count = self._lengths[take_id]
         end = count if stop is None else stop
         if not 0 <= start <= end <= count:
             raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
