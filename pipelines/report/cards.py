@@ -8,6 +8,7 @@ from pipelines.report.axes import Axis, percent, time_axis
 from pipelines.report.data import FeatureNames, Template
 from pipelines.report.pixels import quantised_image, soft_image, wildcard_share
 from pipelines.report.timelines import counted
+from pipelines.report.traces import Trace, trace
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Card:
     wildcards: float
     origin: str
     description: str
+    trace: Trace | None
 
 
 def card(template: Template, delta: float, rate_hz: float) -> Card:
@@ -41,17 +43,20 @@ def card(template: Template, delta: float, rate_hz: float) -> Card:
         origin=origin(template),
         description=f"Motion template of {template.subclass}: {template.values.shape[1]} features "
         f"over {counted(frames, 'frame')}; {share:.0%} of the entries vary between the examples",
+        trace=trace(template.costs),
     )
 
 
 def origin(template: Template) -> str:
-    """Say from how many clips and in how many rounds a template was learned."""
+    """Say from how many clips and in how many rounds a template was learned, or where else it comes from."""
+    if not template.origin.startswith("learned"):
+        return template.origin
     text = f"{counted(len(template.clips), 'clip')}, {counted(template.rounds, 'round')} of averaging"
     if len(template.costs) > 1:
         text += f" (largest pair cost {template.costs[0]:.3f} → {template.costs[-1]:.3f})"
     elif template.costs:
         text += f" (largest pair cost {template.costs[0]:.3f})"
-    return text
+    return text + template.origin.removeprefix("learned").replace(", ", "; ", 1)
 
 
 def rules(features: FeatureNames) -> tuple[float, ...]:

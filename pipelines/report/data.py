@@ -90,6 +90,8 @@ class Template:
     clips: tuple[str, ...]
     rounds: int
     costs: tuple[float, ...] = ()
+    origin: str = "learned"
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

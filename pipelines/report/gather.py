@@ -275,6 +275,8 @@ def _templates(reader: Reader, kind: str, labels: Mapping[str, str]) -> tuple[tu
             clips=tuple(row["clips"]),
             rounds=row["rounds"],
             costs=tuple(row["costs"] or ()),
+            origin=row["origin"] or "learned",
+            remarks=tuple(row["remarks"] or ()),
         )
         for row in rows
         if row["kind"] == kind

@@ -35,6 +35,20 @@ def test_a_page_shows_numbers_takes_templates_curves_and_what_is_missing() -> No
         assert expected in text, expected
 
 
+def test_how_learning_settled_and_what_is_wrong_with_clips_is_shown() -> None:
+    data = study()
+    squat, kick = data.templates
+    odd = replace(squat, remarks=("clips far from all others: c2 (cost 0.3)",))
+    page = render(replace(data, templates=(odd, replace(kick, clips=(), origin="from kick.yaml"))))
+    text = Reading(page).text
+    assert (
+        text.count("clips far from all others: c2 (cost 0.3)") == 2
+    )  # beside the template, and among what is left out
+    assert "from kick.yaml" in text
+    assert page.count('class="soft trace"') == 1
+    assert "Largest cost between two clips from 0.100 to 0.0040 in 1 rounds: settled" in page
+
+
 def test_a_page_needs_nothing_but_itself() -> None:
     page = render(study())
     reading = Reading(page)

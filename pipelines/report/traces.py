@@ -1,0 +1,45 @@
+"""How learning settled: the largest cost between two clips, round by round, as a small plot on a logarithmic scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ops.templates import CONVERGED
+
+WIDTH, HEIGHT = 132, 36
+_LEAST, _MOST = 1e-3, 1.0  # the ends of the scale; costs below the one are drawn on it
+_LEFT, _RIGHT, _TOP, _BOTTOM = 4, 128, 4, 32
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One plot: the line's path, a dot per round (x, y, what it says), and the height of the threshold."""
+
+    path: str
+    dots: tuple[tuple[float, float, str], ...]
+    threshold: float
+    description: str
+
+
+def trace(costs: Sequence[float]) -> Trace | None:
+    """Lay out the costs before each round and after the last; None where nothing was averaged."""
+    if len(costs) < 2:
+        return None
+    step = (_RIGHT - _LEFT) / (len(costs) - 1)
+    points = [(round(_LEFT + i * step, 1), _height(cost)) for i, cost in enumerate(costs)]
+    tips = ["before the first round", *(f"after round {i}" for i in range(1, len(costs)))]
+    dots = tuple((x, y, f"{tip}: {cost:.4f}") for (x, y), tip, cost in zip(points, tips, costs, strict=True))
+    settled = "settled" if costs[-1] < CONVERGED else "not settled"
+    return Trace(
+        "M" + "L".join(f"{x:g} {y:g}" for x, y in points),
+        dots,
+        _height(CONVERGED),
+        f"Largest cost between two clips from {costs[0]:.3f} to {costs[-1]:.4f} in {len(costs) - 1} rounds: {settled}",
+    )
+
+
+def _height(cost: float) -> float:
+    share = math.log(min(max(cost, _LEAST), _MOST) / _LEAST) / math.log(_MOST / _LEAST)
+    return round(_BOTTOM - share * (_BOTTOM - _TOP), 1)
