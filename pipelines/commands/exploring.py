@@ -20,12 +20,20 @@ def sql(
         str | None, typer.Argument(help="one SQL statement; without it, standard input or a prompt")
     ] = None,
     file: Annotated[Path | None, typer.Option("--file", "-f", help="read the statement from this file")] = None,
+    path: Annotated[
+        bool, typer.Option("--path", help="print the index file, which any DuckDB client opens, and do nothing else")
+    ] = False,
     form: Format = "table",
     output: Output = None,
 ) -> None:
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
     from storage.store import open_store
 
+    if path:
+        if query is not None or file is not None:
+            raise KinedexError("--path prints the index file and runs no SQL; leave the statement out")
+        print(open_store(store).index_path().absolute())
+        return
     if query is not None and file is not None:
         raise KinedexError("give the SQL as an argument or with --file, not both")
     if file is not None:

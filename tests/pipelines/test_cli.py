@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import duckdb
 import pyarrow.parquet as pq
 import pytest
 
@@ -59,6 +60,16 @@ def test_takes_are_listed_filtered_and_written(store: Path, tmp_path: Path) -> N
     assert kinedex("takes", store, "-o", tmp_path / "takes.parquet").returncode == 0
     assert pq.read_table(tmp_path / "takes.parquet").num_rows == 3
     assert "3 takes" in kinedex("takes", store).stdout
+
+
+def test_sql_prints_the_file_for_other_clients(store: Path) -> None:
+    done = kinedex("sql", store, "--path")
+    assert Path(done.stdout.strip()).is_absolute()
+    with duckdb.connect(done.stdout.strip(), read_only=True) as client:
+        assert client.execute("SELECT count(*) FROM takes").fetchall() == [(3,)]
+    done = kinedex("sql", store, "SELECT 1", "--path")
+    assert done.returncode == 1
+    assert "--path prints the index file and runs no SQL" in done.stderr
 
 
 def test_sql_answers_from_an_argument_a_file_and_standard_input(store: Path, tmp_path: Path) -> None:

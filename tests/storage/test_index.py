@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import duckdb
+import numpy as np
 import pytest
 
 from ops.errors import StoreError
-from ops.words import cut
+from ops.words import NO_WORD, cut
 from storage import index
 from storage.index import tables
 from storage.lock import Lock
+from storage.parts import FramesWriter
 from storage.store import Store, open_store
+from storage.verify import verify
 from storage.writer import StoreWriter
 from tests.oracles import runs as naive
-from tests.storage.made_up import BODY, add, make_store
+from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table
+
+ROOT = Path(__file__).parents[2]
 
 TAKES = {"bd_walk": 90, "bk_kick": 40, "dg_still": 1, "mm_empty": 0}
 
@@ -165,3 +175,106 @@ def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypa
     with pytest.raises(StoreError, match=r"the index cannot be built: .*No space left on device; .*`kinedex gc`"):
         index.build(later)
     assert sorted(os.listdir(store.path / "index")) == before
+
+
+def test_a_killed_build_leaves_nothing_visible_and_the_next_cleans_up(store: Store) -> None:
+    later = change(store, 5)
+    before = sorted(os.listdir(store.path / "index"))
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(store.path)], cwd=ROOT)
+    assert killed.returncode == -signal.SIGKILL
+    left = sorted(set(os.listdir(store.path / "index")) - set(before))
+    assert [name[:10] for name in left] == [".building-"]
+    assert store.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
+    with pytest.raises(StoreError, match="the index is stale"):
+        later.index_path()
+    index.build(later)
+    assert sorted(os.listdir(store.path / "index")) == ["gen-000002", "gen-000003", "lock"]
+
+
+KILLED = """
+import os, signal, sys
+from storage import index
+from storage.index import tables
+from storage.store import open_store
+tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+index.build(open_store(sys.argv[1]))
+"""
+
+
+@pytest.mark.parametrize("room", [10_000, 200_000, 600_000])
+def test_a_disk_that_fills_is_a_clear_error_and_leaves_the_generation_before(store: Store, room: int) -> None:
+    later = change(store, 60_000)
+    before = sorted(os.listdir(store.path / "index"))
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(store.path), str(room)], cwd=ROOT, capture_output=True, text=True
+    )
+    assert "way out" in done.stdout, done.stdout + done.stderr
+    assert sorted(os.listdir(store.path / "index")) == before
+    assert store.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
+    index.build(later)
+    assert later.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 60_041}]
+
+
+FULL = """
+import resource, signal, sys
+from ops.errors import StoreError
+from storage import index
+from storage.store import open_store
+store = open_store(sys.argv[1])
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+try:
+    index.build(store, threads=1)
+except StoreError as fault:
+    print("way out" if "kinedex gc" in str(fault) or "mend that" in str(fault) else "", fault)
+"""
+
+
+def test_invalid_frames_are_in_no_run_and_count_as_frames(tmp_path: Path) -> None:
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        ids = writer.assign_take_ids(["gaps", "nothing"])
+        with FramesWriter(tmp_path, BODY) as part:
+            for name, words in (("gaps", [5, 5, NO_WORD, 5, NO_WORD, NO_WORD, 7]), ("nothing", [NO_WORD] * 3)):
+                positions, orientation, _ = arrays(name, len(words))
+                part.add(ids[name], positions, orientation, np.array(words, np.uint64))
+            done = part.close()
+        rows = [take_row(ids[name], name, frames) for name, frames in (("gaps", 7), ("nothing", 3))]
+        writer.add_takes(takes_table(rows), done)
+        writer.commit()
+    store = open_store(tmp_path)
+    index.build(store)
+    runs = store.sql("SELECT word, take_id, start, stop FROM word_runs WHERE feature_set = 'upper'").to_pylist()
+    assert [(run["word"], run["start"], run["stop"]) for run in runs] == [(5, 0, 2), (5, 3, 4), (7, 6, 7)]
+    assert store.sql("SELECT start, stop FROM feature_runs WHERE feature = 1").to_pylist() == [
+        {"start": 0, "stop": 2}, {"start": 3, "stop": 4}, {"start": 6, "stop": 7}
+    ]  # fmt: skip
+    assert store.sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary GROUP BY feature_set").column(0).to_pylist() == [
+        4, 4, 4
+    ]  # fmt: skip
+    assert store.sql("SELECT count(*) AS n, count(word) AS w FROM frames").to_pylist() == [{"n": 10, "w": 4}]
+    assert store.sql("SELECT count(*) AS n FROM frames WHERE has(word, 1)").to_pylist() == [{"n": 4}]
+    assert store.sql("SELECT count(*) AS n FROM frames_between('gaps', 2, 4) WHERE word IS NULL").to_pylist() == [
+        {"n": 1}
+    ]
+    assert store.words().words.tolist().count(int(NO_WORD)) == 6
+    says = index.read_generation(store.index_path().parent)
+    assert says is not None
+    assert (says.frames, says.valid_frames) == (10, 4)
+    assert verify(store) == []
+
+
+def test_a_shard_with_wrong_rows_is_found_though_its_checksum_fits(store: Store) -> None:
+    generation = store.index_path().parent
+    with duckdb.connect(str(generation / "index.duckdb")) as client:
+        client.execute("DELETE FROM stored_word_runs_lower WHERE rowid = 1")
+        client.execute("UPDATE stored_vocabulary SET shard = 9 WHERE feature_set = 'mix'")
+    says = index.read_generation(generation)
+    assert says is not None
+    content = (generation / "index.duckdb").read_bytes()
+    said = replace(says, bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
+    (generation / "generation.json").write_text(said.to_json())
+    found = "\n".join(map(str, verify(store)))
+    assert "word_runs has" in found
+    assert "the lists of lower in shard 1 are not those that its vocabulary counts" in found
+    assert "mix has rows of a shard 9 that is none" in found
+    assert "then run the stage `index`" in found
