@@ -14,7 +14,7 @@ class Params(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    threads: int | None = Field(None, ge=1, description="threads that DuckDB may use; all cores when left out")
+    threads: int | None = Field(None, ge=1, description="threads to use; one for every core when left out")
     memory_mb: int | None = Field(
         None, ge=64, description="memory that DuckDB may use, in MB; 80 % of the machine's when left out"
     )
@@ -33,6 +33,13 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     assert says is not None
     context.say(
         f"{says.rows['word_runs']:,} word runs of {says.rows['vocabulary']:,} words, "
-        f"{says.rows['feature_runs']:,} feature runs in {generation.name}"
+        f"{says.rows['feature_runs']:,} feature runs in {generation.name}, "
+        f"for which {says.built_frames:,} of {says.frames:,} frames were indexed anew"
     )
-    return {"generation": generation.name, "bytes": says.bytes, **says.rows}
+    return {
+        "generation": generation.name,
+        "bytes": says.bytes,
+        "shards": len(says.shards),
+        "built_frames": says.built_frames,
+        **says.rows,
+    }
