@@ -22,7 +22,9 @@ from ops.words import NO_WORD
 from pipelines.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
 from storage.acclaim import INCH_M, read_asf
+from storage.amass import parse_amass
 from storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
+from storage.bodymodel import load_body_model
 from storage.bvh import parse_bvh
 from storage.c3d import parse_c3d
 from storage.export import TREE
@@ -97,10 +99,10 @@ def inspect_file(
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
     found.say("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    found.say("format", _FORMATS[ending])
+    found.say("format", "NPZ, joint angles (AMASS)" if form_of(file) == "amass" else _FORMATS[ending])
     try:
         asf = _asf(found, file, source) if ending == ".amc" else None
-        raw = _raw(found, file, asf, mappings)
+        raw = _raw(found, file, asf, mappings, given)
         _say_mapping(found, raw, mappings)
         found.figure = raw.figure
         body = read_body(file, asf, mappings, feature_set.joints, given)
@@ -156,7 +158,7 @@ def _source(root: Path, path: Path) -> SourceFile:
     return SourceFile(str(root), path.relative_to(root).as_posix(), 0, 0)
 
 
-def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings) -> _Skeleton:
+def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: Given) -> _Skeleton:
     """What the file holds before any mapping, said and returned."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
@@ -166,6 +168,8 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings) ->
         points = parse_positions(file)
         names = points.names or mappings.names_in_order(file, len(points.positions))
         return _raw_points(found, file, "positions", points, points.places(names))
+    if form_of(file) == "amass":
+        return _raw_poses(found, file, given)
     if form_of(file) == "c3d":
         markers = parse_c3d(file)
         axes = _UPRIGHT[markers.up or "z"]
@@ -178,6 +182,19 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings) ->
     positions, _ = kinematics.forward(bvh.nodes, bvh.channels[shown])
     bones = [(i, node.parent, MIDDLE) for i, node in enumerate(bvh.nodes) if node.parent >= 0]
     return _Skeleton("bvh", bvh.places, _raw_figure(file, positions, bones, _times(shown, bvh.rate_hz)))
+
+
+def _raw_poses(found: Inspection, file: Path, given: Given) -> _Skeleton:
+    """What a file of joint angles holds, said and returned; its joints are those of the body model, where one is."""
+    poses = parse_amass(file)
+    names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
+    _say_nodes(found, names)
+    found.say("figure", f"{poses.gender}, {len(poses.shape)} numbers of shape")
+    if poses.rate_hz is not None:
+        _say_time(found, poses.rate_hz, len(poses.turns))
+    else:
+        found.say("length", f"{len(poses.turns)} frames; the file does not say how many a second")
+    return _Skeleton("amass", {name: i for i, name in enumerate(names)})
 
 
 def _raw_points(

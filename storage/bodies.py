@@ -13,11 +13,12 @@ from catalog.skeletons import Fit, Format, Mappings
 from ops import kinematics
 from ops.errors import SourceError
 from storage.acclaim import INCH_M, RATE_HZ, Skeleton, read_amc, read_asf
-from storage.body import NOTHING_GIVEN, Body, Given, built, refuse_far, to_metres
+from storage.amass import holds_poses, read_amass
+from storage.body import FARTHEST_M, NOTHING_GIVEN, Body, Given, built, orientation, refuse_far, to_metres
 from storage.bvh import Bvh, parse_bvh
 from storage.points import read_c3d, read_positions
 
-__all__ = ["FORMS", "NOTHING_GIVEN", "Body", "Given", "form_of", "read_body"]
+__all__ = ["FARTHEST_M", "FORMS", "NOTHING_GIVEN", "Body", "Given", "form_of", "read_body"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -28,12 +29,13 @@ FORMS: dict[str, Format] = {
     ".amc": "acclaim", ".bvh": "bvh", ".c3d": "c3d",
     ".trc": "positions", ".csv": "positions", ".npz": "positions", ".npy": "positions",
 }  # fmt: skip
-"""Endings of motion files that are read, and the format of the mappings that they are read with."""
+"""Endings of motion files that are read, and the format of the mappings that they are read with; .npz: also "amass"."""
 
 
 def form_of(motion: str | Path) -> Format:
-    """The format of a motion file by its ending, which must be one of `FORMS`."""
-    return FORMS[Path(motion).suffix.lower()]
+    """The format of a motion file by its ending, which must be one of `FORMS`, and of an .npz by what is in it."""
+    ending = Path(motion).suffix.lower()
+    return "amass" if ending == ".npz" and holds_poses(Path(motion)) else FORMS[ending]
 
 
 def read_body(
@@ -56,6 +58,8 @@ def read_body(
         return read_positions(motion, mappings, joints, given)
     if form == "c3d":
         return read_c3d(motion, mappings, joints, given)
+    if form == "amass":
+        return read_amass(motion, mappings, joints, given)
     if asf is None:
         raise SourceError(motion, "an AMC file is read with its ASF skeleton; none is given")
     return read_acclaim(motion, asf, mappings, joints, given.acclaim_hz)
@@ -92,7 +96,7 @@ def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ..
     refuse_far(amc, positions, joints, fit.unknown)
     return Body(
         positions=positions,
-        orientation=_orientation(fit, matrices, skeleton.root_frame),
+        orientation=orientation(fit, matrices, skeleton.root_frame),
         rate_hz=rate_hz,
         unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
         skeleton=fit.mapping.name,
@@ -127,7 +131,7 @@ def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Giv
     refuse_far(path, positions, joints, fit.unknown)
     return Body(
         positions=positions,
-        orientation=_orientation(fit, turned),
+        orientation=orientation(fit, turned),
         rate_hz=rate_hz,
         unit=unit,
         skeleton=fit.mapping.name,
@@ -159,14 +163,3 @@ def _track(nodes: tuple[kinematics.Node, ...], channels: F64, fit: Fit, joints: 
         part, turned[:, start:stop] = kinematics.forward(nodes, channels[start:stop], fit.root, fit.nodes)
         positions[:, :, start:stop] = fit.apply(part, joints)
     return positions, turned
-
-
-def _orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
-    """The root's quaternion in our axes, from its rotations (9, T) and its own axes where it has some.
-
-    It is the turn between the two frames' bases, seen from ours.
-    """
-    if "root" in fit.unknown:
-        return np.full((4, turned.shape[1]), np.nan)
-    root_axes = fit.mapping.root_axes.T
-    return kinematics.quaternions(turned, fit.mapping.axes, root_axes if own is None else own @ root_axes)

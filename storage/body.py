@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from catalog.fitting import Fit
 from catalog.units import guess_unit
+from ops import kinematics
 from ops.errors import SourceError
 from storage.acclaim import RATE_HZ
 
@@ -123,3 +124,14 @@ def refuse_far(
         raise SourceError(
             path, f"joint '{joints[joint]}' is more than {FARTHEST_M / 1000:g} km away in source frame {frame}"
         )
+
+
+def orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
+    """The root's quaternion in our axes, from its rotations (9, T) and its own axes where it has some.
+
+    It is the turn between the two frames' bases, seen from ours.
+    """
+    if "root" in fit.unknown:
+        return np.full((4, turned.shape[1]), np.nan)
+    root_axes = fit.mapping.root_axes.T
+    return kinematics.quaternions(turned, fit.mapping.axes, root_axes if own is None else own @ root_axes)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import csv
-import math
 import re
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ops.errors import SourceError, did_you_mean
 from storage.acclaim import read_text
+from storage.arrays import load_array, load_arrays
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 
 F64 = npt.NDArray[np.float64]
@@ -28,7 +27,6 @@ RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
 MOST_POINTS = 10_000
 """A file that claims more points than this is no body."""
 
-_MOST_BYTES = 2 << 30  # packed files may claim to be anything
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _AXIS = re.compile(r"(.+)_([xyzXYZ])")
 
@@ -158,13 +156,14 @@ def parse_arrays(path: Path) -> Points:
 
     Raises
     ------
-    SourceError: no such array; of AMASS files, which hold joint angles, this is said.
+    SourceError: no such array, or one of another shape.
     """
-    arrays, others = _load(path)
+    if path.suffix.lower() == ".npy":
+        arrays, others = {"positions": load_array(path)}, ["positions"]
+    else:
+        arrays, others = load_arrays(path, (*ARRAYS, *NAMES, *RATES))
     key = next((key for key in ARRAYS if key in arrays), None)
     if key is None:
-        if {"poses", "trans"} <= set(others):
-            raise SourceError(path, "holds joint angles (an AMASS file), not positions: compute its joints, save those")
         raise SourceError(path, f"has none of the arrays {', '.join(ARRAYS)}{did_you_mean('positions', others)}")
     array = arrays[key]
     if array.ndim != 3 or array.shape[2] != 3 or not array.size or array.dtype.kind not in "fiu":
@@ -183,46 +182,6 @@ def parse_arrays(path: Path) -> Points:
     if np.isinf(positions).any():
         raise SourceError(path, f"'{key}' has infinite numbers, the first in frame {_first(np.isinf(positions), 2)}")
     return Points(str(path), names, _whole(positions), rate_hz)
-
-
-def _load(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """The arrays of a file that mean something here, and the names of all that there are; nothing in it is run."""
-    try:
-        if path.suffix.lower() == ".npy":
-            with path.open("rb") as file:
-                return {"positions": _array(path, file, "the file", path.stat().st_size)}, []
-        with zipfile.ZipFile(path) as packed:
-            keys = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
-            arrays = {}
-            for key in keys.keys() & {*ARRAYS, *NAMES, *RATES}:
-                with packed.open(keys[key]) as entry:
-                    arrays[key] = _array(path, entry, f"'{key}'", keys[key].file_size)
-            return arrays, list(keys)
-    except SourceError:
-        raise
-    except Exception as fault:  # NumPy, zipfile, zlib and tokenize have an error of their own for every broken byte
-        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
-
-
-def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
-    """An array in the NPY format of `size` bytes in all, once its header is found to fit them."""
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read_header(file)
-    numbers = math.prod(shape)
-    if numbers * dtype.itemsize != size - file.tell():
-        raise SourceError(
-            path,
-            f"{what} must hold {' × '.join(map(str, shape))} values of {dtype} by its header, and holds "
-            f"{size - file.tell()} bytes; is it cut off?",
-        )
-    if numbers * 8 > _MOST_BYTES:
-        most = f"{_MOST_BYTES / 1e9:.1f} GB"
-        raise SourceError(
-            path, f"{what} takes {numbers * 8 / 1e9:.1f} GB in memory; write shorter takes, of {most} at most"
-        )
-    file.seek(0)
-    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, ...]:

@@ -23,6 +23,9 @@ def inspect(
     fill_gap_frames: Annotated[
         int | None, typer.Option(min=0, help="longest gap of a point that is closed; a tenth of a second unless given")
     ] = None,
+    body_model: Annotated[
+        str | None, typer.Option(help="body model of an AMASS file: model.npz of SMPL-H, or its joints at rest")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
     ] = None,
@@ -31,7 +34,7 @@ def inspect(
     from pipelines.inspect import inspect_file, show, write_picture
     from storage.bodies import Given
 
-    found = inspect_file(file, skeleton, source, Given(None, rate, fill_gap_frames))
+    found = inspect_file(file, skeleton, source, Given(None, rate, fill_gap_frames, body_model))
     path = picture or Path(f"{file.stem}.png")
     if write_picture(found, path):
         found.say("picture", str(path))

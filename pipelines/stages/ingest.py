@@ -26,6 +26,7 @@ from pipelines.failures import Failure, failure, killer, log_table, refusal
 from pipelines.plan import code_digest
 from pipelines.reading import Batch, Task, Written, read_batch
 from storage.bodies import FORMS, Given
+from storage.bodymodel import model_digest
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 from storage.compaction import compact
 from storage.schemas import takes_schema
@@ -74,6 +75,11 @@ class Params(BaseModel):
         description="longest gap of a point, in source frames, that is closed along a straight line (C3D, TRC, CSV, "
         "NPZ, NPY); a tenth of a second unless given; the frames of a longer one are invalid and get no word",
     )
+    body_model: str | None = Field(
+        None,
+        description="body model of AMASS files: model.npz of SMPL-H, or its joints at rest (.npz, .csv, .yaml); "
+        "{gender} in the path stands for male, female or neutral",
+    )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
     batch_mb: int = Field(256, ge=1, le=4096, description="most megabytes of raw files that one task reads")
@@ -91,15 +97,16 @@ class Params(BaseModel):
     @property
     def given(self) -> Given:
         """What the files are told by the user."""
-        return Given(self.rate_hz, self.override_rate_hz, self.fill_gap_frames)
+        model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
+        return Given(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
 
 
 def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: source files by path, size and time, mappings, and features."""
     feature_set = load_feature_set()
     mappings = load_mappings(params.skeleton, feature_set.joints)
-    forms = [mappings.digest(form) for form in sorted(set(FORMS.values()))]
-    return _digest([scan(params.source).digest, feature_set.digest, *forms])
+    forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
+    return _digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
@@ -170,6 +177,8 @@ def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings
         ending[1:]: _recipe(feature_set, mappings.digest(form), _matters(params.given, form))
         for ending, form in FORMS.items()
     }
+    # What an .npz holds is known when it is read: what matters to either of its formats matters.
+    recipes["npz"] += f" {mappings.digest('amass')} {model_digest(params.given.body_model)}"
     skeleton_sums: dict[str, str] = {}
     tasks: list[Task] = []
     failures = [refusal(refused) for refused in found.refused]
@@ -262,7 +271,7 @@ def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
 def _matters(given: Given, form: Format) -> object:
     """What of the user's word changes a take of a format."""
     if form in ("positions", "c3d"):
-        return astuple(given)
+        return astuple(replace(given, body_model=None))
     return given.acclaim_hz if form == "acclaim" else given.override_rate_hz
 
 

@@ -15,15 +15,17 @@ from catalog.skeletons import load_skeleton
 from ops.errors import KinedexError
 from pipelines.stages import ingest
 from pipelines.terminal import Terminal
+from storage.bodymodel import BODY
 from storage.export import export_take
 from storage.parts import joint_positions
 from storage.store import Store, open_store
 from storage.verify import verify
-from tests.bodies import standing
+from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.pipelines.archives import context, write_archive
 
 JOINTS = load_feature_set().joints
+AMASS = load_skeleton("smpl-amass", JOINTS)
 
 
 def bring_in(store: Path, source: Path, executor: str = "serial", **params: object) -> tuple[dict[str, object], str]:
@@ -185,3 +187,44 @@ def test_positions_come_in_beside_other_formats_and_frames_in_long_gaps_have_no_
     (seen,) = (row for row in rows(open_store(tmp_path / "store")) if row["name"] == "seen")
     assert seen["invalid_frames"] == 0
     assert bring_in(tmp_path / "store", source, fill_gap_frames=10)[0]["read"] == 0
+
+
+def test_joint_angles_come_in_with_a_body_model_and_are_read_again_with_another(tmp_path: Path) -> None:
+    (tmp_path / "source").mkdir()
+    model = tmp_path / "model.csv"
+    placed = {mix.node: STANDING[joint] for joint, mixes in AMASS.joints.items() if (mix := mixes[0]) and mix.node}
+    rest = [(name, *placed.get(name, STANDING["chest"])) for name in BODY]
+    model.write_text("joint,x,y,z\n" + "\n".join(f"{name},{x},{y},{z}" for name, x, y, z in rest))
+    poses = np.zeros((60, 156))
+    poses[:, 0] = np.pi / 2
+    np.savez(tmp_path / "source" / "walk_poses.npz", poses=poses, trans=np.zeros((60, 3)), mocap_framerate=60)
+    summary, said = bring_in(tmp_path / "store", tmp_path / "source")
+    assert (summary["takes"], summary["left_out"]) == (0, 1)
+    assert "give `body_model`" in said
+    summary, _ = bring_in(tmp_path / "store", tmp_path / "source", body_model=str(model))
+    assert (summary["takes"], summary["left_out"]) == (1, 0)
+    (row,) = rows(open_store(tmp_path / "store"))
+    assert (row["format"], row["skeleton"], row["frames"], row["invalid_frames"]) == ("npz", "smpl-amass", 30, 0)
+    assert bring_in(tmp_path / "store", tmp_path / "source", body_model=str(model))[0]["read"] == 0
+    model.write_text(model.read_text() + "\nleft_hand,0.3,0.7,0")
+    assert bring_in(tmp_path / "store", tmp_path / "source", body_model=str(model))[0]["read"] == 1
+
+
+@pytest.mark.shared
+def test_marker_files_of_several_vendors_come_in_and_the_others_say_what_they_lack(
+    shared: Path, tmp_path: Path
+) -> None:
+    bring_in(tmp_path / "store", shared / "data" / "c3d")
+    store = open_store(tmp_path / "store")
+    takes = {row["name"]: row for row in rows(store)}
+    assert {name: takes[name]["skeleton"] for name in ("HDM_bd_05-01_01_120", "Qualisys", "BTS")} == {
+        "HDM_bd_05-01_01_120": "hdm05-c3d",
+        "Qualisys": "landmarks-c3d",
+        "BTS": "gait-c3d",
+    }
+    assert takes["HDM_bd_05-01_01_120"]["invalid_frames"] == 0
+    assert takes["BTS"]["invalid_frames"] > 0  # type: ignore[operator]
+    log = {row["source"]: row["message"] for row in store.result("ingest_log").to_pylist()}
+    assert {"Vicon.c3d", "Optotrak.c3d"} <= set(log)
+    assert all("no skeleton mapping fits" in log[name] for name in ("Vicon.c3d", "Optotrak.c3d"))
+    assert verify(store) == []

@@ -17,6 +17,7 @@ from pipelines.picture import LEFT, MIDDLE, RIGHT
 from storage.bodies import Given
 from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
+from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 from tests.pipelines.archives import write_archive
 
 JOINTS = load_feature_set().joints
@@ -122,6 +123,36 @@ def test_positions_are_described_with_their_gaps_and_drawn_as_dots_until_they_co
     assert found.fault is None
     assert said(found, "rate") == "30 Hz (given)"
     assert "lknee 2 frames" in said(found, "warnings")
+
+
+def test_markers_are_described_and_drawn_in_frames_that_are_whole(tmp_path: Path) -> None:
+    points = standing_markers(90)
+    points[LABELS.index("LKNE"), :, 30:] = np.nan
+    found = inspect_file(write_c3d(tmp_path / "a.c3d", 1000 * z_up(points)))
+    assert said(found, "format") == "C3D, markers"
+    assert said(found, "nodes").startswith("30: LFWT, ")
+    assert said(found, "mapping").startswith("hdm05-c3d")
+    assert said(found, "gaps") == "1 in 1 points, the longest of 60 frames"
+    assert said(found, "valid frames") == "30 of 90; the others have no word"
+    assert "LKNE 60 frames" in said(found, "warnings")
+    assert found.figure is not None
+    assert found.figure.times[-1] == "0.24 s (frame 29)"
+    assert write_picture(found, tmp_path / "a.png")
+    ink = inks(tmp_path / "a.png")
+    assert ink[LEFT] > 500 < ink[RIGHT]
+    other = inspect_file(write_c3d(tmp_path / "b.c3d", 1000 * z_up(points[:2]), ("one", "two")))
+    assert "no skeleton mapping fits" in str(other.fault)
+    assert other.figure is not None
+    assert other.figure.views[0][0] == "x to the right, z up"
+
+
+def test_joint_angles_are_described_with_and_without_a_body_model(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", poses=np.zeros((9, 156)), trans=np.zeros((9, 3)), mocap_framerate=120)
+    found = inspect_file(tmp_path / "a.npz")
+    assert said(found, "format") == "NPZ, joint angles (AMASS)"
+    assert said(found, "mapping").startswith("smpl-amass")
+    assert said(found, "figure") == "neutral, 0 numbers of shape"
+    assert "give `body_model`" in str(found.fault)
 
 
 def test_what_is_no_motion_file_is_refused_with_the_way_out(tmp_path: Path) -> None:

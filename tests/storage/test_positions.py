@@ -13,7 +13,7 @@ from catalog.features import load_feature_set
 from catalog.skeletons import load_mappings, load_skeleton
 from ops import features, kinematics
 from ops.errors import SourceError
-from storage import positions
+from storage import arrays as stored
 from storage.bodies import Body, Given, read_body
 from storage.positions import is_positions_csv, parse_positions
 from tests.bodies import STANDING, index, standing, turned
@@ -201,7 +201,7 @@ def test_a_fault_is_named_with_its_line_and_column(tmp_path: Path, fault: str) -
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"poses": np.zeros((3, 156)), "trans": np.zeros((3, 3))}, "holds joint angles (an AMASS file)"),
+        ({"poses": np.zeros((3, 156)), "trans": np.zeros((3, 3))}, "holds the joint angles of a body (AMASS)"),
         ({"position": np.zeros((3, 17, 3))}, "did you mean 'position'?"),
         ({"positions": np.zeros((3, 17, 4))}, "must be numbers of shape (frames, joints, 3), got (3, 17, 4)"),
         ({"positions": np.zeros((3, 18, 3))}, "does not name its 18 joints"),
@@ -251,7 +251,7 @@ def test_a_header_that_does_not_fit_its_file_is_refused_before_memory_is_asked_f
 def test_an_array_that_unpacks_to_more_than_fits_is_refused_by_its_header(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(positions, "_MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(stored, "MOST_BYTES", 1_000_000)
     np.savez_compressed(tmp_path / "a.npz", positions=np.zeros((50_000, 17, 3), np.int8))
     with pytest.raises(SourceError, match=r"'positions' takes 0\.0 GB in memory; write shorter takes"):
         parse_positions(tmp_path / "a.npz")

@@ -1,0 +1,84 @@
+"""Arrays in NPY and NPZ files, read without trust: nothing in them is run, and no header is believed."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import SourceError
+
+MOST_BYTES = 2 << 30
+"""An array that takes more memory than this is none of a take: packed files may claim to be anything."""
+
+
+def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArray[Any]], list[str]]:
+    """The wanted arrays of an NPZ file, as far as they are there, and the names of all that there are.
+
+    Raises
+    ------
+    SourceError: it cannot be read, or an array's header does not fit its bytes.
+    """
+    try:
+        with zipfile.ZipFile(path) as packed:
+            keys = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
+            arrays = {}
+            for key in keys.keys() & set(wanted):
+                with packed.open(keys[key]) as entry:
+                    arrays[key] = _array(path, entry, f"'{key}'", keys[key].file_size)
+            return arrays, list(keys)
+    except SourceError:
+        raise
+    except Exception as fault:  # NumPy, zipfile, zlib and tokenize have an error of their own for every broken byte
+        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+
+
+def load_array(path: Path) -> npt.NDArray[Any]:
+    """The array of an NPY file.
+
+    Raises
+    ------
+    SourceError: it cannot be read, or its header does not fit its bytes.
+    """
+    try:
+        with path.open("rb") as file:
+            return _array(path, file, "the file", path.stat().st_size)
+    except SourceError:
+        raise
+    except Exception as fault:
+        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+
+
+def array_names(path: Path) -> list[str]:
+    """The names of an NPZ file's arrays; none of a file that cannot be read."""
+    try:
+        with zipfile.ZipFile(path) as packed:
+            return [name.removesuffix(".npy") for name in packed.namelist()]
+    except Exception:  # zipfile has an error of its own for every broken byte; who reads the file says what is wrong
+        return []
+
+
+def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
+    """An array in the NPY format of `size` bytes in all, once its header is found to fit them."""
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    numbers = math.prod(shape)
+    if numbers * dtype.itemsize != size - file.tell():
+        raise SourceError(
+            path,
+            f"{what} must hold {' × '.join(map(str, shape))} values of {dtype} by its header, and holds "
+            f"{size - file.tell()} bytes; is it cut off?",
+        )
+    if numbers * 8 > MOST_BYTES:
+        most = f"{MOST_BYTES / 1e9:.1f} GB"
+        raise SourceError(
+            path, f"{what} takes {numbers * 8 / 1e9:.1f} GB in memory; write shorter takes, of {most} at most"
+        )
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
