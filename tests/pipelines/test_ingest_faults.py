@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -193,6 +196,38 @@ def test_a_disk_that_fills_up_ends_the_run_with_a_clear_error_and_the_next_run_g
     assert list(store.rglob(".tmp-*")) == []
     assert bring_in(store, source)["takes"] == 5
     assert verify(open_store(store)) == []
+
+
+FULL_DISK = """
+mount -t tmpfs -o size=400k none "$1" || exit 77
+"$2" -m pipelines.cli ingest "$1/store" "$3" --executor serial --set ingest.batch_mb=1
+echo "code $?"
+find "$1/store" -name '.tmp-*'
+"$2" -m pipelines.cli verify "$1/store"
+mount -o remount,size=100m "$1"
+"$2" -m pipelines.cli ingest "$1/store" "$3" --executor serial
+echo "code $?"
+"$2" -m pipelines.cli verify "$1/store"
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("unshare") is None, reason="no unshare here, which lets a test mount a small disk")
+def test_a_disk_that_is_really_full_costs_nothing_but_time(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {f"x_{number:02}.amc": 900 for number in range(8)})
+    (tmp_path / "disk").mkdir()
+    words = ["unshare", "-rm", "sh", "-c", FULL_DISK, "sh", tmp_path / "disk", sys.executable, source]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode == 77 or "unshare failed" in done.stderr:
+        pytest.skip("this machine lets nobody mount a small disk")
+    codes = [line for line in done.stdout.splitlines() if line.startswith("code")]
+    assert codes == ["code 1", "code 0"], done.stderr
+    assert "cannot be written: No space left on device; nothing was committed" in done.stderr
+    assert "the same command again: it goes on where it was" in done.stderr
+    assert ".tmp-" not in done.stdout
+    before, after = (line for line in done.stdout.splitlines() if line.endswith("all sound"))
+    assert 0 < int(before.split(" takes")[0].split()[-1]) < 8
+    assert "8 takes" in after
 
 
 def test_a_name_that_is_not_utf_8_comes_in_is_known_again_and_can_be_asked_for(store: Path, source: Path) -> None:
