@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import ranking, reading, searching
+from benchmarks import indexing, learning, ranking, reading, searching
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import calibrate, show, write
 from pipelines.terminal import make_console
@@ -11,7 +11,7 @@ from pipelines.terminal import make_console
 def main() -> None:
     """Run everything on one core, with a calibration before and after."""
     opened = store()
-    figures = [calibrate(), *reading.figures(), *searching.figures(opened), *ranking.figures(opened), calibrate()]
+    figures = [calibrate(), *reading.figures(), *indexing.figures(opened), *searching.figures(opened), *ranking.figures(opened), calibrate()]
     console = make_console()
     console.print(show(figures))
     console.print(f"written to {write(figures, BUILD)}", markup=False)
