@@ -11,7 +11,8 @@ from pipelines.terminal import make_console
 def main() -> None:
     """Run everything on one core, with a calibration before and after."""
     opened = store()
-    figures = [calibrate(), *reading.figures(), *indexing.figures(opened), *searching.figures(opened), *ranking.figures(opened), calibrate()]
+    figures = [calibrate(), *reading.figures(), *indexing.figures(opened), *searching.figures(opened)]
+    figures += [*learning.figures(opened), *ranking.figures(opened), calibrate()]
     console = make_console()
     console.print(show(figures))
     console.print(f"written to {write(figures, BUILD)}", markup=False)
