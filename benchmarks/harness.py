@@ -1,4 +1,4 @@
-"""How benchmarks are timed, printed and written: medians of several runs, beside something else in the same run."""
+"""How benchmarks are timed, printed and written: the best of several runs, beside something else in the same run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import io
 import json
 import os
 import platform
-import statistics
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -25,36 +24,42 @@ from pipelines.terminal import Terminal
 class Figure:
     """One benchmark: how much work of what unit was done in how many seconds, and how long the other way took.
 
-    seconds, other_seconds: medians. other: what it is compared with, done on the same work in the same run.
+    seconds, other_seconds: the best of several runs. other: what it is compared with, done on the same work in the
+    same run; where nothing could be timed, why.
     """
 
     name: str
     amount: float
     unit: str
-    seconds: float
+    seconds: float | None
     other: str = ""
     other_seconds: float | None = None
 
     @property
-    def rate(self) -> float:
+    def rate(self) -> float | None:
         """Units a second."""
-        return self.amount / self.seconds
+        return None if self.seconds is None else self.amount / self.seconds
 
     @property
     def ratio(self) -> float | None:
         """How many times as fast as the other way."""
-        return None if self.other_seconds is None else self.other_seconds / self.seconds
+        if self.seconds is None or self.other_seconds is None:
+            return None
+        return self.other_seconds / self.seconds
 
 
 def seconds(work: Callable[[], object], runs: int = 5) -> float:
-    """The median time of some runs, after one that does not count (it compiles, and fills the caches)."""
+    """The best time of some runs, after one that does not count (it compiles, and fills the caches).
+
+    Whatever else the machine does can only add to a time, so the least is nearest to what the work itself takes.
+    """
     work()
     times = []
     for _ in range(runs):
         begin = time.perf_counter()
         work()
         times.append(time.perf_counter() - begin)
-    return statistics.median(times)
+    return min(times)
 
 
 def silent() -> Terminal:
@@ -76,8 +81,8 @@ def show(figures: list[Figure]) -> Table:
     for figure in figures:
         table.add_row(
             figure.name,
-            f"{figure.rate:,.4g} {figure.unit}/s",
-            f"{figure.seconds:.4f}",
+            f"{figure.rate:,.4g} {figure.unit}/s" if figure.rate is not None else "–",
+            f"{figure.seconds:.4f}" if figure.seconds is not None else "–",
             figure.other or "–",
             f"{figure.ratio:,.1f}" if figure.ratio is not None else "–",
         )
