@@ -83,6 +83,7 @@ def sql_type(kind: pa.DataType) -> str:
     if pa.types.is_timestamp(kind):
         return "TIMESTAMPTZ"
     return {
+        pa.bool_(): "BOOLEAN",
         pa.string(): "VARCHAR",
         pa.int32(): "INTEGER",
         pa.int64(): "BIGINT",

@@ -224,6 +224,10 @@ def _insert(
     workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
     for parts, rows in zip(work.fresh, _ahead(make, work.fresh, workers), strict=True):
         number += 1
+        if fresh:
+            # one transaction for all would keep something of each: 1.6 GB instead of 0.7 at 400 hours
+            connection.execute("COMMIT")
+            connection.execute("BEGIN")
         tables.insert(connection, number, rows)
         fresh.append(Shard(number, shard_parts(parts), rows.frames, rows.frames))
     return tuple(fresh)

@@ -115,7 +115,7 @@ def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:
         _clear(connection)
         _create_as(connection, "features", features_table(store), "ORDER BY number")
         _create_as(connection, "help", help_table(index_only=True), "")
-    _create_as(connection, "takes", store.takes().to_arrow(), "ORDER BY name")
+    _create_as(connection, "takes", store.takes_table(), "ORDER BY name")
     connection.execute(
         "CREATE OR REPLACE TABLE vocabulary AS "
         "SELECT feature_set, word, sum(runs)::BIGINT AS runs, sum(frames)::BIGINT AS frames "
