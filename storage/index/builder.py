@@ -220,7 +220,7 @@ def _insert(
         return tables.make_shard(words, store.feature_set)
 
     number = max((shard.number for shard in start.shards), default=0)
-    fresh = []
+    fresh: list[Shard] = []
     workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
     for parts, rows in zip(work.fresh, _ahead(make, work.fresh, workers), strict=True):
         number += 1
