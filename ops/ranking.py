@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
+import numpy.typing as npt
 
 from ops.annotation import TOLERANCE
 from ops.costs import F64, I64, CodedWords, encode
 from ops.dtw import check_ranges
 from ops.errors import ParameterError
 from ops.pruning import bounds_below, possible_minima
-from ops.sweep import CAP, U16, trace_paths
+from ops.sweep import CAP, U16, trace_group, workspace
 from ops.templates import QuantisedTemplate
 from ops.words import U64, TakeWords
 
@@ -81,14 +82,18 @@ def rank(
     coded = encode(words.words) if coded is None else coded
     bounds = bounds_below(template, coded, threshold, stretches)
     candidates, possible = possible_minima(bounds.units, stretches, bounds.slack)
-    candidates = candidates[possible]
     place = np.searchsorted(stretches[:, 0], candidates, side="right") - 1
+    apart = (np.diff(candidates) > len(template) // 8 + 1) | (np.diff(place) > 0)
+    apart |= np.diff(candidates // (len(template) + 8)) > 0
+    # A plateau is cut where a window grows long, but never between neighbours, which decide about each other.
+    apart &= (np.diff(candidates) > 1) | (np.diff(place) > 0)
+    groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)
     counted = np.maximum(np.bitwise_count(template.mask), 1).astype(np.float64)
     limit = len(candidates) if most is None else min(most, len(candidates))
     starts, ends, costs = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit)
     found = take_best(
-        words.words, template.mask, template.value, counted, threshold, bounds.units, bounds.unit, candidates,
-        stretches[place], homes[place], len(words), starts, ends, costs,
+        words.words, template.mask, template.value, counted, threshold, bounds.units, bounds.unit, candidates, possible,
+        groups if len(candidates) else groups[:1], stretches[place, 0], homes[place], len(words), starts, ends, costs,
     )  # fmt: skip
     starts, ends, costs = starts[:found], ends[:found], costs[:found]
     takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
@@ -99,56 +104,75 @@ def rank(
 @nb.njit(cache=True, nogil=True)
 def take_best(
     words: U64, masks: U64, values: U64, counted: F64, threshold: float, units: U16, unit: float, candidates: I64,
-    stretches: I64, homes: I64, takes: int, starts: I64, ends: I64, costs: F64,
+    possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int, starts: I64, ends: I64,
+    costs: F64,
 ) -> int:  # fmt: skip
     """Take hits, the best first, until there are enough or none is left; return how many (kernel).
 
-    candidates: int64 (C,), frames that can be minima; stretches (C, 2) and homes (C,), stretch and take of each.
-    starts, ends, costs: what is found; their length is how many are enough.
+    candidates, possible: see `ops.pruning.possible_minima`. groups: int64 (G + 1,), those from groups[g] on are
+    computed together. begins, homes: int64 (C,), where the stretch of each begins, and its take. starts, ends, costs:
+    what is found; their length is how many are enough.
     """
     columns = len(masks)
-    reach = 2 * (columns - 1)
+    longest = 0
+    for g in range(len(groups) - 1):
+        longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
+    grid, local = workspace(longest + 2 * columns, columns)
     newest = np.full(takes, -1, np.int64)  # the last hit taken in each take, and the one before each hit
     older = np.empty(len(costs), np.int64)
-    exact, begins = np.empty(len(candidates)), np.empty(len(candidates), np.int64)
-    heap = [(np.int64(0), np.int64(0), np.int64(0))]
-    heap.pop()
-    for i in range(len(candidates)):
-        # Of equal keys a bound comes before a cost: what it stands for may have to go first.
-        heap.append((np.int64(np.floor(units[candidates[i]] * unit * _KEYS)), np.int64(0), np.int64(i)))  # noqa: PERF401
-    heapq.heapify(heap)
-    near, opens, paths = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
-    sums, groups = np.empty(3), np.zeros(2, np.int64)
+    exact, paths = np.empty(len(candidates)), np.empty(len(candidates), np.int64)
+    heap = first_bounds(units, unit, candidates, possible, groups)
     count = 0
     while len(heap) > 0 and count < len(costs):
         _, known, c = heapq.heappop(heap)
-        end, home = candidates[c], homes[c]
         if known == 1:
-            if not ruled_out(begins[c], end, newest[home], older, starts, ends, True):
-                starts[count], ends[count], costs[count] = begins[c], end, exact[c]
+            home = homes[c]
+            if not ruled_out(paths[c], candidates[c], newest[home], older, starts, ends, True):
+                starts[count], ends[count], costs[count] = paths[c], candidates[c], exact[c]
                 older[count] = newest[home]
                 newest[home] = count
                 count += 1
             continue
-        if ruled_out(0, end, newest[home], older, starts, ends, False):
+        first, stop = groups[c], groups[c + 1]
+        home = homes[first]
+        left = False
+        for i in range(first, stop):
+            left |= possible[i] and not ruled_out(0, candidates[i], newest[home], older, starts, ends, False)
+        if not left:
             continue
-        size = 0
-        for frame in range(max(end - 1, stretches[c, 0]), min(end + 2, stretches[c, 1])):
-            if units[frame] != CAP:
-                near[size], opens[size] = frame, max(frame - reach, stretches[c, 0])
-                size += 1
-        groups[1] = size
-        trace_paths(words, masks, values, counted, near[:size], opens[:size], groups, paths, sums)
-        cost, lowest = np.inf, np.inf
-        for i in range(size):
-            sums[i] /= columns
-            lowest = min(lowest, sums[i])
-            if near[i] == end:
-                cost, begins[c] = sums[i], paths[i]
-        if cost < threshold - TOLERANCE and cost <= lowest + TOLERANCE:
-            exact[c] = cost
-            heapq.heappush(heap, (np.int64(np.rint(cost * _KEYS)), np.int64(1), np.int64(c)))
+        begin = max(candidates[first] - 2 * (columns - 1), begins[first])
+        inside = candidates[first:stop]
+        trace_group(words, masks, values, counted, inside, begin, grid, local, paths[first:stop], exact[first:stop])
+        exact[first:stop] /= columns
+        for i in range(first, stop):
+            low = possible[i] and exact[i] < threshold - TOLERANCE
+            if i > first and candidates[i - 1] == candidates[i] - 1:
+                low &= exact[i] <= exact[i - 1] + TOLERANCE
+            if i + 1 < stop and candidates[i + 1] == candidates[i] + 1:
+                low &= exact[i] <= exact[i + 1] + TOLERANCE
+            if low:
+                heapq.heappush(heap, (np.int64(np.rint(exact[i] * _KEYS)), np.int64(1), np.int64(i)))
     return count
+
+
+@nb.njit(cache=True, nogil=True)
+def first_bounds(
+    units: U16, unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64
+) -> list[tuple[np.int64, np.int64, np.int64]]:
+    """Make a heap of groups by the least bound in each (kernel).
+
+    Of equal keys a bound (0) comes before a cost (1): what it stands for may have to go first.
+    """
+    heap = [(np.int64(0), np.int64(0), np.int64(0))]
+    heap.pop()
+    for g in range(len(groups) - 1):
+        least = CAP
+        for i in range(groups[g], groups[g + 1]):
+            if possible[i]:
+                least = min(least, int(units[candidates[i]]))
+        heap.append((np.int64(np.floor(least * unit * _KEYS)), np.int64(0), np.int64(g)))
+    heapq.heapify(heap)
+    return heap
 
 
 @nb.njit(cache=True, nogil=True)

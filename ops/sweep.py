@@ -168,47 +168,65 @@ def trace_paths(
     to N − 1 − (e − f)/2 lead to the end e, so that over a group those from the last end's least to the first end's
     most count. Every step back from a cell of these leads to another one, or out of the window.
     """
-    columns = len(masks)
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, ends[groups[g + 1] - 1] + 1 - opens[groups[g]])
-    grid = np.full((longest + 2, columns + 2), np.inf)
-    cost = np.empty((longest, columns))
+    grid, cost = workspace(longest, len(masks))
     for g in range(len(groups) - 1):
+        own = slice(groups[g], groups[g + 1])
         begin = opens[groups[g]]
-        lowest, highest = ends[groups[g]] - begin, ends[groups[g + 1] - 1] - begin
-        for frame in range(highest + 1):
-            here, last, previous, own = grid[frame + 2], grid[frame + 1], grid[frame], cost[frame]
-            least = max(0, columns - 1 - 2 * (highest - frame))
-            most = columns - 1 - max(0, (lowest - frame + 1) // 2)
-            word = words[begin + frame]
-            if word == _NO_WORD:
-                own[least : most + 1] = np.inf
-            else:
-                for n in range(least, most + 1):
-                    own[n] = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+        trace_group(words, masks, values, counted, ends[own], begin, grid, cost, starts[own], sums[own])
+
+
+@nb.njit(cache=True, nogil=True)
+def workspace(frames: int, columns: int) -> tuple[F64, F64]:
+    """Room for the sums and the costs of a window (kernel)."""
+    grid = np.empty((frames + 2, columns + 2))
+    grid[:2, :] = np.inf
+    grid[:, :2] = np.inf
+    return grid, np.empty((frames, columns))
+
+
+@nb.njit(cache=True, nogil=True)
+def trace_group(
+    words: U64, masks: U64, values: U64, counted: F64, ends: I64, begin: int, grid: F64, cost: F64, starts: I64,
+    sums: F64,
+) -> None:  # fmt: skip
+    """Find the best paths to ends that share the window that opens at frame `begin`; see `trace_paths` (kernel)."""
+    columns = len(masks)
+    lowest, highest = ends[0] - begin, ends[len(ends) - 1] - begin
+    for frame in range(highest + 1):
+        here, last, previous, own = grid[frame + 2], grid[frame + 1], grid[frame], cost[frame]
+        least = max(0, columns - 1 - 2 * (highest - frame))
+        most = columns - 1 - max(0, (lowest - frame + 1) // 2)
+        word = words[begin + frame]
+        if word == _NO_WORD:
+            own[least : most + 1] = np.inf
+        else:
             for n in range(least, most + 1):
-                one, two = last[n + 1], previous[n + 1]
-                single = (one if one < two else two) + own[n]
-                double = last[n] + (own[n] + own[n])
-                here[n + 2] = double if double < single else single
-            if least == 0 and most >= 0:
-                here[2] = own[0]
-        for place in range(groups[g], groups[g + 1]):
-            frame, n = ends[place] - begin, columns - 1
-            sums[place] = grid[frame + 2, n + 2]
-            if sums[place] == np.inf:
-                starts[place] = -1
-                continue
-            while n > 0:
-                dear = cost[frame, n]
-                best = grid[frame + 1, n + 1] + dear
-                skipped = grid[frame, n + 1] + dear
-                doubled = grid[frame + 1, n] + (dear + dear)
-                if doubled < best and doubled < skipped:
-                    frame, n = frame - 1, n - 2
-                elif skipped < best:
-                    frame, n = frame - 2, n - 1
-                else:
-                    frame, n = frame - 1, n - 1
-            starts[place] = frame + begin
+                own[n] = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+        for n in range(least, most + 1):
+            one, two = last[n + 1], previous[n + 1]
+            single = (one if one < two else two) + own[n]
+            double = last[n] + (own[n] + own[n])
+            here[n + 2] = double if double < single else single
+        if least == 0 and most >= 0:
+            here[2] = own[0]
+    for place in range(len(ends)):
+        frame, n = ends[place] - begin, columns - 1
+        sums[place] = grid[frame + 2, n + 2]
+        if sums[place] == np.inf:
+            starts[place] = -1
+            continue
+        while n > 0:
+            dear = cost[frame, n]
+            best = grid[frame + 1, n + 1] + dear
+            skipped = grid[frame, n + 1] + dear
+            doubled = grid[frame + 1, n] + (dear + dear)
+            if doubled < best and doubled < skipped:
+                frame, n = frame - 1, n - 2
+            elif skipped < best:
+                frame, n = frame - 2, n - 1
+            else:
+                frame, n = frame - 1, n - 1
+        starts[place] = frame + begin
