@@ -60,6 +60,7 @@ class KeyframeQuery:
     """K keyframes and K − 1 gaps; `target` is the class or subclass whose motions it preselects.
 
     positions: for each keyframe the template column it stands for, or None where that is left to the template.
+    margins: how many frames before and after a hit the motion may reach, or None where positions and template say it.
     takes: a SQL filter over the takes that are searched, or None for all. alternatives: further chains of keyframes,
     without alternatives of their own, whose hits are hits of this query as well.
     """
@@ -71,11 +72,14 @@ class KeyframeQuery:
     positions: tuple[int, ...] | None = None
     description: str = ""
     takes: str | None = None
+    margins: tuple[int, int] | None = None
     alternatives: tuple[KeyframeQuery, ...] = ()
 
     def __post_init__(self) -> None:
         if any(other.alternatives for other in self.alternatives):
             raise ParameterError("alternatives", "without alternatives of their own", self.name)
+        if self.margins is not None and min(self.margins) < 0:
+            raise ParameterError("margins", "0 or more frames before and after a hit", self.margins)
         if not self.keyframes:
             raise ParameterError("keyframes", "at least one", 0)
         if len(self.gaps) != len(self.keyframes) - 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -51,6 +51,7 @@ class _QueryEntry(ChainEntry):
     description: str = ""
     target: str | None = Field(default=None, alias="class")
     takes: str | None = Field(default=None, min_length=1)
+    margins: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = None
     part: bool = False
     mirror: Literal["both", "other"] | None = None
     sequence: list[Any] | None = Field(default=None, min_length=1)
@@ -64,7 +65,7 @@ class _StepEntry(BaseModel):
     gap: Any = None
 
 
-_ONLY_NAMED = ("name", "description", "class", "takes", "part")
+_ONLY_NAMED = ("name", "description", "class", "takes", "margins", "part")
 """What a query says of itself that is lost where it stands inside another one."""
 
 
@@ -115,8 +116,9 @@ class _Reader:
         entry = self.entries[name][1]
         first, *others = self.chains_of(name, ())
         made = KeyframeQuery(
-            name, entry.target or name, first.keyframes, first.gaps, first.positions, entry.description, entry.takes
-        )
+            name, entry.target or name, first.keyframes, first.gaps, first.positions, entry.description, entry.takes,
+            entry.margins,
+        )  # fmt: skip
         more = tuple(
             replace(made, keyframes=other.keyframes, gaps=other.gaps, positions=other.positions) for other in others
         )

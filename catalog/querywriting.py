@@ -37,6 +37,8 @@ def _written(query: KeyframeQuery, feature_set: FeatureSet) -> str:
         lines.append(f"  class: {scalar(query.target)}")
     if query.takes is not None:
         lines.append(f"  takes: {scalar(query.takes)}")
+    if query.margins is not None:
+        lines.append(f"  margins: [{query.margins[0]}, {query.margins[1]}]")
     if not query.alternatives:
         lines += [f"  {line}" for line in _chain(query, feature_set)]
     else:

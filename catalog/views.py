@@ -130,8 +130,12 @@ VIEWS = (
     View("annotated_takes", "results", "The takes that were annotated, also those in which nothing was found."),
     View("distance_curves", "results", "The distance curve of a subclass over a take, one cost per frame."),
     View("annotations", "results", "What the annotation found: class, range, cost."),
+    View("ranked_hits", "results", "The best places for each template, by rank: take, range, cost."),
+    View("retrieval", "results", "How good rankings are: average precision and recall of each class, and confusions."),
     View("ground_truth", "results", "The manual labels that annotations are compared with."),
     View("metrics", "results", "Precision, recall and F1 by frames (1) and by segments (2)."),
+    View("queries", "results", "Learned keyframe queries, in bits of whole words, with their margins."),
+    View("keyframe_runs", "results", "The runs that keyframe queries were learned in, one row each."),
     View("hits", "results", "What keyframe queries found."),
     View("ingest_log", "results", "Source files, or places in them, that could not be read."),
 )

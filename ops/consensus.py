@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from ops.errors import ParameterError
 from ops.fitness import Query
-from ops.genetics import Evolution, Material, Run, tune_gaps
+from ops.genetics import tune_gaps
+from ops.lessons import Evolution, Material, Run
 from ops.words import bits
 
 F64 = npt.NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipelines.commands import exploring, keeping, queries, running, templates
+from pipelines.commands import exploring, keeping, keyframes, queries, ranking, running, templates
 from pipelines.commands.shell import app
 
 PANELS = {
@@ -10,6 +10,8 @@ PANELS = {
     exploring: "Ask a store",
     templates: "Ask a store",
     queries: "Search for motion",
+    ranking: "Search for motion",
+    keyframes: "Search for motion",
     keeping: "Look after files and stores",
 }
 """The modules whose commands the app has (importing one registers them), in the order of the help, and their titles."""

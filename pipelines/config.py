@@ -19,6 +19,7 @@ STAGES: dict[str, dict[str, str]] = {
     "ingest": {},
     "index": {"takes": "ingest"},
     "learn_templates": {"takes": "ingest"},
+    "learn_keyframes": {},
     "annotate": {"takes": "ingest", "templates": "learn_templates"},
     "evaluate": {"annotations": "annotate"},
     "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},

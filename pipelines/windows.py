@@ -30,7 +30,8 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
 
     Parameters
     ----------
-    query: a query with positions; one without gets those at which its keyframes fit the template best.
+    query: a query with positions; one without gets those at which its keyframes fit the template best. Where it says
+        its margins itself, they count.
     template: float64 (N, f), the template's columns; entry i − 1 of a column belongs to F_i. A quantised template has
         0 and 1, and one half for wildcards.
     feature_set: the features of the query's sets.
@@ -59,7 +60,7 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
             f"query '{query.name}' puts a keyframe in template column {positions[-1]}, but the template has {columns}"
             " columns, counted from 0; leave `positions` out to have them found"
         )
-    left, right = margins(positions[0], positions[-1], columns, query.least_stiffness)
+    left, right = query.margins or margins(positions[0], positions[-1], columns, query.least_stiffness)
     return TemplateWindow(left, right, positions, fit)
 
 

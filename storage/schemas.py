@@ -57,6 +57,11 @@ _COUNTS = (
     "segments_manual_hit",
     "segments_manual",
 )
+_QUERY = (
+    *((name, pa.list_(pa.uint64())) for name in ("masks", "values")),
+    *((name, pa.list_(pa.int32())) for name in ("positions", "lows", "highs")),
+)
+"""A keyframe query in bits of whole words."""
 
 _RESULTS: dict[str, pa.Schema] = {
     "templates": _fields(
@@ -124,6 +129,32 @@ _RESULTS: dict[str, pa.Schema] = {
         *((name, pa.float64()) for name in ("p1", "r1", "f1", "p2", "r2", "f2")),
         *((name, pa.int64()) for name in _COUNTS),
     ),
+    "queries": _fields(
+        _RUN,
+        ("subclass", pa.string()),
+        ("number", pa.int32()),
+        ("origin", pa.string()),
+        *_QUERY,
+        ("left", pa.int32()),
+        ("right", pa.int32()),
+        ("columns", pa.int32()),
+        *((name, pa.float64()) for name in ("fitness", "rank", "median", "best", "agreement", "precision", "recall")),
+        ("runs", pa.int32()),
+        ("settled", pa.bool_()),
+        ("matrix", pa.list_(pa.float64())),
+        ("clips", pa.list_(pa.string())),
+    ),
+    "keyframe_runs": _fields(
+        _RUN,
+        ("key", pa.string()),
+        ("subclass", pa.string()),
+        ("number", pa.int32()),
+        ("fitness", pa.float64()),
+        ("rank", pa.float64()),
+        ("evaluated", pa.int64()),
+        *_QUERY,
+        ("history", pa.list_(pa.float64())),
+    ),
     "hits": _fields(
         _RUN,
         ("query", pa.string()),
@@ -133,6 +164,29 @@ _RESULTS: dict[str, pa.Schema] = {
         ("stop", pa.int32()),
         ("start_seconds", pa.float64()),
         ("stop_seconds", pa.float64()),
+    ),
+    "ranked_hits": _fields(
+        _RUN,
+        ("template", pa.string()),
+        ("rank", pa.int32()),
+        ("take_id", pa.int64()),
+        ("take", pa.string()),
+        ("start", pa.int32()),
+        ("stop", pa.int32()),
+        ("start_seconds", pa.float64()),
+        ("stop_seconds", pa.float64()),
+        ("cost", pa.float64()),
+    ),
+    "retrieval": _fields(
+        _RUN,
+        ("evaluation", pa.string()),
+        ("fold", pa.string()),
+        ("class", pa.string()),
+        ("relevant", pa.int32()),
+        ("found", pa.int32()),
+        ("average_precision", pa.float64()),
+        ("recall_at_tau", pa.float64()),
+        ("confused_with", pa.list_(pa.string())),
     ),
     "ingest_log": _fields(
         _RUN,

@@ -8,7 +8,8 @@ import pytest
 from ops.consensus import agreement_matrix, consent, recurring
 from ops.errors import ParameterError
 from ops.fitness import Query
-from ops.genetics import Evolution, evolve, judge
+from ops.genetics import evolve, judge
+from ops.lessons import Evolution
 from tests.ops.test_genetics import material
 
 

@@ -19,7 +19,8 @@ from ops.breeding import (
 )
 from ops.errors import ParameterError
 from ops.fitness import Query, retrieved, score, training_frames
-from ops.genetics import Evolution, Material, evolve, judge, make_material, random_search, tune_gaps
+from ops.genetics import evolve, judge, random_search, tune_gaps
+from ops.lessons import Evolution, Material, make_material, steady_entries
 from ops.templates import QuantisedTemplate
 from tests.oracles import learning as naive
 
@@ -271,3 +272,11 @@ def test_what_cannot_be_learned_from() -> None:
         Evolution(parents=1)
     with pytest.raises(ParameterError, match="initial_gaps must be around or printed"):
         Evolution(initial_gaps="half")  # type: ignore[arg-type]
+
+
+def test_steady_entries_hold_in_the_columns_around_as_well() -> None:
+    template = QuantisedTemplate(np.array([3, 3, 3, 1, 1], np.uint64), np.array([3, 3, 2, 0, 0], np.uint64))
+    steady = steady_entries(template, 1)
+    assert steady.mask.tolist() == [3, 2, 0, 1, 1]
+    assert steady.value.tolist() == [3, 2, 0, 0, 0]
+    assert (steady_entries(template, 0).mask == template.mask).all()

@@ -1,0 +1,183 @@
+"""Stage learn_keyframes: keyframe queries for every subclass, learned from its clips and those of all others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.classes import OWN, load_classes
+from catalog.configs import config_path
+from ops.errors import KinedexError
+from ops.lessons import Evolution, InitialGaps
+from pipelines.background import mine
+from pipelines.context import StageContext
+from pipelines.digests import files_digest
+from pipelines.keyframe_learning import Learner, Lesson, Margins, Setting, allowed_features, lessons
+from pipelines.keyframe_runs import Course, Rounds, known_runs, learn, queries_table, runs_table
+from pipelines.learning import training_clips, training_takes
+from pipelines.wording import few
+from storage.store import Store
+
+
+class Params(BaseModel):
+    """What the stage `learn_keyframes` takes; the numbers of the thesis, Chapter 4, unless set.
+
+    `configs/pipelines/keyframes.yaml` sets what generalises best to people who were not in the training.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    where: str = Field("class IS NOT NULL", description="takes to learn from: a SQL filter over the columns of takes")
+    classes: str = Field(OWN, description="a class file; other subclasses of a class are no negatives of each other")
+    sets: list[str] = Field([], description="feature sets that keyframes may be about; all unless given")
+    learner: Learner = Field("genetic", description="genetic; or, to compare with it, random or greedy")
+    seed: int = Field(2012, ge=0, description="what all random numbers follow from, whatever the number of workers")
+
+    population: int = Field(50, ge=1, description="M: individuals in a population")
+    parents: int = Field(5, ge=2, description="r: parents in a generation; r (r − 1) / 2 offspring")
+    generations: int = Field(100, ge=0, description="G: generations of a run")
+    beta: float = Field(2.0, gt=0, description="β: how many times recall weighs as much as precision")
+    delta: float = Field(0.0, ge=0, lt=0.5, description="δ of the template whose columns become keyframes")
+    keyframes_mean: float = Field(3.0, description="mean number of keyframes of an initial individual")
+    keyframes_sd: float = Field(2.0, ge=0, description="its standard deviation")
+    least_keyframes: int = Field(2, ge=1, description="the least number of keyframes")
+    most_keyframes: int = Field(12, ge=1, description="the largest number of keyframes; the thesis sets none")
+    gap_tolerance: float = Field(2.0, ge=0, description="upper end of U(0, 2), which widens initial gaps")
+    initial_gaps: InitialGaps = Field("around", description="around the template's spacing; printed: around half of it")
+    gap_step: float = Field(0.5, ge=0, description="share of the spacing by which a mutation changes a gap's ends")
+    runs: int = Field(100, ge=1, description="N: runs at most (the thesis: 100 to 500)")
+
+    group: int = Field(8, ge=1, description="runs between two looks at whether the outcome still moves")
+    patience: int = Field(2, ge=1, description="rounds without a change after which no more runs are done")
+    settled: float = Field(0.001, ge=0, description="rises of the outcome's rank up to this are no change")
+    reach: float = Field(0.04, ge=0, le=1, description="share of the template within which keyframes are the same")
+    alternatives: int = Field(1, ge=1, description="queries a subclass: the consensus, then the best different runs")
+
+    steady: int = Field(0, ge=0, description="frames before and after for which keyframes must hold in positive clips")
+    tempo: float = Field(0.0, ge=0, description="positive clips count only if hit even when so much slower or faster")
+    parsimony: float = Field(0.0, ge=0, description="what a fixed entry takes off the fitness")
+    gap_cost: float = Field(0.0, ge=0, description="what a frame between the ends of a gap takes off the fitness")
+    open_share: float = Field(0.0, ge=0, le=1, description="share of entries that a generalisation may open at once")
+    joins: int = Field(0, ge=0, description="how often all negative clips are joined two by two as further negatives")
+    background: str | None = Field(
+        None, description="takes without any of the classes, a SQL filter: what the queries find there becomes negative"
+    )
+    background_clips: int = Field(50, ge=1, description="at most so many of these for a subclass, the longest first")
+    margins: Margins = Field(
+        "learned", description="frames around a hit: learned, formula (from the template), wider (of the two)"
+    )
+
+    def evolution(self) -> Evolution:
+        """The numbers of the algorithm."""
+        return Evolution(**{name: getattr(self, name) for name in Evolution.__dataclass_fields__})
+
+    def rounds(self) -> Rounds:
+        """How many runs there are; the greedy learner has nothing to repeat."""
+        most = 1 if self.learner == "greedy" else self.runs
+        return Rounds(most, self.group, self.patience, self.settled)
+
+
+def external_digest(params: Params, store: Store | None) -> str:
+    """What the stage depends on outside the store: the text of its class file."""
+    return files_digest([] if params.classes == OWN else [config_path("classes", params.classes)])
+
+
+def setting_of(params: Params, store: Store) -> Setting:
+    """How queries are learned from this store."""
+    return Setting(
+        learner=params.learner,
+        evolution=params.evolution(),
+        delta=params.delta,
+        allowed=allowed_features(store.feature_set, params.sets),
+        features=len(store.feature_set.features),
+        steady=params.steady,
+        joins=params.joins,
+        reach=params.reach,
+        alternatives=params.alternatives,
+        margins=params.margins,
+        seed=params.seed,
+    )
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Learn and store the queries and all runs; runs that were finished before are not done again."""
+    store = context.open()
+    takes = training_takes(store, params.where)
+    clips = training_clips(store, takes)
+    if len(clips) < 2:
+        raise KinedexError("keyframe queries tell classes apart: there must be clips of two at least")
+    wanted = lessons(clips, load_classes(params.classes, [one.subclass for one in clips]))
+    bare = [one.subclass for one in wanted if not one.negatives]
+    if bare:
+        raise KinedexError(f"no clip is of another class than {few(bare)}, so there is nothing to tell it from")
+    setting, rounds = setting_of(params, store), params.rounds()
+    known = known_runs(store.result("keyframe_runs", pipeline=context.pipeline))
+    if params.background is not None:
+        wanted = _with_background(context, store, wanted, setting, rounds, params)
+    with context.progress("runs", rounds.runs * len(wanted)) as progress:
+        courses = learn(wanted, setting, rounds, context.executor, known, _saver(context), progress.advance)
+    with context.writer() as writer:
+        writer.put_results("keyframe_runs", runs_table(courses, context.run), stage=context.key(), run=context.run)
+        writer.put_results("queries", queries_table(courses, context.run), stage=context.key(), run=context.run)
+        writer.commit()
+    return _summary(context, courses, takes, known=len(known))
+
+
+def _saver(context: StageContext) -> Callable[[list[Course]], None]:
+    def save(courses: list[Course]) -> None:
+        with context.writer() as writer:
+            writer.put_results("keyframe_runs", runs_table(courses, context.run), stage=context.key(), run=context.run)
+            writer.commit()
+
+    return save
+
+
+def _with_background(
+    context: StageContext, store: Store, wanted: list[Lesson], setting: Setting, rounds: Rounds, params: Params
+) -> list[Lesson]:
+    """Learn once without, and make what the queries find in the background further negatives."""
+    assert params.background is not None
+    takes = store.takes(params.background)
+    if not takes.height:
+        raise KinedexError(f"no take is background: the filter `{params.background}` selects none")
+    words = store.words(takes["take_id"].to_list())
+    first = Rounds(min(rounds.runs, rounds.group), rounds.group, 1, 0.0)
+    outcomes = [course.outcomes[-1] for course in learn(wanted, setting, first, context.executor)]
+    mined = [
+        mine(lesson, outcome, words, setting.features, params.background_clips)
+        for lesson, outcome in zip(wanted, outcomes, strict=True)
+    ]
+    found = sum(len(lesson.background) for lesson in mined)
+    context.say(f"{found} stretches of {takes.height} background takes are false hits, and negatives from now on")
+    return mined
+
+
+def _summary(context: StageContext, courses: list[Course], takes: pl.DataFrame, known: int) -> dict[str, object]:
+    outcomes = [course.outcomes[-1] for course in courses]
+    best: list[str] = [one.subclass for one in outcomes if one.consensus.origin == "best run"]
+    if best:
+        context.say(f"less fit than the median run, so the best run instead of the consensus: {few(best)}")
+    lost = [one.subclass for one in outcomes if one.recall < 1.0]
+    if lost:
+        context.say(f"not every training clip is found: {few(lost)}")
+    done = sum(len(course.runs) for course in courses)
+    settled = sum(course.settled for course in courses)
+    queries = sum(len(one.chosen) for one in outcomes)
+    context.say(
+        f"{queries} queries of {len(courses)} subclasses from {takes.height} clips; {done} runs"
+        + (f", {known} of them known" if known else "")
+        + (f"; {settled} subclasses settled early" if settled else "")
+    )
+    return {
+        "queries": queries,
+        "subclasses": len(courses),
+        "clips": takes.height,
+        "runs": done,
+        "settled": settled,
+        "best_runs": best,
+        "incomplete": lost,
+        "precision": round(sum(one.precision for one in outcomes) / len(outcomes), 6),
+        "recall": round(sum(one.recall for one in outcomes) / len(outcomes), 6),
+    }

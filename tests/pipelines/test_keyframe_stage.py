@@ -1,0 +1,229 @@
+"""Keyframe queries learned in a store: what they find, that they are the same however learned, that runs are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from catalog.queryfiles import parse_queries
+from catalog.querywriting import write_queries
+from ops.errors import KinedexError
+from ops.words import TakeWords
+from pipelines import keyframe_runs
+from pipelines.background import mine
+from pipelines.cli import app
+from pipelines.keyframe_learning import allowed_features, hit_ranges, keyframe_queries
+from pipelines.keyframe_runs import known_runs, outcomes_of
+from pipelines.search import preselect
+from pipelines.stages import learn_keyframes
+from pipelines.stages.learn_keyframes import Params
+from pipelines.windows import template_window
+from storage.store import open_store
+from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
+
+QUICK = {"generations": 15, "population": 20, "runs": 6, "group": 2}
+
+
+class Learning(Line):
+    INPUTS: ClassVar[dict[str, dict[str, str]]] = {**Line.INPUTS, "learn_keyframes": {}}
+
+    def outcomes(self) -> list:
+        return outcomes_of(open_store(self.store).result("queries"))
+
+    def runs(self) -> list:
+        return known_runs(open_store(self.store).result("keyframe_runs"))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    clips = [
+        clip(subclass, actor, number, frames)
+        for subclass in POSES
+        for actor, number, frames in (("al", 1, 5), ("al", 2, 6), ("bo", 3, 4))
+    ]
+    return write_store(tmp_path / "store", [*clips, long_take("long", "cy", "walk", "kick", "wave", "walk")])
+
+
+def test_every_class_gets_queries_that_find_its_clips_and_no_others(store: Path) -> None:
+    line = Learning(store)
+    summary = line.run(learn_keyframes, **QUICK, alternatives=2)
+    assert (summary["subclasses"], summary["clips"], summary["recall"], summary["precision"]) == (4, 12, 1.0, 1.0)
+    opened = open_store(store)
+    clips = opened.takes("class IS NOT NULL").sort("take_id")
+    words = opened.words(clips["take_id"].to_list())
+    for outcome in line.outcomes():
+        queries = keyframe_queries(outcome, BODY)
+        assert 1 <= len(queries) <= 2
+        for query in queries:
+            found = preselect(words, BODY, [query])[query.name]
+            hit = (np.diff(found.offsets) > 0).tolist()
+            assert hit == [name == outcome.subclass for name in clips["class"]]
+
+
+def test_margins_cover_every_training_clip_whole(store: Path) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK)
+    opened = open_store(store)
+    for outcome in line.outcomes():
+        (query,) = keyframe_queries(outcome, BODY)
+        assert query.margins is not None
+        own = opened.takes(f"class = '{outcome.subclass}'").sort("take_id")
+        words = opened.words(own["take_id"].to_list())
+        _, starts, stops = hit_ranges(words, outcome.chosen[0].query, 40)
+        assert (starts - query.margins[0] <= 0).all()
+        assert (stops + query.margins[1] >= words.frames).all()
+        window = template_window(query, np.full((outcome.columns, 40), 0.5), BODY)
+        assert (window.left, window.right) == query.margins
+
+
+@pytest.mark.parametrize("policy", ["learned", "formula", "wider"])
+def test_the_wider_margins_are_the_larger_of_both(store: Path, policy: str) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK, margins=policy)
+    sizes = {one.subclass: (one.chosen[0].left, one.chosen[0].right) for one in line.outcomes()}
+    line.run(learn_keyframes, **QUICK, margins="wider")
+    for one in line.outcomes():
+        assert one.chosen[0].left >= sizes[one.subclass][0]
+        assert one.chosen[0].right >= sizes[one.subclass][1]
+
+
+def test_learned_queries_are_written_as_people_write_them_and_read_back(store: Path) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK, alternatives=2)
+    queries = [query for outcome in line.outcomes() for query in keyframe_queries(outcome, BODY)]
+    text = write_queries(queries, BODY)
+    assert "keyframes:" in text
+    assert "margins: [" in text
+    assert list(parse_queries(text, BODY)) == queries
+
+
+def test_the_same_is_learned_by_any_number_of_workers(store: Path) -> None:
+    alone = Learning(store)
+    alone.run(learn_keyframes, **QUICK)
+    expected, runs = alone.outcomes(), alone.runs()
+    write_store_again = store.parent / "again"
+    opened = open_store(store)
+    takes = [
+        {**row, "words": opened.words([row["take_id"]]).words}
+        for row in opened.takes().select("name", "actor", "class", "take_id").iter_rows(named=True)
+    ]
+    write_store(write_store_again, [{k: v for k, v in take.items() if k != "take_id"} for take in takes])
+    several = Learning(write_store_again, "processes")
+    several.run(learn_keyframes, **QUICK)
+    several.executor.close()
+    assert [one.consensus.query.key() for one in several.outcomes()] == [one.consensus.query.key() for one in expected]
+    assert [(key, number) for key, number, _ in several.runs()] == [(key, number) for key, number, _ in runs]
+
+
+def test_runs_that_were_finished_are_not_done_again(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = Learning(store)
+    monkeypatch.setattr(keyframe_runs, "SAVE_SECONDS", 0.0)
+    done: list[tuple[str, int]] = []
+    original = keyframe_runs.do_runs
+
+    def failing(task: keyframe_runs.RunTask) -> list:
+        if len(done) >= 9:
+            raise KinedexError("out of power")
+        done.extend((task.lesson.subclass, number) for number in task.numbers)
+        return original(task)
+
+    monkeypatch.setattr(keyframe_runs, "do_runs", failing)
+    with pytest.raises(KinedexError, match="out of power"):
+        line.run(learn_keyframes, **QUICK, settled=0, patience=5)
+    assert len(line.runs()) == len(done)
+    before = list(done)
+    monkeypatch.setattr(keyframe_runs, "do_runs", lambda task: done.extend(
+        (task.lesson.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
+    line.run(learn_keyframes, **QUICK, settled=0, patience=5)
+    assert len(done) == len(set(done)) == 24
+    assert done[: len(before)] == before
+
+
+def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path) -> None:
+    line = Learning(store)
+    summary = line.run(learn_keyframes, **{**QUICK, "runs": 40}, patience=1, settled=0.01)
+    assert summary["settled"] == 4
+    assert int(str(summary["runs"])) < 4 * 40
+
+
+def test_keyframes_keep_to_the_feature_sets_allowed(store: Path) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK, sets=["lower"])
+    allowed = allowed_features(BODY, ["lower"])
+    for outcome in line.outcomes():
+        assert not (outcome.consensus.query.masks & ~np.uint64(allowed)).any()
+        assert {keyframe.set for query in keyframe_queries(outcome, BODY) for keyframe in query.keyframes} == {"lower"}
+
+
+def test_subclasses_of_one_class_are_no_negatives_of_each_other(store: Path, tmp_path: Path) -> None:
+    classes = tmp_path / "classes.yaml"
+    classes.write_text("moving: {subclasses: [walk, kick]}\nother: {subclasses: [wave, rest]}\n")
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK, classes=str(classes))
+    opened = open_store(store)
+    clips = learn_keyframes.training_clips(opened, opened.takes("class IS NOT NULL"))
+    lessons = learn_keyframes.lessons(clips, learn_keyframes.load_classes(classes, POSES))
+    assert {one.subclass: len(one.negatives) for one in lessons} == dict.fromkeys(POSES, 6)
+
+
+def test_false_hits_in_the_background_become_negatives(store: Path) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK)
+    outcome = next(one for one in line.outcomes() if one.subclass == "walk")
+    opened = open_store(store)
+    lesson = learn_keyframes.lessons(
+        learn_keyframes.training_clips(opened, opened.takes("class IS NOT NULL")),
+        learn_keyframes.load_classes("own", POSES),
+    )[[*sorted(POSES)].index("walk")]
+    words = TakeWords(np.array([5]), np.array([0, 60]), np.tile(POSES["walk"].repeat(5), 3))
+    mined = mine(lesson, outcome, words, 40, 50)
+    assert len(mined.background) >= 1
+    assert len(mine(lesson, outcome, words, 40, 1).background) == 1
+    line.run(learn_keyframes, **QUICK, background="class IS NULL")
+    assert "false hits" in line.said.getvalue()
+
+
+def test_the_simpler_learners_learn_too(store: Path) -> None:
+    for learner in ("random", "greedy"):
+        summary = Learning(store).run(learn_keyframes, **QUICK, learner=learner)
+        assert summary["recall"] == 1.0
+
+
+def test_what_cannot_be_learned_is_said(store: Path) -> None:
+    line = Learning(store)
+    with pytest.raises(KinedexError, match="clips of two at least"):
+        line.run(learn_keyframes, **QUICK, where="class = 'walk'")
+    with pytest.raises(KinedexError, match="selects none"):
+        line.run(learn_keyframes, **QUICK, background="actor = 'nobody'")
+    with pytest.raises(KinedexError, match="no feature set 'lowr'"):
+        line.run(learn_keyframes, **QUICK, sets=["lowr"])
+
+
+def test_every_default_is_a_number_of_the_thesis() -> None:
+    params = Params()  # type: ignore[call-arg]
+    assert (params.population, params.parents, params.generations, params.beta, params.delta) == (50, 5, 100, 2.0, 0.0)
+    assert params.evolution().offspring == 10
+    assert 100 <= params.runs <= 500
+    assert (params.steady, params.joins, params.tempo, params.parsimony, params.gap_cost) == (0, 0, 0.0, 0.0, 0.0)
+
+
+def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) -> None:
+    runner = CliRunner()
+    missing = runner.invoke(app, ["keyframes", "show", str(store)])
+    assert missing.exit_code == 1
+    sets = [f"learn_keyframes.{key}={value}" for key, value in {**QUICK, "joins": 1}.items()]
+    options = [part for one in sets for part in ("--set", one)]
+    learned = runner.invoke(app, ["keyframes", "learn", str(store), "--executor", "serial", *options])
+    assert learned.exit_code == 0, learned.output
+    shown = runner.invoke(app, ["keyframes", "show", str(store), "--format", "csv"])
+    assert shown.output.splitlines()[0].startswith("query,origin,runs,precision")
+    assert len([line for line in shown.output.splitlines() if line.startswith(tuple(POSES))]) == 8
+    path = tmp_path / "learned.yaml"
+    assert runner.invoke(app, ["keyframes", "export", str(store), "-c", "kick", "-o", str(path)]).exit_code == 0
+    assert {query.target for query in parse_queries(path.read_text(), BODY)} == {"kick"}
+    wrong = runner.invoke(app, ["keyframes", "export", str(store), "-c", "kik"])
+    assert wrong.exit_code == 1
