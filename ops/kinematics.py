@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,9 +31,9 @@ class Step:
     column: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Node:
-    """One node of a chain.
+    """One node of a chain; two are the same only where they are one object.
 
     parent: index of the node before it, −1 for the root. frame: (3, 3) the node's axes in its parent's.
     before, after: (3,) offsets in metres, before (in the parent's axes) and after the node's own rotation.
@@ -88,32 +90,53 @@ def forward(
     ------
     ParameterError: a parent stands after its child, or a step, `oriented` or `wanted` names what is not there.
     """
+    chain = _chain(nodes)
     if not 0 <= oriented < len(nodes):
         raise ParameterError("oriented", f"the index of one of {len(nodes)} nodes", oriented)
-    for i, node in enumerate(nodes):
-        if not -1 <= node.parent < i:
-            raise ParameterError(f"parent of '{node.name}'", "a node before it", node.parent)
+    for node in nodes if chain.columns.max(initial=-1) >= channels.shape[1] else ():
         for step in node.steps:
-            if not 0 <= step.column < channels.shape[1]:
+            if step.column >= channels.shape[1]:
                 raise ParameterError(f"channel of '{node.name}'", f"below {channels.shape[1]}", step.column)
     channels = np.ascontiguousarray(channels, dtype=np.float64)
     needed = _needed(nodes, range(len(nodes)) if wanted is None else (*wanted, oriented))
-    counts = np.cumsum([0, *(len(node.steps) for node in nodes)], dtype=np.int32)
-    kinds = np.array([step.kind for node in nodes for step in node.steps], dtype=np.int32)
-    columns = np.array([step.column for node in nodes for step in node.steps], dtype=np.int32)
-    parents = np.array([node.parent for node in nodes], dtype=np.int32)
-    frames = np.array([node.frame for node in nodes]).reshape(-1, 9)
-    plain = np.all(frames == np.eye(3).ravel(), axis=1)
-    offsets = np.array([(node.before, node.after, node.direction) for node in nodes])
     near = channels.size == 0 or bool(channels.min() >= -LARGEST and channels.max() <= LARGEST)
     positions = np.empty((len(nodes), 3, channels.shape[0]))
     positions[~needed] = np.nan
     orientation = np.empty((9, channels.shape[0]))
-    _forward(
-        channels, near, needed, parents, counts, kinds, columns, frames, plain, offsets,
-        oriented, positions, orientation,
-    )  # fmt: skip
+    _forward(channels, near, needed, *chain, oriented, positions, orientation)
     return positions, orientation
+
+
+class _Chain(NamedTuple):
+    """Nodes as arrays: parents, where the steps of each begin and end, these, and the fixed turns and offsets."""
+
+    parents: I32
+    counts: I32
+    kinds: I32
+    columns: I32
+    frames: F64
+    plain: npt.NDArray[np.bool_]
+    offsets: F64
+
+
+@lru_cache(maxsize=16)  # the takes of an archive share a few skeletons
+def _chain(nodes: tuple[Node, ...]) -> _Chain:
+    for i, node in enumerate(nodes):
+        if not -1 <= node.parent < i:
+            raise ParameterError(f"parent of '{node.name}'", "a node before it", node.parent)
+        for step in node.steps:
+            if step.column < 0:
+                raise ParameterError(f"channel of '{node.name}'", "0 or above", step.column)
+    frames = np.array([node.frame for node in nodes], dtype=np.float64).reshape(-1, 9)
+    return _Chain(
+        parents=np.array([node.parent for node in nodes], dtype=np.int32),
+        counts=np.cumsum([0, *(len(node.steps) for node in nodes)], dtype=np.int32),
+        kinds=np.array([step.kind for node in nodes for step in node.steps], dtype=np.int32),
+        columns=np.array([step.column for node in nodes for step in node.steps], dtype=np.int32),
+        frames=frames,
+        plain=np.all(frames == np.eye(3).ravel(), axis=1),
+        offsets=np.array([(node.before, node.after, node.direction) for node in nodes], dtype=np.float64),
+    )
 
 
 def _needed(nodes: tuple[Node, ...], wanted: Iterable[int]) -> npt.NDArray[np.bool_]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,11 @@ class Batch:
     given: Given
     strict: bool
     tasks: tuple[Task, ...]
+
+    @cached_property
+    def schema(self) -> pa.Schema:
+        """The schema of the frames part."""
+        return frames_schema(self.feature_set, self.rate_hz)
 
     @property
     def subject(self) -> str:
@@ -98,8 +104,7 @@ def read_batch(batch: Batch) -> Written:
 def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
     """The rows of one take, at the analysis rate."""
     positions, orientation, words = analyse(body, batch.feature_set, batch.rate_hz)
-    schema = frames_schema(batch.feature_set, batch.rate_hz)
-    return frames_table(task.take_id, positions, orientation, words, schema)
+    return frames_table(task.take_id, positions, orientation, words, batch.schema)
 
 
 def _take_row(batch: Batch, task: Task, content: str, body: Body, rows: pa.Table) -> dict[str, Any]:
