@@ -14,6 +14,9 @@ import numpy.typing as npt
 from ops.errors import SourceError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
+SEEN = ("positions", "c3d")
+"""Formats whose nodes are not there in every frame."""
+
 Format: TypeAlias = Literal["acclaim", "bvh", "positions", "c3d", "amass"]
 Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -61,7 +64,8 @@ class Mix:
 class SkeletonMapping:
     """One mapping file.
 
-    joints: named joint → what it may be, the first that a skeleton can supply counts; None: such a skeleton has none.
+    joints: named joint → what it may be, the first that a skeleton can supply counts, or that is seen in a frame; None:
+    such a skeleton has none.
     unit_m: metres of one unit, None where it is to be guessed. axes: (3, 3), turns source coordinates into X, Y up, Z
     (right-handed). root_axes: (3, 3), the same for the axes of the root node itself.
     bones: node → weights over the offsets of other nodes, which it is given where the file leaves its own at zero.
@@ -110,14 +114,19 @@ class SkeletonMapping:
         """Find the named joints in a skeleton, given as node name → index."""
         places = self.places(nodes)
         found: dict[str, Mix | None] = {}
+        instead: dict[str, tuple[Mix, ...]] = {}
         missing: dict[str, str] = {}
         # Virtual joints last: what they are made of is never virtual itself.
         for joint in sorted(self.joints, key=lambda joint: any(mix and mix.of_joints for mix in self.joints[joint])):
+            usable = []
             for mix in self.joints[joint]:
                 there: Mapping[str, object] = found if mix and mix.of_joints else places
                 if mix is None or all(there.get(name) is not None for name in mix.names):
-                    found[joint] = mix
-                    break
+                    usable.append(mix)
+            if usable:
+                found[joint] = usable[0]
+                if self.format in SEEN and None not in usable and len(usable) > 1:
+                    instead[joint] = tuple(mix for mix in usable[1:] if mix is not None)
             else:
                 names = [name for mix in self.joints[joint] if mix and not mix.of_joints for name in mix.names]
                 missing[f"joint '{joint}'"] = next((name for name in names if name not in places), joint)
@@ -125,7 +134,7 @@ class SkeletonMapping:
             lacking = [name for name in (bone, *weights) if name not in places]
             if lacking:
                 missing[f"bone '{bone}'"] = lacking[0]
-        return Fit(self, places, found, missing)
+        return Fit(self, places, found, missing, instead)
 
     def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
         """Pick and build the named joints.
@@ -154,12 +163,14 @@ class Fit:
 
     places: node name → index, under the names that the mapping uses. joints: named joint → what it is here.
     missing: what the mapping cannot make here (a joint, a bone) → the first node that it would need.
+    instead: named joint → what stands for it, in this order, in frames in which not all of its nodes are seen.
     """
 
     mapping: SkeletonMapping
     places: dict[str, int]
     joints: dict[str, Mix | None]
     missing: dict[str, str]
+    instead: dict[str, tuple[Mix, ...]] = field(default_factory=dict)
 
     @property
     def named(self) -> int:
@@ -175,7 +186,8 @@ class Fit:
     @property
     def nodes(self) -> tuple[int, ...]:
         """The indices of the nodes that the named joints are made of."""
-        own = [mix for mix in self.joints.values() if mix is not None and not mix.of_joints]
+        mixes = [*self.joints.values(), *(mix for others in self.instead.values() for mix in others)]
+        own = [mix for mix in mixes if mix is not None and not mix.of_joints]
         return tuple(sorted({self.places[name] for mix in own for name in mix.names}))
 
     @property
@@ -212,14 +224,19 @@ class Fit:
         frames = positions.shape[2]
         hand = float(np.sign(np.linalg.det(self.mapping.axes)))
         for joint, mix in self.joints.items():  # in the order of `fit`: what a virtual joint needs is there before it
-            if mix is None:
-                tracks[joint] = np.full((3, frames), np.nan)
-            elif mix.node is not None:
-                tracks[joint] = positions[self.places[mix.node]]
-            else:
-                of = tracks if mix.of_joints else {name: positions[self.places[name]] for name in mix.names}
-                tracks[joint] = mix.apply(of, hand)
+            tracks[joint] = np.full((3, frames), np.nan) if mix is None else self._track(mix, positions, tracks, hand)
+            for other in self.instead.get(joint, ()):
+                lost = np.isnan(tracks[joint]).any(axis=0)
+                if not lost.any():
+                    break
+                tracks[joint] = np.where(lost, self._track(other, positions, tracks, hand), tracks[joint])
         result = np.stack([tracks[joint] for joint in joints])
         if not np.array_equal(self.mapping.axes, np.eye(3)):
             result = np.einsum("ab,jbt->jat", self.mapping.axes, result)
         return np.ascontiguousarray(result)
+
+    def _track(self, mix: Mix, positions: F64, tracks: Mapping[str, F64], hand: float) -> F64:
+        if mix.node is not None:
+            track: F64 = positions[self.places[mix.node]]
+            return track
+        return mix.apply(tracks if mix.of_joints else {name: positions[self.places[name]] for name in mix.names}, hand)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,8 +60,17 @@ def _body(
     """The body that points make: there are no turns among them, so the root's is made of places."""
     path = Path(points.path)
     rate_hz = _rate(points, given, warnings)
-    filled, valid = _filled(points, names, fit, given.gap_frames(rate_hz), warnings)
+    longest = given.gap_frames(rate_hz)
+    taken = list(fit.nodes)
+    filled, closed, left = _filled(points, taken, longest)
     positions = fit.apply(filled, joints)
+    known = [i for i, joint in enumerate(joints) if joint not in fit.unknown]
+    valid: Mask = np.logical_not(np.isnan(positions[known]).any(axis=(0, 1)))
+    called = [names[index] for index in taken]
+    if closed:
+        warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed, called)}")
+    if not valid.all():
+        warnings.append(_invalid(path, fit, valid, left, longest, called))
     first = int(np.argmax(valid))
     unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, first)
     refuse_far(path, positions, joints, fit.unknown, valid)
@@ -92,31 +100,30 @@ def _rate(points: Points, given: Given, warnings: list[str]) -> float:
     return rate_hz
 
 
-def _filled(points: Points, names: Sequence[str], fit: Fit, longest: int, warnings: list[str]) -> tuple[F64, Mask]:
-    """The points with short gaps closed, and the frames (T,) in which all are seen that the mapping takes."""
-    taken = list(fit.nodes)
+def _filled(points: Points, taken: list[int], longest: int) -> tuple[F64, list[Gap], list[Gap]]:
+    """The points with the short gaps closed of those that are taken, the gaps closed, and those left."""
     part, closed, left = fill_gaps(points.positions[taken], longest)
-    filled = points.positions
-    if closed:
-        filled = points.positions.copy()
-        filled[taken] = part
-        warnings.append(
-            f"gaps closed along straight lines: {_gaps_in_words(closed, [names[index] for index in taken])}"
-        )
-    valid: Mask = np.logical_not(np.isnan(part).any(axis=(0, 1)))
-    if left:
-        most = max(gap.frames for gap in left)
-        said = (
-            f"points that the mapping '{fit.mapping.name}' takes are missing for more than {longest} frames: "
-            f"{_gaps_in_words(left, [names[index] for index in taken])}"
-        )
-        if not valid.any():
-            raise SourceError(points.path, f"no frame is whole: {said}; `fill_gap_frames` closes longer gaps")
-        warnings.append(
-            f"{np.count_nonzero(~valid)} of {len(valid)} source frames are invalid and have no word; {said}; "
-            f"`fill_gap_frames: {most}` closes all gaps along straight lines"
-        )
-    return filled, valid
+    if not closed:
+        return points.positions, closed, left
+    filled = points.positions.copy()
+    filled[taken] = part
+    return filled, closed, left
+
+
+def _invalid(path: Path, fit: Fit, valid: Mask, left: list[Gap], longest: int, names: list[str]) -> str:
+    """What is said of invalid frames: how many, for want of which points; an error where all are."""
+    blamed = [gap for gap in left if not valid[gap.start : gap.stop].all()]
+    said = (
+        f"points that the mapping '{fit.mapping.name}' takes are missing for more than {longest} frames: "
+        f"{_gaps_in_words(blamed, names)}"
+    )
+    if not valid.any():
+        raise SourceError(path, f"no frame is whole: {said}; `fill_gap_frames` closes longer gaps")
+    most = max(gap.frames for gap in blamed)
+    return (
+        f"{np.count_nonzero(~valid)} of {len(valid)} source frames are invalid and have no word; {said}; "
+        f"`fill_gap_frames: {most}` closes all gaps along straight lines"
+    )
 
 
 def _gaps_in_words(gaps: list[Gap], names: list[str], most: int = 6) -> str:

@@ -152,6 +152,24 @@ def test_a_joint_aside_of_a_plane_lies_as_deep_however_the_body_turns(tmp_path: 
     np.testing.assert_allclose(mirrored[JOINTS.index("chest"), :, 0], [1, 1, 0])
 
 
+def test_another_choice_stands_in_where_a_marker_is_not_seen() -> None:
+    nodes = nodes_of("landmarks-c3d") | {"L_FCC": 200, "L_FM1": 201}
+    fit = AUTO.detect("x", "c3d", nodes)
+    places = np.random.default_rng(0).normal(size=(202, 3, 4))
+    whole = fit.apply(places, JOINTS)[JOINTS.index("lelbow")]
+    hidden = places.copy()
+    hidden[nodes["L_HLE"], :, 1:] = np.nan
+    hidden[nodes["L_HME"], :, 3] = np.nan
+    found = fit.apply(hidden, JOINTS)[JOINTS.index("lelbow")]
+    np.testing.assert_array_equal(found[:, 0], whole[:, 0])
+    x, y, z = places[nodes["L_HME"], :, 1:3]
+    np.testing.assert_array_equal(found[:, 1:3], [x, z, -y])
+    assert np.isnan(found[:, 3]).all()
+    assert {nodes["L_HLE"], nodes["L_HME"], nodes["L_FCC"]} <= set(fit.nodes)
+    knee = fit.instead["lknee"]
+    assert [mix.names for mix in knee] == [("L_FLE", "L_FCC", "L_FM1"), ("L_FME", "L_FCC", "L_FM1")]
+
+
 def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None:
     other = {"LFWT": "LASI", "RFWT": "RASI", "LBWT": "LPSI", "RBWT": "RPSI"}
     nodes = {f"Ann:{other.get(name, name)}": i for name, i in nodes_of("hdm05-c3d").items()}

@@ -313,21 +313,34 @@ def test_markers_of_a_real_take_make_limbs_of_one_length_on_both_sides(shared: P
         found = np.linalg.norm(joint(body, a) - joint(body, b), axis=0)
         assert np.median(found) == pytest.approx(expected, abs=tolerance), (a, b)
         assert np.std(found) < 0.03, (a, b)
+    for side in "lr":
+        for part, most in (("hip", 0.012), ("ankle", 0.005)):
+            found = np.linalg.norm(joint(body, f"{side}knee") - joint(body, f"{side}{part}"), axis=0)
+            assert np.std(found) < most * np.median(found), (side, part)
     assert (joint(body, "neck")[1] > joint(body, "root")[1] + 0.3).all()
     assert joint(body, "rtoes")[1].min() == pytest.approx(0.03, abs=0.02)
 
 
 @pytest.mark.shared
 def test_files_of_several_vendors_come_in_or_say_what_they_lack(shared: Path) -> None:
-    found = {name: read(shared / "data" / "c3d" / f"{name}.c3d") for name in ("Qualisys", "BTS")}
+    found = {name: read(shared / "data" / "c3d" / f"{name}.c3d") for name in ("Qualisys", "BTS", "03_rolling")}
     assert [(body.skeleton, body.rate_hz, body.frames) for body in found.values()] == [
         ("landmarks-c3d", 200.0, 340),
         ("gait-c3d", 100.0, 675),
+        ("landmarks-trunk-c3d", 175.0, 2305),
     ]
     assert "it begins with frame 705 of its recording, which is source frame 0 here" in found["Qualisys"].warnings
     valid = found["BTS"].valid
     assert valid is not None
     assert np.count_nonzero(valid) == 150
+    rolling = found["03_rolling"]
+    assert rolling.warnings[0] == "it begins with frame 1368 of its recording, which is source frame 0 here"
+    assert rolling.valid is not None
+    assert np.count_nonzero(rolling.valid) > 900  # it lies on its markers: half of them are hidden at a time
+    for side in "lr":
+        thigh = np.linalg.norm(joint(rolling, f"{side}hip") - joint(rolling, f"{side}knee"), axis=0)[rolling.valid]
+        assert np.median(thigh) == pytest.approx(0.42, abs=0.02)
+        assert np.std(thigh) < 0.03
     for name, marker in (("Vicon", "Daphnee:ASISr"), ("Optotrak", "Marker_1")):
         with pytest.raises(SourceError, match=f"no skeleton mapping fits; .* the file has the markers .*{marker}"):
             read(shared / "data" / "c3d" / f"{name}.c3d")
