@@ -1,23 +1,72 @@
-"""Words to runs, and keyframe queries over their lists, on one core."""
+"""Words to runs, and keyframe queries over them on one core: warm, cold, from 4 to 400 hours, beside other ways.
+
+A query's Σ counts the word runs of all its keyframes' lists before any are united. The queries are the 62 of the
+papers' authors where `../shared/reference` has them, with motion drawn at random from the takes there; else the shipped
+ones, with the takes of the synthetic archive.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+import pyarrow.parquet as pq
+
+from benchmarks.archive import BUILD
+from benchmarks.costplot import write_plot
 from benchmarks.harness import Figure, seconds
-from ops import keyframes as k
+from benchmarks.rivals import recursion, sql
+from catalog.features import FeatureSet
+from catalog.queries import KeyframeQuery, word_pattern
+from catalog.queryfiles import read_queries
+from catalog.querywriting import write_queries
+from ops.bitslices import search_slices
+from ops.keyframes import UNBOUNDED, Segments, search
 from ops.runs import word_runs
-from ops.words import TakeWords, cut
-from storage.store import Store
+from ops.words import TakeWords
+from pipelines.lists import RunLists, lists_of_words
+from pipelines.resident import ResidentWords, resident_words
+from storage import index
+from storage.store import Store, open_store
 from tests.oracles import runs as naive_runs
 
 HOURS = 4.0
+LARGER = (40.0, 400.0)
+REPEATS = 7
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "reference"
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Motion of some hours, and the chains of keyframes that are searched in it, each with its Σ."""
+
+    words: TakeWords
+    resident: ResidentWords
+    chains: list[KeyframeQuery]
+    runs: F64
 
 
 def figures(store: Store) -> list[Figure]:
-    """Time run building and search on the store's words, tiled to four hours of motion."""
-    words = _tile(store.words(), HOURS)
-    return [_runs(words), _search(words)]
+    """Time run building and search on four hours of motion and more."""
+    pool, queries, what = _material(store)
+    case = _case(pool, HOURS, queries, store.feature_set)
+    lists = lists_of_words(case.words, store.feature_set, store.feature_set.sets)
+    _check(case, lists)
+    return [
+        _runs(_tile(store.words(), HOURS)),
+        *_warm(case, lists, what),
+        *_cold(case, queries),
+        *_in_sql(store, queries),
+        *_larger(pool, queries, store.feature_set, case),
+    ]
 
 
 def _tile(words: TakeWords, hours: float) -> TakeWords:
@@ -38,23 +87,224 @@ def _runs(words: TakeWords) -> Figure:
     )  # fmt: skip
 
 
-def _search(words: TakeWords) -> Figure:
-    runs = word_runs(cut(words.words, 15, 12), words.offsets)
-    starts, stops = k.to_axis(runs.take, runs.start), k.to_axis(runs.take, runs.stop)
-    bent, straight = 0b110000, 0
-    lists = [
-        k.keyframe_list(starts, stops, runs.word, 0b110000, value)
-        for value in (straight, bent, straight, 0b010000, straight)
-    ]
-    gaps = [k.gap_bounds(15, stiffness) for stiffness in (0.2, 0.4, 0.0, 0.6)]
-    total = sum(len(segments) for segments in lists)
-    ours = seconds(lambda: k.search(lists, gaps), 9)
-    sort = np.concatenate([segments.starts for segments in lists])
-    return Figure(
-        "keyframe search, K = 5",
-        total / 1e6,
-        "M segments",
-        ours,
-        "sorting their starts",
-        seconds(lambda: np.sort(sort)),
-    )
+# ---- the material ----------------------------------------------------------------------------------------
+
+
+def _material(store: Store) -> tuple[TakeWords, list[KeyframeQuery], str]:
+    """Takes to draw from, queries, and what these are called."""
+    file = SHARED / "keyframe_queries.json"
+    if not file.is_file():
+        queries = [chain for query in read_queries("example", store.feature_set) for chain in query.chains]
+        return store.words(), queries, f"{len(queries)} shipped queries"
+    table = pq.read_table(SHARED / "feature_words.parquet")
+    sampled = table.column("source_frame").to_numpy() % 4 == 0
+    names = table.column("take").to_numpy()[sampled]
+    words = table.column("word").to_numpy().astype(np.uint64)[sampled]
+    offsets = np.concatenate([[0], np.flatnonzero(names[1:] != names[:-1]) + 1, [len(names)]])
+    queries = list(read_queries(file, store.feature_set))
+    return TakeWords(np.arange(len(offsets) - 1), offsets, words), queries, f"the authors' {len(queries)} queries"
+
+
+def _draw(pool: TakeWords, hours: float) -> TakeWords:
+    """Takes drawn at random until they last so many hours."""
+    wanted = int(hours * 3600 * 30)
+    mean = len(pool.words) / len(pool)
+    chosen = np.random.default_rng(0).integers(0, len(pool), int(1.2 * wanted / mean) + 100)
+    offsets = np.concatenate([[0], np.cumsum(pool.frames[chosen])])
+    takes = int(np.searchsorted(offsets, wanted))
+    words = np.concatenate([pool.take(int(one)) for one in chosen[:takes]])
+    return TakeWords(np.arange(takes), offsets[: takes + 1], words)
+
+
+def _case(pool: TakeWords, hours: float, queries: list[KeyframeQuery], feature_set: FeatureSet) -> _Case:
+    words = _draw(pool, hours)
+    return _Case(words, resident_words(words, feature_set), queries, _sigma(words, queries, feature_set))
+
+
+def _sigma(words: TakeWords, chains: list[KeyframeQuery], feature_set: FeatureSet) -> F64:
+    """The word runs of all lists of each chain, set by set, so that only one set's runs are in memory."""
+    total = np.zeros(len(chains))
+    for name in feature_set.sets:
+        postings = lists_of_words(words, feature_set, [name]).postings[name]
+        for i, chain in enumerate(chains):
+            total[i] += sum(postings.runs(one.mask, one.value) for one in chain.keyframes if one.set == name)
+    return total
+
+
+def _check(case: _Case, lists: RunLists) -> None:
+    """What is timed must be right: slices, lists and the recursion find the same."""
+    for chain in case.chains:
+        expected = lists.chain(chain)
+        others = (case.resident.pattern(word_pattern(chain, case.resident.feature_set)), _recursion(lists, chain))
+        for other in others:
+            np.testing.assert_array_equal(other.starts, expected.starts)
+            np.testing.assert_array_equal(other.stops, expected.stops)
+
+
+def _recursion(lists: RunLists, chain: KeyframeQuery) -> Segments:
+    return recursion([lists.keyframe(keyframe) for keyframe in chain.keyframes], chain.bounds)
+
+
+# ---- warm ------------------------------------------------------------------------------------------------
+
+
+def _best(work: Callable[[], object], repeats: int = REPEATS) -> float:
+    """The least time of several runs: what is measured in microseconds suffers from whatever else the machine does."""
+    times = []
+    for _ in range(repeats + 1):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times[1:])
+
+
+def _each(chains: Iterable[KeyframeQuery], work: Callable[[KeyframeQuery], object], repeats: int = REPEATS) -> F64:
+    return np.array([_best(lambda chain=chain: work(chain), repeats) for chain in chains])  # type: ignore[misc]
+
+
+def _warm(case: _Case, lists: RunLists, what: str) -> list[Figure]:
+    feature_set, takes = case.resident.feature_set, len(case.words)
+    million = float(case.runs.mean()) / 1e6
+
+    def whole(chain: KeyframeQuery) -> object:
+        return case.resident.pattern(word_pattern(chain, feature_set))
+
+    def lists_only(chain: KeyframeQuery) -> object:
+        # gaps that no take is long enough for: all lists are made, and nothing is done with them
+        pattern = word_pattern(chain, feature_set)
+        never = [(UNBOUNDED, UNBOUNDED)] * len(pattern.gaps)
+        return search_slices(case.resident.slices, pattern.masks, pattern.values, never)
+
+    def first_time(chain: KeyframeQuery) -> object:
+        fresh = RunLists(takes, lists.postings)
+        return fresh.chain(chain)
+
+    def repeated(chain: KeyframeQuery) -> object:
+        return search([lists.keyframe(keyframe) for keyframe in chain.keyframes], chain.bounds)
+
+    warm = _each(case.chains, whole)
+    core = np.maximum(warm - _each(case.chains, lists_only), 0)
+    naive = _each(case.chains, lambda chain: _recursion(lists, chain), 3)
+    slope = _slope(case.runs, warm)
+    write_plot(BUILD / "search-cost.svg", case.runs, warm, f"{what}, {HOURS:g} hours: slope {slope:.2f}")
+    worst = int(warm.argmax())
+    return [
+        Figure(
+            f"warm query, pattern to ranges, mean of {what}", million, "M runs", float(warm.mean()),
+            "recursion, compiled; its lists made before", float(naive.mean()),
+        ),
+        Figure(
+            f"the worst of them ({case.chains[worst].name})", float(case.runs[worst]) / 1e6, "M runs",
+            float(warm.max()), "the recursion's worst", float(naive.max()),
+        ),
+        Figure("their core: what the gaps cost, the keyframes found before", million, "M runs", float(core.mean())),
+        Figure(
+            "inverted lists and two pointers, mean", million, "M runs", float(_each(case.chains, first_time, 3).mean()),
+            "its lists made before", float(_each(case.chains, repeated).mean()),
+        ),
+        Figure("slope of log time over log Σ", slope, "(at most 1 wanted)", 1.0),
+    ]  # fmt: skip
+
+
+def _slope(runs: F64, times: F64) -> float:
+    kept = runs > 0
+    return float(np.polyfit(np.log(runs[kept]), np.log(times[kept]), 1)[0])
+
+
+# ---- cold, in SQL, and larger ----------------------------------------------------------------------------
+
+
+def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
+    """A process that opens a store of these hours and answers one query: the one of median Σ, and the largest."""
+    from benchmarks.indexing import _add
+
+    path = BUILD / f"search-store-{len(case.words.words)}"
+    if not (path / "manifest").is_dir():
+        _add(path, case.resident.feature_set, case.words, "take")
+    store = open_store(path)
+    index.build(store)
+    order = np.argsort(case.runs)
+    found = []
+    for which, at in (("median", order[len(order) // 2]), ("largest", order[-1])):
+        file = BUILD / f"query-{which}.yaml"
+        file.write_text(write_queries([queries[at]], store.feature_set), encoding="utf-8")
+        command = [sys.executable, "-m", "benchmarks.cold", str(store.path), str(file)]
+        runs = [_process(command) for _ in range(3)]
+        inside, whole = (min(times) for times in zip(*runs, strict=True))
+        found.append(
+            Figure(
+                f"cold: open a store and answer the query of {which} Σ",
+                1.0,
+                "queries",
+                inside,
+                "its whole process",
+                whole,
+            )
+        )
+    return found
+
+
+def _process(command: list[str]) -> tuple[float, float]:
+    began = time.perf_counter()
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return float(done.stdout.split()[-1]), time.perf_counter() - began
+
+
+def _in_sql(store: Store, queries: list[KeyframeQuery]) -> list[Figure]:
+    """The same queries as one SQL statement each, on the store of twelve minutes; both must find the same."""
+    chosen = queries[:: max(len(queries) // 6, 1)]
+    ids = store.takes().sort("take_id")["take_id"].to_numpy().astype(np.int64)
+    resident = resident_words(store.words(ids.tolist()), store.feature_set)
+    connection = store.connect(threads=1)
+    try:
+        slow, fast = [], []
+        for chain in chosen:
+            text = sql(chain)
+            rows = connection.sql(text).to_arrow_table()
+            ours = resident.search(chain)
+            takes = np.repeat(ids, np.diff(ours.offsets))
+            for name, column in (("take_id", takes), ("start", ours.starts), ("stop", ours.stops)):
+                np.testing.assert_array_equal(rows.column(name).to_numpy(), column)
+            slow.append(_best(lambda text=text: connection.sql(text).to_arrow_table(), 2))  # type: ignore[misc]
+            fast.append(_best(lambda chain=chain: resident.search(chain)))  # type: ignore[misc]
+    finally:
+        connection.close()
+    minutes = len(resident.slices.frames) and float(resident.slices.frames.sum()) / 1800
+    return [
+        Figure(
+            f"{len(chosen)} of these queries on {minutes:.0f} minutes", float(len(chosen)), "queries", sum(fast),
+            "one SQL statement each", sum(slow),
+        )
+    ]  # fmt: skip
+
+
+def _larger(pool: TakeWords, queries: list[KeyframeQuery], feature_set: FeatureSet, small: _Case) -> list[Figure]:
+    found = [_memory(small, HOURS)]
+    runs, times = [small.runs], [_each(small.chains, lambda chain: _answer(small, chain), 3)]
+    for hours in LARGER:
+        case = _case(pool, hours, queries, feature_set)
+        spent = _each(case.chains, lambda chain, case=case: _answer(case, chain), 2)  # type: ignore[misc]
+        mean = float(case.runs.mean()) / 1e6
+        found.append(Figure(f"warm query at {hours:g} hours, mean", mean, "M runs", float(spent.mean())))
+        found.append(
+            Figure(
+                f"warm query at {hours:g} hours, worst",
+                float(case.runs[spent.argmax()]) / 1e6,
+                "M runs",
+                float(spent.max()),
+            )
+        )
+        found.append(_memory(case, hours))
+        runs.append(case.runs)
+        times.append(spent)
+    slope = _slope(np.concatenate(runs), np.concatenate(times))
+    return [*found, Figure("slope over all these hours", slope, "(at most 1 wanted)", 1.0)]
+
+
+def _answer(case: _Case, chain: KeyframeQuery) -> Segments:
+    return case.resident.pattern(word_pattern(chain, case.resident.feature_set))
+
+
+def _memory(case: _Case, hours: float) -> Figure:
+    slices = case.resident.slices
+    return Figure(f"bit slices of {hours:g} hours", slices.bytes / 2**20, "MiB", 1.0)

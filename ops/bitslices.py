@@ -40,32 +40,42 @@ _LOW_HALF = np.uint64(0xFFFF_FFFF)
 class BitSlices:
     """The words of T takes, sliced by feature.
 
-    bits: uint64 (f + 1, B), bit j of block b of row i is feature F_(i + 1) in one frame; the last row says which frames
-    are valid, and no feature is on in the others. first: int64 (T + 1,), take t has blocks first[t] .. first[t + 1].
-    frames: int64 (T,), the length of each take. left: int32 (B,), how many blocks of its take follow a block.
+    bits: uint64 (B · (f + 1),), group after group; a group of b blocks has f + 1 rows of b: bit j of a block of row n
+    is feature F_(n + 1) in one frame, and the last row says which frames are valid (no feature is on in the others).
+    What is searched together lies together. groups: int64 (G + 1,), group g has the takes groups[g] .. groups[g + 1].
+    first: int64 (T + 1,), take t has the blocks first[t] .. first[t + 1]. frames: int64 (T,), the length of each take.
+    left: int32 (B,), how many blocks of its take follow a block. features: f.
     """
 
     bits: U64
+    groups: I64
     first: I64
     frames: I64
     left: I32
+    features: int
 
     def __post_init__(self) -> None:
-        if self.bits.ndim != 2 or self.bits.shape[1] != len(self.left) or self.first[-1] != len(self.left):
-            raise ParameterError("bits", f"(features + 1, {int(self.first[-1])} blocks)", self.bits.shape)
+        if self.bits.shape != (len(self.left) * (self.features + 1),) or self.first[-1] != len(self.left):
+            raise ParameterError("bits", f"{self.features + 1} for each of the blocks", self.bits.shape)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     @property
-    def features(self) -> int:
-        """The number of features f."""
-        return len(self.bits) - 1
-
-    @property
     def bytes(self) -> int:
         """The memory that the arrays take."""
-        return self.bits.nbytes + self.first.nbytes + self.frames.nbytes + self.left.nbytes
+        arrays = (self.bits, self.groups, self.first, self.frames, self.left, self.onward)
+        return sum(array.nbytes for array in arrays)
+
+    @property
+    def rows(self) -> U64:
+        """uint64 (f + 1, B), a copy with the rows of all groups joined."""
+        edges = self.first[self.groups]
+        pieces = [
+            self.bits[start * (self.features + 1) : stop * (self.features + 1)].reshape(self.features + 1, stop - start)
+            for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+        ]
+        return np.concatenate([np.zeros((self.features + 1, 0), np.uint64), *pieces], axis=1)
 
     @cached_property
     def onward(self) -> U64:
@@ -73,15 +83,9 @@ class BitSlices:
         return np.where(self.left > 0, _ALL, _NONE)
 
     @cached_property
-    def groups(self) -> I64:
-        """int64 (G + 1,), group g has the takes groups[g] .. groups[g + 1], each group of `GROUP_BLOCKS` or so."""
-        ends = np.arange(GROUP_BLOCKS, len(self.left) + GROUP_BLOCKS, GROUP_BLOCKS)
-        return np.unique(np.concatenate([[0], np.searchsorted(self.first, ends), [len(self)]])).clip(max=len(self))
-
-    @cached_property
     def often(self) -> I64:
         """int64 (f + 1,), in how many frames each feature is on; the last: how many frames are valid."""
-        return np.array([int(np.bitwise_count(row).sum()) for row in self.bits], np.int64)
+        return _count_rows(self.bits, self.first[self.groups], self.features + 1)
 
 
 def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
@@ -104,10 +108,20 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
         raise ParameterError("offsets", f"ascending from 0 to the {len(words)} words", offsets[[0, -1]].tolist())
     first = np.zeros(len(offsets), np.int64)
     np.cumsum(frames // BLOCK + 1, out=first[1:])
-    bits = np.zeros((features + 1, int(first[-1])), np.uint64)
-    _slice(np.ascontiguousarray(words, np.uint64), np.ascontiguousarray(offsets, np.int64), first, bits)
+    groups = _groups(first)
+    bits = np.empty(int(first[-1]) * (features + 1), np.uint64)
+    _slice(
+        np.ascontiguousarray(words, np.uint64), np.ascontiguousarray(offsets, np.int64), first, groups, features, bits
+    )
     left = np.repeat(first[1:], np.diff(first)) - 1 - np.arange(first[-1])
-    return BitSlices(bits, first, frames.astype(np.int64), left.astype(np.int32))
+    return BitSlices(bits, groups, first, frames.astype(np.int64), left.astype(np.int32), features)
+
+
+def _groups(first: I64) -> I64:
+    """Where each group begins: takes of `GROUP_BLOCKS` blocks or so."""
+    takes = len(first) - 1
+    ends = np.arange(GROUP_BLOCKS, first[-1] + GROUP_BLOCKS, GROUP_BLOCKS)
+    return np.unique(np.concatenate([[0], np.searchsorted(first, ends), [takes]])).clip(max=takes)
 
 
 def slice_runs(takes: I64, starts: I64, stops: I64, words: U64, frames: I64, features: int) -> BitSlices:
@@ -200,20 +214,35 @@ def _lay(laid, starts, stops, words):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _slice(words, offsets, first, bits):  # type: ignore[no-untyped-def]
-    features = len(bits) - 1
+def _slice(words, offsets, first, groups, features, bits):  # type: ignore[no-untyped-def]
     square = np.empty(BLOCK, np.uint64)
-    for take in range(len(offsets) - 1):
-        for block in range(first[take], first[take + 1]):
-            start = offsets[take] + (block - first[take]) * BLOCK
-            for j in range(BLOCK):
-                square[j] = 0
-                if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
-                    square[j] = words[start + j] | _VALID_BIT
-            _transpose(square)
-            for feature in range(features):
-                bits[feature, block] = square[feature]
-            bits[features, block] = square[_VALID]
+    for group in range(len(groups) - 1):
+        base = first[groups[group]]
+        size = first[groups[group + 1]] - base
+        for take in range(groups[group], groups[group + 1]):
+            for block in range(first[take], first[take + 1]):
+                start = offsets[take] + (block - first[take]) * BLOCK
+                for j in range(BLOCK):
+                    square[j] = 0
+                    if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
+                        square[j] = words[start + j] | _VALID_BIT
+                _transpose(square)
+                to = base * (features + 1) + block - base
+                for feature in range(features):
+                    bits[to + feature * size] = square[feature]
+                bits[to + features * size] = square[_VALID]
+
+
+@njit(cache=True, nogil=True)
+def _count_rows(bits, edges, rows):  # type: ignore[no-untyped-def]
+    counts = np.zeros(rows, np.int64)
+    for group in range(len(edges) - 1):
+        size = edges[group + 1] - edges[group]
+        for row in range(rows):
+            start = edges[group] * rows + row * size
+            for i in range(start, start + size):
+                counts[row] += _count(bits[i])
+    return counts
 
 
 @njit(cache=True, nogil=True)
@@ -244,14 +273,14 @@ def _search(bits, first, left, onward, groups, often, masks, values, gaps):  # t
     moved, widened = np.empty(widest, np.uint64), np.empty(widest, np.uint64)
     best, scanned = np.empty(count, np.int64), np.empty(count, np.int64)
     starts, stops = np.empty(64, np.int64), np.empty(64, np.int64)
-    flat = bits.reshape(-1)
+    features = len(often) - 1
     n = 0
     for group in range(len(groups) - 1):
         base = first[groups[group]]
         size = first[groups[group + 1]] - base
         alive = True
         for k in order:
-            alive = _match(flat, bits.shape[1], base, size, rows, flips, offsets[k], offsets[k + 1], kept, k * widest)
+            alive = _match(bits, features + 1, base, size, rows, flips, offsets[k], offsets[k + 1], kept, k * widest)
             if not alive:
                 break
         k = count - 2
@@ -302,27 +331,27 @@ def _plan(often, masks, values):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _match(flat, blocks, base, size, rows, flips, begin, end, kept, at):  # type: ignore[no-untyped-def]
+def _match(bits, height, base, size, rows, flips, begin, end, kept, at):  # type: ignore[no-untyped-def]
     # The keyframe's frames in the blocks base .. base + size, into kept[at ..]; False as soon as there are none. Four
     # rows at a time; indices without a sign, which the compiler can turn into vector instructions.
     to = np.uint64(at)
     for four in range(begin, end, 4):
-        one = np.uint64(rows[four] * blocks + base)
-        two = np.uint64(rows[four + 1] * blocks + base)
-        three = np.uint64(rows[four + 2] * blocks + base)
-        last = np.uint64(rows[four + 3] * blocks + base)
+        one = np.uint64(base * height + rows[four] * size)
+        two = np.uint64(base * height + rows[four + 1] * size)
+        three = np.uint64(base * height + rows[four + 2] * size)
+        last = np.uint64(base * height + rows[four + 3] * size)
         flip_one, flip_two, flip_three, flip_last = flips[four], flips[four + 1], flips[four + 2], flips[four + 3]
         any_left = np.uint64(0)
         if four == begin:
             for i in range(np.uint64(size)):
-                found = (flat[one + i] ^ flip_one) & (flat[two + i] ^ flip_two)
-                found &= (flat[three + i] ^ flip_three) & (flat[last + i] ^ flip_last)
+                found = (bits[one + i] ^ flip_one) & (bits[two + i] ^ flip_two)
+                found &= (bits[three + i] ^ flip_three) & (bits[last + i] ^ flip_last)
                 kept[to + i] = found
                 any_left |= found
         else:
             for i in range(np.uint64(size)):
-                found = kept[to + i] & (flat[one + i] ^ flip_one) & (flat[two + i] ^ flip_two)
-                found &= (flat[three + i] ^ flip_three) & (flat[last + i] ^ flip_last)
+                found = kept[to + i] & (bits[one + i] ^ flip_one) & (bits[two + i] ^ flip_two)
+                found &= (bits[three + i] ^ flip_three) & (bits[last + i] ^ flip_last)
                 kept[to + i] = found
                 any_left |= found
         if any_left == 0:

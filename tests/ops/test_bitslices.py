@@ -79,7 +79,7 @@ def test_slices_hold_the_words() -> None:
     assert (len(slices), slices.features) == (5, 40)
     assert np.diff(slices.first).tolist() == [1, 2, 1, 1, 3]
     for index, take in enumerate(takes):
-        rows = slices.bits[:, slices.first[index] : slices.first[index + 1]]
+        rows = np.ascontiguousarray(slices.rows[:, slices.first[index] : slices.first[index + 1]])
         shown = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")
         valid = take != NO_WORD
         assert shown[40, : len(take)].tolist() == valid.tolist()

@@ -1,0 +1,22 @@
+"""`python -m benchmarks.cold STORE QUERIES`: seconds from opening a store to the answer, in a process of its own."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from catalog.queryfiles import read_queries
+from pipelines.search import search_store
+from storage.store import open_store
+
+
+def main(store: str, file: str) -> None:
+    """Answer the queries of a file, and print how long it took from opening the store."""
+    began = time.perf_counter()
+    opened = open_store(store)
+    search_store(opened, read_queries(file, opened.feature_set))
+    print(time.perf_counter() - began)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])
