@@ -203,3 +203,16 @@ def test_frames_given_as_a_table_are_the_same_as_a_part(path: Path, tmp_path: Pa
 
 def test_leftovers_are_named_after_their_content(path: Path) -> None:
     assert write_frames(path, {"x": (90, 12)}) == write_frames(path, {"x": (90, 12)})
+
+
+def test_takes_come_as_arrow_too_and_a_joint_without_a_copy(path: Path) -> None:
+    store = open_store(path)
+    assert store.takes_table().column("name").to_pylist() == sorted(TAKES)
+    assert store.takes_table("frames < 10").column("name").to_pylist() == ["bk_kick", "dg_still", "mm_empty"]
+    assert store.takes_table("frames < 10").schema == store.takes_table().schema
+    wrist = store.frames("bd_walk").column("rwrist")
+    assert wrist.num_chunks == 1
+    assert wrist.chunk(0).field("y").to_numpy(zero_copy_only=True).shape == (50,)
+    words = store.words()
+    assert words.words.flags.writeable
+    assert np.shares_memory(words.take(0), words.words)
