@@ -110,7 +110,7 @@ def _from_mapping(located: Located, entry: GapEntry, rate_hz: float, *key: str |
         return _range(located, low, math.inf if high is None else high, str(list(entry.range)), *key, "range")
     assert entry.seconds_range is not None
     least, most = entry.seconds_range
-    if not 0 <= least < math.inf or (most is not None and math.isnan(most)):
+    if not 0 <= least * rate_hz < math.inf or (most is not None and math.isnan(most)):
         raise located.error(f"must be a range of seconds from 0 up, got {list(entry.seconds_range)}", *key)
     upper = math.inf if most is None else round(most * rate_hz, 9)
     return _range(located, round(least * rate_hz, 9), upper, str(list(entry.seconds_range)), *key, "seconds_range")

@@ -219,6 +219,7 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
             raise located.error(f"is no regular expression: {fault}", "strip_prefix") from None
     axes = _axes(located, parsed.up, parsed.facing, parsed.handedness, "facing")
     own = parsed.root_axes
+    choices = {joint: _choices(located, parsed, joint) for joint in parsed.joints}
     return SkeletonMapping(
         name=parsed.name,
         path=located.path,
@@ -229,7 +230,7 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
         root_axes=_axes(located, own.up, own.facing, parsed.handedness, "root_axes") if own else axes,
         strip_prefix=parsed.strip_prefix,
         bones=parsed.bones,
-        joints={joint: _choices(located, parsed, joint) for joint in parsed.joints},
+        joints=choices,
         order=tuple(parsed.order),
         aliases={name: tuple(others) for name, others in parsed.aliases.items()},
         screen=parsed.format == "c3d" and parsed.screen is not False,

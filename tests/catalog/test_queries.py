@@ -312,6 +312,7 @@ WRONG = [
     ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {frames: 3, stiffness: 1.5}", 4, "got 1.5"),
     ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {frames: 3, range: [1, 2]}", 4, "frames and range"),
     ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {range: [3, 2]}", 4, "low <= high"),
+    ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {seconds_range: [1.0e+308, null]}", 4, "from 0 up"),
     ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {range: [1, 2], stiffness: 1}", 4, "no stiffness"),
     ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {seconds_range: [0.01, 0.02]}", 4, "whole number"),
     ("a:\n  keyframes: [{on: [1]}, {on: [2]}]\n  gaps:\n    - {seconds_range: [-1, 2]}", 4, "from 0 up"),

@@ -189,6 +189,7 @@ def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None
 FAULTS = {
     "an unknown joint": (("belly: Spine", "bely: Spine"), "joints.bely", "did you mean 'belly'"),
     "a missing joint": (("  belly: Spine\n", ""), "joints", "write `belly: null`"),
+    "keys of all kinds": (("belly: Spine", "belly: {.nan: 1, x: 2}"), "joints.belly", "joints.belly"),
     "weights of two": (("-2, head: 3", "-2, head: 4"), "joints.headtop", "the weights must add up to 1, got 2"),
     "a virtual of a virtual": (("lelbow: -0.25", "headtop: -0.25"), "joints.lfingers", "'headtop' is none"),
     "no kind of mix": (("{virtual: {neck: -2, head: 3}}", "{}"), "joints.headtop", "expected `virtual`"),
