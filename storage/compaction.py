@@ -42,8 +42,8 @@ TARGET_BYTES = 100_000_000
 FANOUT = 8
 """How many parts of one tier are merged; also the ratio of the tiers' sizes."""
 
-KEPT_ROWS = 6 * ROW_GROUP
-"""Most rows of the old parts that a merge holds in memory: some 250 MB. A single row group or take may be larger."""
+KEPT_ROWS = 2 * ROW_GROUP
+"""Most rows of the old parts that a merge holds in memory: some 90 MB. A single row group or take may be larger."""
 
 
 class Map(Protocol):

@@ -82,7 +82,7 @@ class Params(BaseModel):
     )
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
-    batch_mb: int = Field(256, ge=1, le=4096, description="most megabytes of raw files that one task reads")
+    batch_mb: int = Field(64, ge=1, le=4096, description="most megabytes of raw files that one task reads")
 
     @field_validator("patterns")
     @classmethod
