@@ -209,16 +209,18 @@ def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFi
     """
     by_folder: dict[str, list[SourceFile]] = {}
     for skeleton in skeletons:
-        by_folder.setdefault(Path(skeleton.path).parent.as_posix(), []).append(skeleton)
+        by_folder.setdefault(skeleton.path.rpartition("/")[0] or ".", []).append(skeleton)
     folder = Path(motion.path).parent
     stem = motion.stem.casefold()
     seen: list[str] = []
     while True:
         here = by_folder.get(folder.as_posix(), [])
         seen += [skeleton.path for skeleton in here]
-        lengths = {s: _shared_prefix(stem, s.stem.casefold()) for s in here}
-        same = [s for s in here if s.stem.casefold() == stem]
-        best = same or [s for s in here if lengths[s] > 0 and lengths[s] == max(lengths.values())]
+        stems = [s.stem.casefold() for s in here]
+        shared = [_shared_prefix(stem, other) for other in stems]
+        longest = max(shared, default=0)
+        same = [s for s, other in zip(here, stems, strict=True) if other == stem]
+        best = same or [s for s, length in zip(here, shared, strict=True) if length == longest > 0]
         if len(best) == 1:
             return best[0]
         if best:
