@@ -20,6 +20,8 @@ STAGES: dict[str, dict[str, str]] = {
     "index": {"takes": "ingest"},
     "learn_templates": {"takes": "ingest"},
     "learn_keyframes": {},
+    "rank": {"takes": "ingest", "templates": "learn_templates"},
+    "evaluate_ranking": {"templates": "learn_templates"},
     "annotate": {"takes": "ingest", "templates": "learn_templates"},
     "evaluate": {"annotations": "annotate"},
     "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},

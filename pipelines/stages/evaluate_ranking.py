@@ -1,0 +1,143 @@
+"""Stage evaluate_ranking: average precision of every class, in takes with ground truth and among clips left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, Field
+
+from catalog.classes import OWN, load_classes
+from ops.errors import KinedexError
+from ops.templates import Kind, quantise
+from pipelines.context import StageContext
+from pipelines.digests import files_digest
+from pipelines.evaluating import place_ground_truth
+from pipelines.learning import learn_templates, read_templates, training_clips
+from pipelines.ranking import Searched, rank_store
+from pipelines.retrieval import (
+    Judged,
+    clip_costs,
+    judge_clips,
+    judge_hits,
+    mean_average_precision,
+    recall_at_tau,
+    retrieval_rows,
+    retrieval_table,
+)
+from storage.ground_truth import ground_truth_files, read_ground_truth
+from storage.store import Store
+
+NONE = "none"
+
+
+class Fold(BaseModel):
+    """Which clips are learned from and which are ranked, as SQL filters over the columns of takes."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    learn: str
+    rank: str
+
+
+class Params(BaseModel):
+    """What the stage `evaluate_ranking` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: str = Field(
+        "**/ground_truth.csv",
+        description="CSV files with take, class, start, stop in source frames, a glob below the takes' source folders; "
+        "'none': no takes are judged",
+    )
+    where: str = Field("class IS NULL", description="takes to judge: a SQL filter over the columns of takes")
+    clips: str = Field("class IS NOT NULL", description="clips to judge: a SQL filter over the columns of takes")
+    leave_out: str | None = Field(
+        "actor", description="column of takes: the clips of each of its values are ranked, the others learned from"
+    )
+    folds: list[Fold] = Field([], description="instead of leave_out: folds of your own")
+    templates: Kind = Field("soft", description="which templates: soft or hard")
+    delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
+    tau: float = Field(0.1, gt=0, le=1, description="recall is told at this threshold")
+
+
+def external_digest(params: Params, store: Store | None) -> str:
+    """What the stage depends on outside the store: the text of the ground truth."""
+    if params.ground_truth == NONE or store is None:
+        return ""
+    try:
+        return files_digest(ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique())))
+    except KinedexError:
+        return "none to be read"
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Judge the rankings, print a table of each kind, store them."""
+    store = context.open()
+    summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
+    judged: list[Judged] = []
+    for what, found in (("takes", _takes(context, store, params)), ("clips", _clips(context, store, params))):
+        if found:
+            title = {"takes": "hits in takes against ground truth", "clips": "clips that were not learned from"}[what]
+            context.terminal.show(retrieval_table(found, title, params.tau))
+            summary |= {f"{what}_map": mean_average_precision(found), f"{what}_recall": recall_at_tau(found)}
+            judged += found
+    with context.writer() as writer:
+        writer.put_results("retrieval", retrieval_rows(judged, context.run), stage=context.key(), run=context.run)
+        writer.commit()
+    return summary
+
+
+def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
+    """Each class's ranking of the takes, to its end: without a threshold, and with all hits."""
+    if params.ground_truth == NONE:
+        return []
+    takes = store.takes(params.where)
+    learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+    classes = load_classes(OWN, {one.subclass for one in learned})
+    files = ground_truth_files(params.ground_truth, sorted(takes["source_root"].unique()))
+    segments = [segment for file in files for segment in read_ground_truth(file)]
+    truth = place_ground_truth(segments, takes, store.takes()["name"], classes, "miss")
+    for remark in truth.remarks:
+        context.say(remark)
+    names = ", ".join("'" + name.replace("'", "''") + "'" for name in truth.takes)
+    searched = [Searched(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
+    rankings = rank_store(store, searched, 1.0, None, f"({params.where}) AND name IN ({names})")
+    return [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
+
+
+def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
+    """The rankings of the clips of each fold, by templates of the others."""
+    judged: list[Judged] = []
+    features = len(store.feature_set.features)
+    for fold in _folds(store, params):
+        training = store.takes(f"({params.clips}) AND ({fold.learn})")
+        ranked = store.takes(f"({params.clips}) AND ({fold.rank})").sort("take_id")
+        if not training.height or not ranked.height:
+            context.say(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; left out")
+            continue
+        clips = training_clips(store, training)
+        templates = {
+            one.subclass: quantise(one.learned.template, params.delta)
+            for group in learn_templates(clips, [params.templates], features, context.executor)
+            for one in group
+        }
+        costs = clip_costs(templates, store.words(ranked["take_id"].to_list()))
+        labels, names = ranked["class"].to_list(), ranked["name"].to_list()
+        missing = sorted(set(labels) - set(templates))
+        if missing:
+            context.say(f"{fold.name}: no clips of others, so no template: {', '.join(missing)}")
+        judged += [judge_clips(fold.name, label, costs[label], labels, names, params.tau) for label in templates]
+    return judged
+
+
+def _folds(store: Store, params: Params) -> Sequence[Fold]:
+    if params.folds or params.leave_out is None:
+        return params.folds
+    takes = store.takes(params.clips)
+    if params.leave_out not in takes.columns:
+        raise KinedexError(f"leave_out: takes have no column '{params.leave_out}'")
+    values = takes[params.leave_out].cast(pl.String).drop_nulls().unique().sort().to_list()
+    column = f'CAST("{params.leave_out}" AS VARCHAR)'
+    quoted = [(value, "'" + value.replace("'", "''") + "'") for value in values]
+    return [Fold(name=value, learn=f"{column} <> {text}", rank=f"{column} = {text}") for value, text in quoted]

@@ -1,0 +1,119 @@
+"""Stage rank: the best hits of every template in an archive, in all frames or within the hits of keyframe queries."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from pydantic import BaseModel, ConfigDict, Field
+from rich import box
+from rich.table import Table
+
+from catalog.configs import config_path
+from catalog.queryfiles import read_queries
+from ops.errors import KinedexError
+from ops.templates import Kind, quantise
+from pipelines.context import StageContext
+from pipelines.digests import files_digest
+from pipelines.explaining import explain_store
+from pipelines.learning import read_templates
+from pipelines.ranking import Ranking, Searched, rank_store, ranking_table
+from pipelines.search import search_store
+from pipelines.wording import few
+from storage.store import Store
+
+
+class Params(BaseModel):
+    """What the stage `rank` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    where: str = Field("class IS NULL", description="takes to rank: a SQL filter over the columns of takes")
+    templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
+    delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
+    tau: float = Field(0.1, gt=0, le=1, description="distances below tau make a hit")
+    top: int | None = Field(100, ge=1, description="how many hits a template at most; null for all")
+    queries: list[str] = Field([], description="keyframe queries that preselect frames: files, by names or paths")
+
+
+def external_digest(params: Params, store: Store | None) -> str:
+    """What the stage depends on outside the store: the text of its query files."""
+    return files_digest([config_path("queries", name) for name in params.queries])
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Rank, store the hits, and print a row for each class (thesis, Table 3.2)."""
+    store = context.open()
+    learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+    queries = [query for name in params.queries for query in read_queries(name, store.feature_set, store.rate_hz)]
+    searched, vague = [], []
+    for one in learned:
+        template = quantise(one.learned.template, params.delta)
+        if not template.fixed:
+            vague.append(one.subclass)
+            continue
+        own = tuple(query for query in queries if query.target == one.subclass)
+        searched.append(Searched(one.subclass, template, own))
+    if vague:
+        context.say(f"templates of wildcards alone, which would fit anything, left out: {few(vague)}")
+    if not searched:
+        raise KinedexError(f"at delta = {params.delta:g} no template is left to rank with; raise `delta`")
+    rankings, seconds = [], []
+    # Once before the clock starts: kernels are compiled when they are first called.
+    rank_store(store, searched[:1], params.tau, 1, params.where, context.executor.workers)
+    with context.progress("templates", len(searched)) as progress:
+        for each in searched:
+            begin = time.perf_counter()
+            rankings += rank_store(store, [each], params.tau, params.top, params.where, context.executor.workers)
+            seconds.append(time.perf_counter() - begin)
+            progress.advance(1)
+    table = ranking_table(rankings, store.rate_hz, context.run)
+    lists = _lists(store, searched, params.where)
+    context.terminal.show(_shown(searched, rankings, seconds, lists))
+    with context.writer() as writer:
+        writer.put_results("ranked_hits", table, stage=context.key(), run=context.run)
+        writer.commit()
+    return {
+        "templates": len(searched),
+        "hits": table.num_rows,
+        "tau": params.tau,
+        "delta": params.delta,
+        "frames": rankings[0].frames,
+        "skipped": {one.name: round(one.skipped, 4) for one in rankings},
+        "kept": {one.name: round(one.kept, 4) for one in rankings},
+        "seconds": {one.name: round(took, 4) for one, took in zip(rankings, seconds, strict=True)},
+    }
+
+
+def _lists(store: Store, searched: Sequence[Searched], where: str) -> dict[str, tuple[int, int, float]]:
+    """Of each template with queries: keyframes, segments of their lists, and how long the search of the index takes."""
+    found = {}
+    for one in searched:
+        if one.queries:
+            reports = explain_store(store, one.queries, where)
+            steps = [keyframe for report in reports for keyframe in report.keyframes]
+            begin = time.perf_counter()
+            search_store(store, one.queries, where)
+            found[one.name] = (len(steps), sum(step.segments for step in steps), time.perf_counter() - begin)
+    return found
+
+
+def _shown(
+    searched: Sequence[Searched],
+    rankings: Sequence[Ranking],
+    seconds: Sequence[float],
+    lists: dict[str, tuple[int, int, float]],
+) -> Table:
+    """A row for each class: keyframe search, what it keeps, and the ranking of that."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    columns = ["class", "columns", "K", "Σ|Λ|", "search ms", "kept", "skipped", "ranking ms", "hits", "best"]
+    for column in columns if lists else [name for name in columns if name not in ("K", "Σ|Λ|", "search ms", "kept")]:
+        table.add_column(column, justify="left" if column == "class" else "right")
+    for one, ranking, took in zip(searched, rankings, seconds, strict=True):
+        first = [one.name, str(len(one.template))]
+        if lists:
+            keyframes, segments, searching = lists.get(one.name, (0, 0, 0.0))
+            first += [str(keyframes), f"{segments:,}", f"{1000 * searching:.1f}", f"{ranking.kept:.1%}"]
+        best = f"{ranking.hits[0].cost:.3f}" if ranking.hits else "–"
+        table.add_row(*first, f"{ranking.skipped:.0%}", f"{1000 * took:.1f}", str(len(ranking.hits)), best)
+    return table
