@@ -17,6 +17,8 @@ from pipelines.digests import files_digest
 from pipelines.keyframe_learning import Learner, Lesson, Margins, Setting, allowed_features, lessons
 from pipelines.keyframe_runs import Course, Rounds, known_runs, learn, queries_table, runs_table
 from pipelines.learning import training_clips, training_takes
+from pipelines.report.keyframes import keyframes_page
+from pipelines.report.write import write_page
 from pipelines.wording import few
 from storage.store import Store
 
@@ -122,7 +124,13 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         writer.put_results("keyframe_runs", runs_table(courses, context.run), stage=context.key(), run=context.run)
         writer.put_results("queries", queries_table(courses, context.run), stage=context.key(), run=context.run)
         writer.commit()
-    return _summary(context, courses, takes, known=len(known))
+    path = context.report_file("keyframes.html")
+    outcomes = [course.outcomes[-1] for course in courses]
+    finished = {course.lesson.subclass: list(course.runs.values()) for course in courses}
+    write_page(keyframes_page("Keyframe queries learned from clips", outcomes, finished, store.feature_set), path)
+    context.say(f"report: {path.resolve()}")
+    file = path.relative_to(context.store_path).as_posix()
+    return {**_summary(context, courses, takes, known=len(known)), "files": [file]}
 
 
 def _saver(context: StageContext) -> Callable[[list[Course]], None]:

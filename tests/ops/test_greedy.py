@@ -22,7 +22,7 @@ def test_columns_are_added_as_long_as_the_rank_rises() -> None:
 
 
 def test_it_is_never_worse_than_the_best_single_column() -> None:
-    given, evolution = material(seed=8), Evolution(most_keyframes=1)
+    given, evolution = material(seed=8), Evolution(least_keyframes=1, most_keyframes=1)
     single = forward_selection(given, evolution)
     assert len(single.query) == 1
     assert forward_selection(given, Evolution()).rank >= single.rank

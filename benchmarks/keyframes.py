@@ -1,0 +1,63 @@
+"""Learning keyframe queries: one genetic run on a training set of 24 minutes and 69 classes, on one core."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.harness import Figure, seconds
+from ops import keyframes as k
+from ops.fitness import training_frames
+from ops.genetics import evolve
+from ops.lessons import Evolution, Material, make_material
+from ops.runs import word_runs
+from ops.templates import learn_soft, quantise
+from ops.words import U64, TakeWords
+from storage.store import Store
+
+CLASSES, CLIPS, FRAMES = 69, 9, 42_586
+"""The thesis's training set: nine clips of each of 69 classes, 24 minutes at 30 Hz."""
+
+
+def figures(store: Store) -> list[Figure]:
+    """Time one run, and its fitness beside the general keyframe search on the same clips."""
+    clips = cut_clips(store.words())
+    material = material_of(clips)
+    evolution = Evolution()
+    run = evolve(material, evolution, 1)
+    one_run = Figure(
+        "genetic run, M = 50, r = 5, G = 100",
+        run.evaluated / 1e3,
+        "k queries",
+        seconds(lambda: evolve(material, evolution, 1), 3),
+        "the same number of searches",
+        _searches(clips, material, run.evaluated),
+    )
+    return [one_run]
+
+
+def cut_clips(words: TakeWords) -> list[U64]:
+    """Clips of a store's words, as many and as long in all as the thesis's; words repeat where a store is short."""
+    length = FRAMES // (CLASSES * CLIPS)
+    enough = np.resize(words.words, CLASSES * CLIPS * length)
+    return list(enough.reshape(CLASSES * CLIPS, length))
+
+
+def material_of(clips: list[U64]) -> Material:
+    """The first nine clips against all others; stretches of anything have little in common, so δ is not 0 here."""
+    template = quantise(learn_soft(clips[:CLIPS], 40).template, 0.3)
+    return make_material(training_frames(clips, 40), CLIPS, template, (1 << 40) - 1)
+
+
+def _searches(clips: list[U64], material: Material, queries: int) -> float:
+    """Seconds of as many general searches, for queries of an initial population, from the runs of words."""
+    drawn = [evolve(material, Evolution(population=1, generations=0), seed).query for seed in range(200)]
+    offsets = np.arange(len(clips) + 1, dtype=np.int64) * len(clips[0])
+    runs = word_runs(np.concatenate(clips), offsets)
+    starts, stops = k.to_axis(runs.take, runs.start), k.to_axis(runs.take, runs.stop)
+
+    def search() -> None:
+        for query in drawn:
+            pairs = zip(query.masks.tolist(), query.values.tolist(), strict=True)
+            k.search([k.keyframe_list(starts, stops, runs.word, *pair) for pair in pairs], query.gaps)
+
+    return seconds(search, 5) * queries / len(drawn)
