@@ -30,6 +30,9 @@ GROUP_BLOCKS = 64
 """About how many blocks of whole takes are searched together. Chosen by measurement: with 16 the loops are too short,
 with 512 too few groups can be left early."""
 
+NEAR = 2**20
+"""Words of slices that stay in a processor's cache, or so; more are fetched group by group, in order."""
+
 _VALID = MOST_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)
 _NONE, _ALL = np.uint64(0), np.uint64(2**64 - 1)
@@ -200,9 +203,8 @@ def search_slices(
             )
     bounds = checked_gaps(gaps, len(masks))
     wanted = np.array([masks, values], np.uint64)
-    starts, stops = _search(
-        slices.bits, slices.first, slices.left, slices.onward, slices.groups, slices.often, wanted[0], wanted[1], bounds
-    )
+    arrays = slices.bits, slices.first, slices.left, slices.onward, slices.groups, slices.often
+    starts, stops = _search(*arrays, wanted[0], wanted[1], bounds, len(slices.bits) > NEAR)
     return Segments(starts, stops)
 
 
@@ -263,7 +265,7 @@ def _transpose(square):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _search(bits, first, left, onward, groups, often, masks, values, gaps):  # type: ignore[no-untyped-def]
+def _search(bits, first, left, onward, groups, often, masks, values, gaps, far):  # type: ignore[no-untyped-def]
     count = len(masks)
     rows, flips, offsets, order = _plan(often, masks, values)
     widest = 0
@@ -278,6 +280,8 @@ def _search(bits, first, left, onward, groups, often, masks, values, gaps):  # t
     for group in range(len(groups) - 1):
         base = first[groups[group]]
         size = first[groups[group + 1]] - base
+        if far:
+            moved[0] = _fetch(bits, base * (features + 1), size * (features + 1))
         alive = True
         for k in order:
             alive = _match(bits, features + 1, base, size, rows, flips, offsets[k], offsets[k + 1], kept, k * widest)
@@ -293,6 +297,18 @@ def _search(bits, first, left, onward, groups, often, masks, values, gaps):  # t
             best[:], scanned[:] = 0, 0
             starts, stops, n = _ranges(kept, widest, first, groups[group], size, gaps, best, scanned, starts, stops, n)
     return starts[:n].copy(), stops[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def _fetch(bits, begin, count):  # type: ignore[no-untyped-def]
+    # Reads one word of each line of the cache, in order, so that memory sends the next ones before they are asked for.
+    # What is returned means nothing; the caller keeps it, so that the reading is not left out as useless.
+    start, end, step = np.uint64(begin), np.uint64(begin + count), np.uint64(8)
+    some = _NONE
+    while start < end:
+        some |= bits[start]
+        start += step
+    return some
 
 
 @njit(cache=True, nogil=True)

@@ -221,3 +221,13 @@ def test_words_that_cannot_be_sliced_are_refused() -> None:
     for features, offsets in ((0, [0, 3]), (64, [0, 3]), (5, [0, 2]), (5, [1, 3]), (5, [0, 3, 2, 3])):
         with pytest.raises(ParameterError):
             slice_words(np.zeros(3, np.uint64), np.array(offsets), features)
+
+
+def test_an_archive_beyond_the_cache_is_searched_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(4)
+    takes = [rng.integers(0, 2**FEATURES, 300).astype(np.uint64) for _ in range(40)]
+    slices, query = slices_of(takes), ([1, 6, 8], [1, 2, 8], [(2, 9), (0, 40)])
+    near = by_take(search_slices(slices, *query), 40)
+    monkeypatch.setattr(bitslices, "NEAR", 0)
+    assert by_take(search_slices(slices, *query), 40) == near
+    assert any(near)
