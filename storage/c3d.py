@@ -3,7 +3,7 @@
 ezc3d ends the process on some files whose parameters contradict each other, and keeps some 200 bytes of every marker
 of every frame, and all analog channels. So the parameters are walked here first, and their counts are held against
 the size of the file; then ezc3d is given the markers alone, a stretch of frames at a time, with the few parameters that
-it needs. The layout is that of the C3D user guide (c3d.org): blocks of 512 bytes, a header, parameters, frames.
+it needs.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import tempfile
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import ezc3d
 import numpy as np
@@ -23,11 +22,12 @@ import numpy.typing as npt
 from ops.errors import SourceError
 from storage.arrays import MOST_BYTES
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
-from storage.c3dlayout import BLOCK, DEC, KEY, Layout, read_layout
+from storage.c3dlayout import BLOCK, DEC, INTEL, KEY, Layout, read_layout
 from storage.positions import Points
 
 F64 = npt.NDArray[np.float64]
 
+_HUNDRED = {INTEL: struct.pack("<f", 100.0), DEC: struct.pack("<f", 400.0)[2:] + struct.pack("<f", 400.0)[:2]}
 _AT_ONCE = 400_000  # markers times frames that ezc3d holds at a time: some 90 MB
 _UNITS_M = {
     "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "meters": 1.0, "metres": 1.0, "centimeters": 0.01,
@@ -63,26 +63,25 @@ def parse_c3d(path: Path) -> Markers:
             path, f"takes {size:.1f} GB in memory; write shorter takes, of {MOST_BYTES / 1e9:.1f} GB at most"
         )
     positions = np.empty((layout.points, 3, layout.frames))
-    said: dict[str, Any] = {}
     step = max(1, min(30_000, _AT_ONCE // layout.points))
     for start in range(0, layout.frames, step):
         stop = min(start + step, layout.frames)
-        positions[:, :, start:stop], said = _read_with_ezc3d(path, layout, start, stop)
+        positions[:, :, start:stop] = _read_with_ezc3d(path, layout, start, stop)
     lost = np.isnan(positions).any(axis=1) | (positions == 0.0).all(axis=1)
     positions[np.broadcast_to(lost[:, None], positions.shape)] = np.nan
     warnings = list(layout.warnings)
-    names = _names(said, positions, warnings)
+    names = _names(layout, positions, warnings)
     if np.isinf(positions).any():
         point, _, frame = (int(at[0]) for at in np.nonzero(np.isinf(positions)))
         raise SourceError(path, f"marker '{names[point]}' is infinitely far away in source frame {frame}")
     if layout.first > 1:
         warnings.append(f"it begins with frame {layout.first} of its recording, which is source frame 0 here")
-    rate_hz, unit_m, up = _rate(path, layout, said, warnings), _unit_m(path, said), _up(said, warnings)
+    rate_hz, unit_m, up = _rate(path, layout, warnings), _unit_m(path, layout), _up(layout, warnings)
     return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up)
 
 
-def _read_with_ezc3d(path: Path, layout: Layout, start: int, stop: int) -> tuple[F64, dict[str, Any]]:
-    """Frames [start, stop) as (points, 3, frames), and the parameters of the markers."""
+def _read_with_ezc3d(path: Path, layout: Layout, start: int, stop: int) -> F64:
+    """Frames [start, stop) as (points, 3, frames), NaN where the residual is negative."""
     try:
         with tempfile.TemporaryDirectory(prefix="kinedex-") as folder:
             copy = Path(folder) / "part.c3d"
@@ -99,34 +98,27 @@ def _read_with_ezc3d(path: Path, layout: Layout, start: int, stop: int) -> tuple
         )
     positions = np.moveaxis(found[:3], 0, 1)
     residuals = read["data"]["meta_points"]["residuals"][0]
-    positions = np.where((residuals < 0.0)[:, None], np.nan, positions)
-    return positions, read["parameters"]["POINT"]
+    return np.where((residuals < 0.0)[:, None], np.nan, positions)
 
 
 def _copy(path: Path, layout: Layout, start: int, stop: int) -> bytes:
-    """A C3D file of these frames' markers, without analog channels."""
-    frames, number = stop - start, layout.size
-    records = [_group("POINT", 1), _group("ANALOG", 2)]
-    records += [_record(name, 1, what.raw) for name, what in layout.kept.items() if name not in ("USED", "FRAMES")]
-    words = {"USED": layout.points, "FRAMES": frames}
-    records += [_record(name, 1, struct.pack("<bBH", 2, 0, value)) for name, value in words.items()]
-    records += [_record("USED", 2, struct.pack("<bBH", 2, 0, 0)), b"\0\0"]
-    size = 4 + sum(map(len, records)) + 32
-    blocks = -(-size // BLOCK)
-    if blocks > 250:
-        raise SourceError(path, "its labels take more than 125 kB")
-    records.insert(2, _record("DATA_START", 1, struct.pack("<bBH", 2, 0, blocks + 2)))
-    header = bytearray(BLOCK)
-    header[:] = layout.header[:BLOCK]
-    header[24:] = bytes(BLOCK - 24)  # events and what else was there
-    struct.pack_into("<BBHHHHH", header, 0, 2, KEY, layout.points, 0, 1, frames, 0)
-    struct.pack_into("<HH", header, 16, blocks + 2, 0)
-    parameters = struct.pack("<BBBB", 1, KEY, blocks, layout.processor) + b"".join(records)
-    row = number * (4 * layout.points + layout.analog)
+    """A C3D file of these frames' markers and nothing else: a block of header, one of parameters, the frames."""
+    frames, markers = stop - start, layout.size * 4 * layout.points
+    words = {"USED": layout.points, "FRAMES": frames, "DATA_START": 3}
+    records = [
+        _group("POINT", 1), *(_record(name, 1, struct.pack("<bBH", 2, 0, value)) for name, value in words.items()),
+        _record("SCALE", 1, struct.pack("<bB", 4, 0) + layout.scale),
+        _record("RATE", 1, struct.pack("<bB", 4, 0) + _HUNDRED[layout.processor]),
+        _group("ANALOG", 2), _record("USED", 2, struct.pack("<bBH", 2, 0, 0)), b"\0\0",
+    ]  # fmt: skip
+    header = struct.pack("<BBHHHHH", 2, KEY, layout.points, 0, 1, frames, 0) + layout.scale
+    header += struct.pack("<HH", 3, 0) + _HUNDRED[layout.processor]
+    parameters = struct.pack("<BBBB", 1, KEY, 1, layout.processor) + b"".join(records)
+    row = markers + layout.size * layout.analog
     with path.open("rb") as file:
         file.seek(layout.start + start * row)
-        data = np.frombuffer(file.read(frames * row), np.uint8).reshape(frames, row)[:, : number * 4 * layout.points]
-    return bytes(header) + parameters.ljust(blocks * BLOCK, b"\0") + data.tobytes()
+        data = np.frombuffer(file.read(frames * row), np.uint8).reshape(frames, row)[:, :markers]
+    return header.ljust(BLOCK, b"\0") + parameters.ljust(BLOCK, b"\0") + data.tobytes()
 
 
 def _group(name: str, number: int) -> bytes:
@@ -137,15 +129,15 @@ def _record(name: str, group: int, raw: bytes) -> bytes:
     return struct.pack("<bb", len(name), group) + name.encode() + struct.pack("<H", len(raw) + 3) + raw + b"\0"
 
 
-def _texts(said: dict[str, Any], name: str) -> list[str]:
-    return [str(text).strip() for text in said.get(name, {}).get("value", [])]
+def _texts(layout: Layout, name: str) -> list[str]:
+    return layout.said[name].texts if name in layout.said else []
 
 
-def _names(said: dict[str, Any], positions: F64, warnings: list[str]) -> tuple[str, ...]:
+def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ...]:
     """A name for every marker; labels that several have in common are numbered, so that none is taken for another."""
-    labels = _texts(said, "LABELS")
-    for key in sorted((key for key in said if re.fullmatch(r"LABELS\d+", key)), key=lambda key: int(key[6:])):
-        labels += _texts(said, key)
+    labels = _texts(layout, "LABELS")
+    for key in sorted((key for key in layout.said if re.fullmatch(r"LABELS\d+", key)), key=lambda key: int(key[6:])):
+        labels += _texts(layout, key)
     labels = [label or f"unnamed {i}" for i, label in enumerate(labels[: len(positions)])]
     labels += [f"unnamed {i}" for i in range(len(labels), len(positions))]
     seen = [bool(np.isfinite(track[0]).any()) for track in positions]
@@ -165,29 +157,19 @@ def _names(said: dict[str, Any], positions: F64, warnings: list[str]) -> tuple[s
     return tuple(names)
 
 
-def _rate(path: Path, layout: Layout, said: dict[str, Any], warnings: list[str]) -> float:
+def _rate(path: Path, layout: Layout, warnings: list[str]) -> float:
     """POINT:RATE, else the header's rate; a warning where these are not one."""
-    rates = [float(value) for value in said.get("RATE", {}).get("value", [])[:1]]
-    raw = layout.header[20:24]
-    of_header = _dec(raw) if layout.processor == DEC else struct.unpack("<f", raw)[0]
-    good = [rate for rate in (*rates, of_header) if SLOWEST_HZ <= rate <= FASTEST_HZ]
+    good = [rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ]
     if not good:
-        raise SourceError(
-            path, f"its rate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {(*rates, of_header)[0]:g}; give --rate"
-        )
+        raise SourceError(path, f"its rate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {layout.rates[0]:g}")
     if len(good) == 2 and abs(good[0] - good[1]) > 0.01 * good[0]:
         warnings.append(f"its parameters say {good[0]:.6g} Hz, which counts, its header {good[1]:.6g} Hz")
     return good[0]
 
 
-def _dec(raw: bytes) -> float:
-    """A number in DEC order: the halves of an IEEE number exchanged, and four times as large."""
-    return float(struct.unpack("<f", raw[2:] + raw[:2])[0]) / 4.0
-
-
-def _unit_m(path: Path, said: dict[str, Any]) -> float | None:
+def _unit_m(path: Path, layout: Layout) -> float | None:
     """The metres of the unit that POINT:UNITS names; None where it names none."""
-    units = [unit.lower() for unit in _texts(said, "UNITS") if unit]
+    units = [unit.lower() for unit in _texts(layout, "UNITS") if unit]
     if not units:
         return None
     if units[0] not in _UNITS_M:
@@ -195,12 +177,12 @@ def _unit_m(path: Path, said: dict[str, Any]) -> float | None:
     return _UNITS_M[units[0]]
 
 
-def _up(said: dict[str, Any], warnings: list[str]) -> str | None:
+def _up(layout: Layout, warnings: list[str]) -> str | None:
     """The axis that POINT:Y_SCREEN calls vertical; None without.
 
     The sign is left out of account: the floor is at 0 in files of all systems, and some write −Z where Z is up.
     """
-    text = next((text.lower() for text in _texts(said, "Y_SCREEN") if text), "")
+    text = next((text.lower() for text in _texts(layout, "Y_SCREEN") if text), "")
     if not re.fullmatch(r"[+-]?[xyz]", text):
         return None
     if text[0] == "-":

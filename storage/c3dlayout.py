@@ -5,7 +5,7 @@ Blocks of 512 bytes: a header, parameters, frames (the C3D user guide, c3d.org).
 
 from __future__ import annotations
 
-import re
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,23 +19,50 @@ KEY = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
 """Processor types: how numbers are written."""
 
+_USED = ("POINT", "ANALOG", "TRIAL")  # the groups that are looked into; what else is there may be as it likes
 _MOST_SAID = 0xFFFF  # frames that a word can count
-_KEPT = re.compile(r"USED|SCALE|RATE|UNITS|[XY]_SCREEN|LABELS\d*")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter as it stands in the file. kind: bytes of a value, −1 for text. raw: kind, dimensions, values."""
+    """One parameter as it stands in the file. kind: bytes of a value, −1 for text. dims: the counts of its values."""
 
     kind: int
     dims: tuple[int, ...]
     values: bytes
-    raw: bytes
 
     @property
     def words(self) -> tuple[int, ...]:
         """The values as unsigned numbers, where they are two bytes each."""
         return struct.unpack(f"<{len(self.values) // 2}H", self.values) if self.kind == 2 else ()
+
+    @property
+    def real(self) -> bytes:
+        """The bytes of the first value, where it is a number of four bytes; empty where not."""
+        return self.values[:4] if self.kind == 4 else b""
+
+    @property
+    def texts(self) -> list[str]:
+        """The values as texts, as many characters each as the first dimension says."""
+        width = self.dims[0] if self.dims else 1
+        if self.kind != -1 or not width:
+            return []
+        cut = [self.values[at : at + width] for at in range(0, len(self.values), width)]
+        return [_decoded(text).strip(" \0") for text in cut]
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def real(raw: bytes, processor: int) -> float:
+    """A number of four bytes; DEC's has its halves exchanged and is four times as large."""
+    if processor == INTEL:
+        return float(struct.unpack("<f", raw)[0])
+    return float(struct.unpack("<f", raw[2:] + raw[:2])[0]) / 4.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +71,8 @@ class Layout:
 
     points: markers of a frame. analog: analog samples of a frame. frames: those that the file holds. first: the number
     of the first of them. start: the byte where they begin. size: bytes of one number. processor: INTEL or DEC.
-    header: the first block. kept: the parameters that ezc3d needs.
+    scale: the bytes of what whole numbers are multiplied with. rates: frames per second by the parameters, and by the
+    header. said: the parameters of the markers.
     """
 
     points: int
@@ -54,8 +82,9 @@ class Layout:
     start: int
     size: int
     processor: int
-    header: bytes
-    kept: dict[str, Parameter]
+    scale: bytes
+    rates: tuple[float, ...]
+    said: dict[str, Parameter]
     warnings: tuple[str, ...]
 
 
@@ -86,22 +115,32 @@ def read_layout(path: Path) -> Layout:
         raise SourceError(path, f"expected 1 to {MOST_POINTS} markers, it says {points}")
     channels = found.get("ANALOG:USED")
     start = _start(path, found, start_block, begin + 4, size)
-    number = _number_size(path, found, head)
+    number = _number_size(_real(found, "POINT:SCALE") or head[12:16], processor)
     counts = _frame_counts(found, first, last)
     samples = {analog}
     if channels is not None and channels.words:
         samples.add(channels.words[0] * per_frame)
     analog, frames, warnings = _fit(path, start, size, number, points, samples, counts)
     begins = _long(found.get("TRIAL:ACTUAL_START_FIELD"))
-    kept = {
-        name.removeprefix("POINT:"): what
-        for name, what in found.items()
-        if name.startswith("POINT:") and _KEPT.fullmatch(name.removeprefix("POINT:"))
-    }
+    rates = [real(raw, processor) for raw in (_real(found, "POINT:RATE"), head[20:24]) if raw]
+    of_points = {name.removeprefix("POINT:"): what for name, what in found.items() if name.startswith("POINT:")}
     return Layout(
-        points, analog, frames, first if begins is None else begins, start, number, processor, head[:BLOCK], kept,
-        warnings,
-    )  # fmt: skip
+        points=points,
+        analog=analog,
+        frames=frames,
+        first=first if begins is None else begins,
+        start=start,
+        size=number,
+        processor=processor,
+        scale=_real(found, "POINT:SCALE") or head[12:16],
+        rates=tuple(rates),
+        said=of_points,
+        warnings=warnings,
+    )
+
+
+def _real(found: dict[str, Parameter], name: str) -> bytes:
+    return found[name].real if name in found else b""
 
 
 def _head(path: Path) -> tuple[bytes, int]:
@@ -115,9 +154,9 @@ def _head(path: Path) -> tuple[bytes, int]:
 
 
 def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[str, Parameter]]:
-    """All parameters as "GROUP:NAME"; what cannot be a parameter is an error."""
+    """All parameters as "GROUP:NAME"; one of those needed that cannot be one is an error."""
     groups: dict[int, str] = {}
-    loose: list[tuple[int, str, Parameter]] = []
+    loose: list[tuple[int, str, Parameter | None]] = []
     while True:
         if at + 2 > end:
             raise SourceError(path, "its parameters do not end where it says")
@@ -132,31 +171,31 @@ def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[st
         if group < 0:
             groups.setdefault(-group, name)
         else:
-            loose.append((group, name, _parameter(path, head[:end], after + 2, name)))
+            loose.append((group, name, _parameter(head[:end], after + 2)))
         if step == 0:
             break
         if step < 2:
             raise SourceError(path, f"what follows its parameter '{name}' cannot be found")
         at = after + step
     for group, name, parameter in loose:
-        yield f"{groups.get(group, '')}:{name}", parameter
+        of = groups.get(group, "")
+        if parameter is not None:
+            yield f"{of}:{name}", parameter
+        elif of in _USED:
+            raise SourceError(path, f"its parameter {of}:{name} is larger than there is room for, or of no known kind")
 
 
-def _parameter(path: Path, head: bytes, at: int, name: str) -> Parameter:
+def _parameter(head: bytes, at: int) -> Parameter | None:
+    """What stands at a byte; None where that cannot be a parameter."""
     try:
         kind, count = struct.unpack_from("<bB", head, at)
         dims = struct.unpack_from(f"<{count}B", head, at + 2)
-        size = abs(kind)
-        for dim in dims:
-            size *= dim
-        begin = at + 2 + count
-        if kind not in (-1, 1, 2, 4) or count > 7 or begin + size > len(head):
-            raise struct.error
     except struct.error:
-        raise SourceError(
-            path, f"its parameter '{name}' is larger than there is room for, or of no known kind"
-        ) from None
-    return Parameter(kind, dims, head[begin : begin + size], head[at : begin + size])
+        return None
+    begin, size = at + 2 + count, abs(kind) * math.prod(dims)
+    if kind not in (-1, 1, 2, 4) or count > 7 or begin + size > len(head):
+        return None
+    return Parameter(kind, dims, head[begin : begin + size])
 
 
 def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size: int) -> int:
@@ -169,12 +208,9 @@ def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size
     raise SourceError(path, f"its frames should begin at block {block}, but it has {size // BLOCK} blocks")
 
 
-def _number_size(path: Path, found: dict[str, Parameter], head: bytes) -> int:
-    """Bytes of one number: 4 where the scale is negative, else 2; the sign bit is in the same place in both orders."""
-    said = found.get("POINT:SCALE")
-    raw = said.values if said is not None and said.kind == 4 and len(said.values) == 4 else head[12:16]
-    top = raw[3] if head[(head[0] - 1) * BLOCK + 3] == INTEL else raw[1]
-    return 4 if top & 0x80 else 2
+def _number_size(scale: bytes, processor: int) -> int:
+    """Bytes of one number: 4 where the scale is negative, else 2."""
+    return 4 if scale[3 if processor == INTEL else 1] & 0x80 else 2
 
 
 def _long(parameter: Parameter | None) -> int | None:

@@ -170,6 +170,24 @@ def test_whole_numbers_with_a_scale_are_read_like_others(tmp_path: Path) -> None
     )
 
 
+def test_numbers_in_the_order_of_dec_machines_are_read_like_others(tmp_path: Path) -> None:
+    data = bytearray(walking(tmp_path / "a.c3d", 10).read_bytes())
+    start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
+
+    def dec(at: int, count: int = 1) -> None:
+        words = np.frombuffer(bytes(data[at : at + 4 * count]), "<f4") * np.float32(4) + np.float32(0)  # no −0
+        data[at : at + 4 * count] = words.view("<u2").reshape(-1, 2)[:, ::-1].tobytes()
+
+    for at in (12, 20, _value(bytes(data), b"SCALE"), _value(bytes(data), b"RATE")):
+        dec(at)
+    dec(start, 10 * len(LABELS) * 4)
+    data[515] = 85
+    (tmp_path / "b.c3d").write_bytes(data)
+    found, expected = parse_c3d(tmp_path / "b.c3d"), parse_c3d(tmp_path / "a.c3d")
+    assert (found.rate_hz, found.names) == (120.0, expected.names)
+    np.testing.assert_allclose(found.positions, expected.positions, rtol=1e-6)
+
+
 def test_a_file_cut_off_keeps_the_frames_that_are_there_and_says_so(tmp_path: Path) -> None:
     data = walking(tmp_path / "a.c3d", 100).read_bytes()
     whole = parse_c3d(tmp_path / "a.c3d")
@@ -207,7 +225,7 @@ FAULTS = {
     "a count of no markers": (lambda data: _patched(data, _value(data, b"USED"), "<H", 0), "1 to 10000 markers"),
     "a count of too many": (lambda data: _patched(data, _value(data, b"USED"), "<H", 60000), "it says 60000"),
     "dimensions beyond all bounds": (
-        lambda data: _patched(data, _value(data, b"LABELS"), "<B", 255), "'LABELS' is larger",
+        lambda data: _patched(data, _value(data, b"LABELS"), "<B", 255), "POINT:LABELS is larger",
     ),
     "infinity": (
         lambda data: _patched(data, (struct.unpack_from("<H", data, 16)[0] - 1) * 512 + 16, "<f", float("inf")),
@@ -314,7 +332,7 @@ def test_markers_of_a_real_take_make_limbs_of_one_length_on_both_sides(shared: P
         assert np.median(found) == pytest.approx(expected, abs=tolerance), (a, b)
         assert np.std(found) < 0.03, (a, b)
     for side in "lr":
-        for part, most in (("hip", 0.012), ("ankle", 0.005)):
+        for part, most in (("hip", 0.012), ("ankle", 0.006)):
             found = np.linalg.norm(joint(body, f"{side}knee") - joint(body, f"{side}{part}"), axis=0)
             assert np.std(found) < most * np.median(found), (side, part)
     assert (joint(body, "neck")[1] > joint(body, "root")[1] + 0.3).all()
