@@ -56,9 +56,14 @@ def distance_curves(
     layout = lay_out(templates)
     reach = 2 * (int(layout.lengths.max()) - 1)
     room = max(1, _TABLE_CELLS // len(layout.masks))
-    for pieces in _batches(pieces_of(stretches, min(_PIECE, room), reach), room):
-        start, stop = int(pieces[0, 0]), int(pieces[-1, 2])
-        coded = encode(words[start:stop])
+    # Where the words together are few, one table serves all frames; else stretches of frames get tables of their own.
+    start, stop = int(stretches[0, 0]), int(stretches[-1, 1])
+    coded = encode(words[start:stop])
+    few = len(coded.vocabulary) <= room
+    for pieces in _batches(pieces_of(stretches, _PIECE if few else min(_PIECE, room), reach), stop if few else room):
+        if not few:
+            start, stop = int(pieces[0, 0]), int(pieces[-1, 2])
+            coded = encode(words[start:stop])
         table = cost_table(layout, coded.vocabulary, dtype)
         sweep(table, coded.codes, pieces - start, layout.firsts, layout.lasts, curves[:, start:stop])
     curves /= layout.lengths[:, None].astype(dtype)
