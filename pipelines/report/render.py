@@ -6,16 +6,17 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import resources
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from pipelines.report.cards import Card, card, readable, rules
-from pipelines.report.choice import choose_takes
+from pipelines.report.choice import Choice, choose_takes
 from pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from pipelines.report.data import ReportData, Score, Segment
+from pipelines.report.motions import Motions
 from pipelines.report.palette import colour_rules, colour_slot
 from pipelines.report.timelines import Timeline, counted, timeline
 
@@ -34,7 +35,19 @@ class Gaps:
     without_manual: tuple[str, ...]
 
 
-def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: int = 40) -> str:
+def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes: int = 40) -> Choice:
+    """The takes whose timelines a report shows, in their order; parameters as in `render`."""
+    f1 = {name: score.f1 for name, score in data.take_scores().items() if score.f1 is not None}
+    return choose_takes([take.name for take in data.takes], f1, wanted=takes, max_takes=max_takes)
+
+
+def render(
+    data: ReportData,
+    *,
+    takes: Sequence[str] | None = None,
+    max_takes: int = 40,
+    motions: Motions | None = None,
+) -> str:
     """Render a report.
 
     Parameters
@@ -42,6 +55,7 @@ def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: i
     data: what to show.
     takes: the takes whose timelines are shown; None chooses.
     max_takes: how many timelines at most when it chooses.
+    motions: what the player plays; None: there is no player.
 
     Returns
     -------
@@ -54,8 +68,7 @@ def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: i
     """
     labels = data.labels()
     slots = {label: colour_slot(i) for i, label in enumerate(labels)}
-    f1 = {name: score.f1 for name, score in data.take_scores().items() if score.f1 is not None}
-    choice = choose_takes([take.name for take in data.takes], f1, wanted=takes, max_takes=max_takes)
+    choice = shown_takes(data, takes, max_takes)
     delta = DELTA_SHOWN if data.delta is None else data.delta
     light, dark = colour_rules(len(labels))
     figure = curves_of(data, slots)
@@ -77,6 +90,8 @@ def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: i
             by_fold=data.scores_of(data.held_out, "fold"),
             weakest=weakest(data),
             choice=choice,
+            motions=motions,
+            motions_json=_motions_json(motions),
             timelines=timelines_of(data, choice.shown, slots),
             delta=delta,
             cards=cards_of(data, delta),
@@ -90,6 +105,14 @@ def render(data: ReportData, *, takes: Sequence[str] | None = None, max_takes: i
             dark=dark,
         )
     )
+
+
+def _motions_json(motions: Motions | None) -> Markup:
+    """The motions as JSON that may stand inside a script element: no tag can begin in it."""
+    if motions is None:
+        return Markup("")
+    text = json.dumps(asdict(motions), ensure_ascii=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c"))
 
 
 def timelines_of(data: ReportData, names: Sequence[str], slots: Mapping[str, int]) -> list[Timeline]:

@@ -13,13 +13,15 @@ from pipelines.report.data import Score, Segment, TakeRow
 class Bar:
     """One segment: where it lies in percent, whether the other side agrees, and what a pointer is told.
 
-    `agrees` is None where the take has no ground truth.
+    `agrees` is None where the take has no ground truth. start, stop: its analysis frames.
     """
 
     left: float
     width: float
     agrees: bool | None
     tip: str
+    start: int = 0
+    stop: int = 0
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,8 @@ def bar(segment: Segment, take: TakeRow, origin: str, others: Sequence[Segment] 
         width=percent(segment.stop - segment.start, take.frames),
         agrees=agrees,
         tip=tip(segment, take.rate_hz, origin, agrees),
+        start=segment.start,
+        stop=segment.stop,
     )
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipelines.context import StageContext
 from pipelines.report.gather import gather
-from pipelines.report.render import pages_digest, render
+from pipelines.report.motions import embed
+from pipelines.report.render import pages_digest, render, shown_takes
 from pipelines.report.write import write_page
 from storage.store import Store
 
@@ -25,6 +27,11 @@ class Params(BaseModel):
         "the middle and the best by F1.",
     )
     max_takes: int = Field(default=40, ge=1, description="How many timelines at most where `takes` is not given.")
+    embed: Literal["auto", "all", "none"] | list[str] = Field(
+        default="auto",
+        description="Takes whose motion the page carries, so that a click on a segment shows it: auto (as many as keep "
+        "the page below 20 MB), all that have a timeline, none, or a list of names.",
+    )
     curves_take: str | None = Field(
         default=None, description="The take whose distance curves are shown; by default the median by F1."
     )
@@ -46,8 +53,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     ------
     KinedexError: `takes` or `curves_take` names a take that was not annotated.
     """
+    store = context.open()
     data = gather(
-        context.open(),
+        store,
         context.pipeline,
         created=datetime.now().astimezone(),
         title=params.title,
@@ -56,8 +64,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         curves_take=params.curves_take,
     )
     path = context.report_file("report.html")
-    size = write_page(render(data, takes=params.takes, max_takes=params.max_takes), path)
-    context.say(f"report: {path.resolve()}")
+    motions = embed(store, shown_takes(data, params.takes, params.max_takes).shown, params.embed)
+    size = write_page(render(data, takes=params.takes, max_takes=params.max_takes, motions=motions), path)
+    context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {len(motions.motions)} takes)")
     return {
         "files": [path.relative_to(context.store_path).as_posix()],
         "bytes": size,

@@ -1,0 +1,89 @@
+"""Motions in a report: packed small, and read back as the player does."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ops.errors import KinedexError
+from pipelines.report import motions
+from pipelines.report.motions import UNSEEN, Motion, embed, pack
+from pipelines.runner import run_pipeline
+from storage.parts import joint_positions
+from storage.store import Store, open_store
+from tests.pipelines.archives import human_amc, human_asf
+
+
+def unpacked(motion: Motion) -> np.ndarray:
+    """What the player makes of a motion: (J, 3, T), NaN where nothing is known."""
+    steps = np.frombuffer(zlib.decompress(base64.b64decode(motion.data)), "<i2")
+    rows = np.cumsum(steps.reshape(72, -1), axis=1, dtype=np.int16)
+    return np.where(rows == UNSEEN, np.nan, rows * motion.unit_m).reshape(24, 3, -1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 40), st.sampled_from([0.5, 20.0, 500.0]), st.integers(0, 2**32 - 1))
+def test_a_motion_comes_back_to_half_a_unit(frames: int, reach: float, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.uniform(-reach, reach, (24, 3, frames)).astype(np.float32)
+    positions[random.integers(24), :, random.integers(frames)] = np.nan
+    motion = pack("take", positions, 30.0)
+    assert motion.unit_m == pytest.approx(max(0.001, np.nanmax(np.abs(positions[:, :, ::2])) / 32_000))
+    np.testing.assert_allclose(unpacked(motion), positions[:, :, ::2], atol=0.51 * motion.unit_m)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    folder = tmp_path_factory.mktemp("motions")
+    (folder / "source").mkdir()
+    (folder / "source" / "xx.asf").write_text(human_asf())
+    for number in range(4):
+        (folder / "source" / f"xx_{number}.amc").write_text(human_amc(60 + 8 * number, number))
+    run_pipeline("ingest", folder / "store", assignments={"source": str(folder / "source")})
+    return open_store(folder / "store")
+
+
+def test_as_many_takes_are_carried_as_fit_and_the_rest_is_named(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = store.takes()["name"].to_list()[:4]
+    all_of_them = embed(store, names)
+    assert [motion.take for motion in all_of_them.motions] == names
+    assert "for every take" in all_of_them.remark
+    positions = joint_positions(store.frames(names[0]), all_of_them.joints)
+    np.testing.assert_allclose(unpacked(all_of_them.motions[0]), positions[:, :, ::2], atol=0.00051)
+    room = sum(len(motion.data) for motion in all_of_them.motions[:2])
+    monkeypatch.setattr(motions, "MOST_BYTES", room)
+    some = embed(store, names)
+    assert [motion.take for motion in some.motions] == names[:2]
+    assert "2 of the 4 takes" in some.remark
+    assert len(embed(store, names, "all").motions) == 4
+    assert not embed(store, names, "none").motions
+    assert [motion.take for motion in embed(store, names, [names[3]]).motions] == [names[3]]
+
+
+def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
+    with pytest.raises(KinedexError, match="embed: no timeline is of a take 'nobody'"):
+        embed(store, ["somebody"], ["nobody"])
+
+
+def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
+    from pipelines.report.render import _motions_json
+
+    carried = motions.Motions((Motion("</script><b>", 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), "")
+    text = str(_motions_json(carried))
+    assert "<" not in text
+    assert json.loads(text)["motions"][0]["take"] == "</script><b>"
+    assert not re.search(r"[\u2028\u2029]", text)
+
+
+def test_the_page_has_a_player_and_every_segment_says_its_frames(tmp_path: Path) -> None:
+    page = Path(motions.__file__).parent / "pages"
+    assert 'data-start="{{ bar.start }}"' in (page / "timelines.html.j2").read_text()
+    assert "player.js" in (page / "report.html.j2").read_text()
