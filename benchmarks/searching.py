@@ -26,9 +26,9 @@ from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, word_pattern
 from catalog.queryfiles import read_queries
 from catalog.querywriting import write_queries
-from ops.bitslices import search_slices
 from ops.keyframes import UNBOUNDED, Segments, search
 from ops.runs import word_runs
+from ops.slicesearch import search_slices
 from ops.words import TakeWords
 from pipelines.lists import RunLists, lists_of_words
 from pipelines.resident import ResidentWords, resident_words

@@ -15,7 +15,7 @@ import numpy as np
 from catalog.classes import Classes
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
-from ops.bitslices import search_slices, slice_words
+from ops.bitslices import slice_words
 from ops.consensus import Consensus, consent
 from ops.errors import KinedexError
 from ops.fitness import Bool, Query, training_frames
@@ -24,6 +24,7 @@ from ops.greedy import forward_selection
 from ops.keyframes import from_axis
 from ops.lessons import Evolution, Material, Run, make_material, steady_entries
 from ops.preselection import margins as formula_margins
+from ops.slicesearch import search_slices
 from ops.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import I64, U64, TakeWords
 from pipelines.learning import TrainingClips

@@ -13,9 +13,10 @@ import numpy as np
 
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, WordPattern, word_pattern
-from ops.bitslices import BitSlices, search_slices, slice_runs, slice_words
+from ops.bitslices import BitSlices, slice_runs, slice_words
 from ops.keyframes import Segments
 from ops.preselection import TakeRanges, ranges_of_takes, unite
+from ops.slicesearch import search_slices
 from ops.words import I64, U64, TakeWords
 from storage.store import Store
 

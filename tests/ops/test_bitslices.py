@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops import bitslices
-from ops.bitslices import BitSlices, keyframe_segments, search_slices, slice_runs, slice_words
+from ops import bitslices, slicesearch
+from ops.bitslices import BitSlices, slice_runs, slice_words
 from ops.errors import ParameterError
 from ops.keyframes import UNBOUNDED, Segments, from_axis, gap_bounds, keyframe_list, search, to_axis
 from ops.runs import word_runs
+from ops.slicesearch import keyframe_segments, search_slices
 from ops.words import NO_WORD, U64, bits, cut
 from tests.oracles.keyframes import ranges_by_enumeration, ranges_by_sets
 
@@ -228,6 +229,6 @@ def test_an_archive_beyond_the_cache_is_searched_the_same_way(monkeypatch: pytes
     takes = [rng.integers(0, 2**FEATURES, 300).astype(np.uint64) for _ in range(40)]
     slices, query = slices_of(takes), ([1, 6, 8], [1, 2, 8], [(2, 9), (0, 40)])
     near = by_take(search_slices(slices, *query), 40)
-    monkeypatch.setattr(bitslices, "NEAR", 0)
+    monkeypatch.setattr(slicesearch, "NEAR", 0)
     assert by_take(search_slices(slices, *query), 40) == near
     assert any(near)
