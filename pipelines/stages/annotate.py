@@ -29,7 +29,9 @@ from pipelines.annotating import (
 )
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.learning import Kind, SubclassTemplate, read_templates
+from pipelines.keyframe_learning import keyframe_queries
+from pipelines.keyframe_runs import outcomes_of
+from pipelines.learning import Kind, SubclassTemplate, read_templates, run_of
 from pipelines.wording import few
 from storage.store import Store
 
@@ -81,7 +83,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         takes = takes_to_annotate(store, params)
         templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         classes = classes_of(store, params, templates)
-        queries = queries_of(store, params)
+        queries = [*queries_of(store, params), *learned_queries(context, store)]
         usual = usual_features(store, templates) if params.method == "best" else None
         annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries, usual)
         _say_what_is_left_out(context, classes, annotator, queries)
@@ -153,6 +155,14 @@ def usual_features(store: Store, templates: Sequence[SubclassTemplate]) -> F64:
     takes = store.takes().filter(pl.col("name").is_in(clips))
     words = store.words(takes["take_id"].to_list() if takes.height else None)
     return background([words.words], len(store.feature_set.features))
+
+
+def learned_queries(context: StageContext, store: Store) -> list[KeyframeQuery]:
+    """The queries that the pipeline's stage `learn_keyframes` learned; none where it has no such stage."""
+    if "keyframes" not in context.inputs:
+        return []
+    table = store.result("queries", run=run_of(store, context.key(context.inputs["keyframes"])))
+    return [query for outcome in outcomes_of(table) for query in keyframe_queries(outcome, store.feature_set)]
 
 
 def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:
