@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from pipelines.commands import exploring, keeping, keyframes, queries, ranking, running, templates
+from pipelines.commands import exploring, keeping, keyframes, labels, queries, ranking, running, templates
 from pipelines.commands.shell import app
 
 PANELS = {
     running: "Run pipelines",
     exploring: "Ask a store",
     templates: "Ask a store",
+    labels: "Ask a store",
     queries: "Search for motion",
     ranking: "Search for motion",
     keyframes: "Search for motion",

@@ -85,11 +85,11 @@ def place_ground_truth(
     classes: Classes,
     unknown_labels: UnknownLabels = "error",
 ) -> GroundTruth:
-    """Put manual segments of CSV files on the takes that were annotated, in analysis frames.
+    """Put manual segments of label files on the takes that were annotated, in analysis frames.
 
     Parameters
     ----------
-    segments: source frames; touching ones stay separate.
+    segments: source frames, or seconds, which become the nearest source frames; touching ones stay separate.
     takes: the annotated takes. archive: the names of all takes of the store.
     unknown_labels: what a label does that is neither a class nor a subclass in one: "error"; "miss": it counts as a
         class that was not found; "ignore": it is left out, and so said, but its take is evaluated all the same.
@@ -126,7 +126,7 @@ def place_ground_truth(
         if manual is not None and manual.start < manual.stop:
             placed.append(manual)
         elif manual is not None:
-            remarks.append(f"{segment.path}:{segment.line}: no analysis frame lies in this segment, left out")
+            remarks.append(f"{segment.where}: no analysis frame lies in this segment, left out")
     bare = sorted(evaluated - {segment.take for segment in placed})
     if bare:
         remarks.append(f"takes in which nothing is left to be found, evaluated as such: {few(bare)}")
@@ -182,20 +182,19 @@ def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: Unknow
 def _placed(segment: ManualSegment, take: dict[str, object], label: str | None) -> Manual | None:
     frames, rate_hz = int(str(take["source_frames"])), float(str(take["rate_hz"]))
     source_rate_hz = float(str(take["source_rate_hz"]))
-    if segment.stop > frames:
-        raise segment.error(
-            f"stop {segment.stop} is beyond the end of {segment.take}, which has {frames} source frames"
-        )
+    start, stop = segment.source_frames(source_rate_hz)
+    if stop > frames:
+        raise segment.error(f"stop {stop} is beyond the end of {segment.take}, which has {frames} source frames")
     if label is None:
         return None
     return Manual(
         int(str(take["take_id"])),
         segment.take,
         label,
-        analysis_frame(segment.start, source_rate_hz, rate_hz),
-        analysis_frame(segment.stop, source_rate_hz, rate_hz),
-        segment.start,
-        segment.stop,
+        analysis_frame(start, source_rate_hz, rate_hz),
+        analysis_frame(stop, source_rate_hz, rate_hz),
+        start,
+        stop,
         segment.path,
     )
 

@@ -1,37 +1,18 @@
-"""Ground truth: manual segments from CSV files, read with the file and line of every fault."""
+"""Ground truth: manual segments from label files, found by a pattern and read with the line of every fault."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
-from ops.errors import KinedexError, SourceError, did_you_mean
-
-COLUMNS = ("take", "class", "start", "stop")
-
-_MOST_DIGITS = 15
-
-
-@dataclass(frozen=True)
-class ManualSegment:
-    """Source frames [start, stop) of a take that a person labelled; where it stands in its file."""
-
-    take: str
-    label: str
-    start: int
-    stop: int
-    path: str
-    line: int
-
-    def error(self, message: str) -> SourceError:
-        """An error that names the segment's file and line."""
-        return SourceError(self.path, message, line=self.line)
+from ops.errors import KinedexError
+from storage.labels.formats import ENDINGS, read_labels
+from storage.labels.segments import ManualSegment as ManualSegment
+from storage.labels.tables import COLUMNS
 
 
 def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
-    """Find the CSV files of a pattern, sorted.
+    """Find the label files of a pattern, sorted.
 
     Parameters
     ----------
@@ -56,58 +37,20 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
     if not found:
         raise KinedexError(
             f"ground truth: no file '{pattern}' below {', '.join(map(str, folders)) or 'any source folder'}. "
-            f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open); where there "
-            "is none: `--set evaluate.ground_truth=none`"
+            f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open), or labels of another "
+            f"kind: {ENDINGS}; where there is none: `--set evaluate.ground_truth=none`"
         )
     return found
 
 
 def read_ground_truth(path: str | Path) -> list[ManualSegment]:
-    """Read a CSV file with a header and the columns take, class, start, stop; further columns are left alone.
+    """Read manual segments from a label file: CSV, JSON, ELAN, WebVTT or Audacity, as its ending says.
 
-    Frames are of the source rate, from 0, and half-open. UTF-8, with or without a byte order mark.
+    Where a format does not carry the take's name, the file bears it. Frames are of the source rate, from 0, and
+    half-open; seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).
 
     Raises
     ------
-    SourceError: file and line of a missing column, an empty name, a frame that is no whole number, or a segment
-        that does not end after it starts.
+    SourceError: file and line of what is not as the format has it.
     """
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            return list(_rows(str(path), csv.DictReader(file)))
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    except UnicodeDecodeError as fault:
-        raise SourceError(path, f"is not UTF-8 text (byte {fault.start})") from None
-    except csv.Error as fault:
-        raise SourceError(path, f"is not a CSV file: {fault}") from None
-
-
-def _rows(path: str, reader: csv.DictReader[str]) -> Iterator[ManualSegment]:
-    header = [(name or "").strip() for name in reader.fieldnames or ()]
-    if not header:
-        raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
-    reader.fieldnames = header
-    for name in COLUMNS:
-        if name not in header:
-            raise SourceError(path, f"has no column '{name}'{did_you_mean(name, header)}", line=1)
-    for row in reader:
-        line = reader.line_num
-        texts = {name: (row[name] or "").strip() for name in COLUMNS}
-        if not any(texts.values()):
-            continue
-        for name in ("take", "class"):
-            if not texts[name]:
-                raise SourceError(path, f"{name} is empty", line=line)
-        start, stop = _frame(path, line, "start", texts["start"]), _frame(path, line, "stop", texts["stop"])
-        if start >= stop:
-            raise SourceError(path, f"start {start} must be before stop {stop} (half-open source frames)", line=line)
-        yield ManualSegment(texts["take"], texts["class"], start, stop, path, line)
-
-
-def _frame(path: str, line: int, name: str, text: str) -> int:
-    # no take has so many frames, and Python refuses to read thousands of digits
-    if not text.isdecimal() or len(text) > _MOST_DIGITS:
-        got = text if len(text) <= 40 else f"{text[:40]}… ({len(text)} characters)"
-        raise SourceError(path, f"{name} must be a source frame, a whole number from 0, got '{got}'", line=line)
-    return int(text)
+    return read_labels(path)

@@ -44,8 +44,9 @@ class Params(BaseModel):
 
     ground_truth: str = Field(
         "**/ground_truth.csv",
-        description="CSV files with take, class, start, stop in source frames: a glob below the takes' source folders, "
-        "or an absolute path; 'class': each take's own class for all of it; 'none': there is none",
+        description="label files, read as their ending says: .csv (take, class, start, stop in source frames), .json, "
+        ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
+        "'class': each take's own class for all of it; 'none': there is none",
     )
     source: str | None = Field(
         None, description="the folder that ground_truth is relative to; by default the takes' source folders"
@@ -138,5 +139,5 @@ def ground_truth(store: Store, params: Params, takes: pl.DataFrame, classes: Cla
 
 
 def truth_files(params: Params, roots: Sequence[str]) -> list[Path]:
-    """The CSV files, below `source` or else below the source folders of takes."""
+    """The label files, below `source` or else below the source folders of takes."""
     return ground_truth_files(params.ground_truth, [params.source] if params.source else roots)

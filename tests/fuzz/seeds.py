@@ -11,6 +11,8 @@ import numpy as np
 from catalog.configs import config_names, config_path
 from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Mappings, load_mappings, load_skeleton
+from storage.labels.formats import FORMATS
+from storage.labels.segments import Label, TakeLabels
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.pipelines.archives import human_amc, human_asf
@@ -134,6 +136,27 @@ def npz() -> dict[str, bytes]:
 def ground_truth() -> dict[str, bytes]:
     text = "take,class,start,stop,by\nHDM_mm_1,walk,0,120,me\nHDM_mm_1,'turn',120,1000,\n\nHDM_mm_2,hop,5,9,\"a, b\"\n"
     return {"plain": text.encode(), "mark": b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()}
+
+
+def _labels() -> TakeLabels:
+    made = (Label("walk", 0, 120, "walk", 0.1, 0.9), Label("kick & turn", 100, 200), Label("walk", 110, 300))
+    return TakeLabels("take <1>", 120.0, 400, made)
+
+
+def label_file(ending: str) -> dict[str, bytes]:
+    """A file as kinedex writes it, and one as other programs do."""
+    own = FORMATS[ending].write([_labels()])
+    if ending == "eaf":
+        other = own.replace(">walk<", "><").replace("<HEADER", "<LICENSE/>\n<HEADER").replace("UTF-8", "utf-8")
+    elif ending == "vtt":
+        other = (
+            "WEBVTT a title\r\n\r\nSTYLE\r\n::cue {}\r\n\r\n00:01.000 --> 00:02.500 align:start\r\n<c.x>walk</c>\r\n"
+        )
+    elif ending == "json":
+        other = '{"takes": [{"take": "a", "segments": [{"class": "b", "start_seconds": 0.5, "stop_seconds": 1}]}]}'
+    else:
+        other = "\ufeff0.5\t1.25\twalk\n\\\t100.0\t200.0\n\n3\t4.5\tkick\tand turn\n"
+    return {"own": own.encode(), "other": other.encode()}
 
 
 def shipped(kind: str) -> dict[str, bytes]:

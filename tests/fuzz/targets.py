@@ -157,8 +157,13 @@ def check_csv(path: Path) -> None:
 def check_ground_truth(path: Path) -> None:
     """Segments are ranges of frames with names."""
     for segment in read_ground_truth(path):
-        if not 0 <= segment.start < segment.stop < 10**15 or not segment.take or not segment.label:
+        start, stop = segment.source_frames(FASTEST_HZ)
+        whole = segment.in_seconds or (start, stop) == (segment.start, segment.stop)
+        if not 0 <= segment.start < segment.stop < 10**15 or not start <= stop or not whole:
             raise Broken(f"{segment}")
+        if not segment.take or not segment.label:
+            raise Broken(f"{segment}")
+        segment.error(segment.where)
         f"{segment.take}{segment.label}".encode()
 
 
@@ -240,6 +245,48 @@ _YAML_WORDS = (
 _DEEP_YAML = ((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b"? ", b""), (b"&a [*a, ", b"]"), (b"!!seq [", b"]"))
 _CSV_WORDS = (b'"', b"root_x,root_y,root_z,", b"frame,", b"time,", b",,,,", b"nan,", b"take,class,start,stop", b'""')
 
+_EAF_WORDS = (
+    *(
+        b"<!DOCTYPE a [<!ENTITY b 'cc'>]>",
+        b"&b;",
+        b"<![CDATA[",
+        b"]]>",
+        b"<!--",
+        b"-->",
+        b"<?x y?>",
+        b"&#0;",
+        b"&#xD800;",
+    ),
+    *(b'<!DOCTYPE a SYSTEM "file:///etc/passwd">', b"<TIER>", b'<TIER TIER_ID="x">', b"</TIER>", b"<ANNOTATION_VALUE>"),
+    *(b'TIME_VALUE="9"', b'<?xml version="1.0" encoding="utf-7"?>', b'encoding="shift_jis"', b'PARENT_REF="walk"'),
+)
+_DEEP_EAF = ((b"<TIER TIER_ID='x'>", b"</TIER>"), (b"<ANNOTATION_VALUE>", b"</ANNOTATION_VALUE>"), (b"<a>", b"</a>"))
+_VTT_WORDS = (
+    b"NOTE",
+    b"STYLE",
+    b"-->",
+    b"00:00.000 --> 99:59:59.999",
+    b"<b>",
+    b"&lt;",
+    b"&#xD800;",
+    b"WEBVTT",
+    b"\n\n",
+)
+_JSON_WORDS = (
+    b"{",
+    b"}",
+    b"[",
+    b"]",
+    b"NaN",
+    b"-Infinity",
+    b'"\\ud800"',
+    b"1e999",
+    b"null",
+    b"true",
+    b'"start": 1,',
+    b"9" * 20,
+)
+
 
 def _text(words: tuple[bytes, ...] = (), pairs: tuple[tuple[bytes, bytes], ...] = ()) -> tuple[Mutation, ...]:
     """The mutations of a text format: those of any, its own words put somewhere, and what it nests."""
@@ -265,6 +312,13 @@ TARGETS: dict[str, Target] = {
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
         Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
         Target("ground-truth", ".csv", seeds.ground_truth, _text(_CSV_WORDS), check_ground_truth),
+        *(
+            Target(f"labels-{ending}", f".{ending}", partial(seeds.label_file, ending), mutations, check_ground_truth)
+            for ending, mutations in (
+                ("eaf", _text(_EAF_WORDS, _DEEP_EAF)), ("vtt", _text(_VTT_WORDS)), ("txt", _text((b"\\", b"\t"))),
+                ("json", _text(_JSON_WORDS, _DEEP_YAML)),
+            )
+        ),
         *(
             Target(f"yaml-{kind}", ".yaml", partial(seeds.shipped, kind), _YAML, check, (KinedexError,), 60_000)
             for kind, check in (

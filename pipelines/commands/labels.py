@@ -1,0 +1,76 @@
+"""The commands about label files: labels export, labels read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipelines.commands.shell import Format, Output, StorePath, Where, app, guard, show_table
+
+labels = typer.Typer(
+    name="labels", help="Annotations as label files for other tools, and label files as tables.", no_args_is_help=True
+)
+app.add_typer(labels, rich_help_panel="Ask a store")
+
+
+def export(
+    store: StorePath,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="folder for a file per take, or one file")
+    ],
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format", help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); as FILE ends unless given"
+        ),
+    ] = None,
+    take: Annotated[list[str] | None, typer.Option(help="only this take; may be repeated")] = None,
+    where: Where = None,
+    stage: Annotated[
+        str | None,
+        typer.Option(
+            "--stage", metavar="STAGE", help="PIPELINE/STAGE, PIPELINE or run; the last to annotate unless given"
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="overwrite files that are there")] = False,
+) -> None:
+    """Write annotations as label files: a file per take into a folder, or one file."""
+    from pipelines.labels import annotate_stage, labels_of
+    from storage.labels.formats import write_labels
+    from storage.store import open_store
+
+    opened = open_store(store)
+    chosen = annotate_stage(opened, stage)
+    found = labels_of(opened, chosen, take or (), where)
+    kind = form or output.suffix.lower().removeprefix(".") or "csv"
+    paths = write_labels(found, kind, output, force=force)
+    count = sum(len(one.labels) for one in found)
+    where_to = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
+    print(f"{count} segments of {len(found)} takes, annotated by {chosen}: {where_to}")
+
+
+def read(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="label files: .csv, .json, .eaf, .vtt, .txt")],
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Show what label files say, as ground truth would be read from them."""
+    import pyarrow as pa
+
+    from storage.labels.formats import read_labels
+
+    rows = [
+        {"take": one.take, "class": one.label, "start": one.start, "stop": one.stop}
+        | {"unit": "seconds" if one.in_seconds else "source frames", "where": one.where}
+        for file in files
+        for one in read_labels(file)
+    ]
+    text, number = pa.string(), pa.float64()
+    kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
+    show_table(pa.Table.from_pylist(rows, schema=pa.schema(list(kinds.items()))), form, output)
+
+
+for _function in (export, read):
+    labels.command()(guard(_function))

@@ -1,0 +1,1 @@
+"""Label files: labelled stretches of takes, as people's annotation tools write and read them."""
