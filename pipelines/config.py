@@ -22,9 +22,12 @@ STAGES: dict[str, dict[str, str]] = {
     "learn_keyframes": {},
     "rank": {"takes": "ingest", "templates": "learn_templates"},
     "evaluate_ranking": {"templates": "learn_templates"},
-    "annotate": {"takes": "ingest", "templates": "learn_templates"},
+    "vary_stiffness": {"templates": "learn_templates"},
+    "report_retrieval": {"ranking": "rank", "evaluation": "evaluate_ranking", "stiffness": "vary_stiffness"},
+    "annotate": {"takes": "ingest", "templates": "learn_templates", "keyframes": "learn_keyframes"},
     "evaluate": {"annotations": "annotate"},
     "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
+    "compare_methods": {"templates": "learn_templates", "keyframes": "learn_keyframes"},
     "report": {
         "templates": "learn_templates",
         "annotations": "annotate",
@@ -35,7 +38,13 @@ STAGES: dict[str, dict[str, str]] = {
 }
 """The stages there are; each names the roles that other stages play for it, and the stage that usually does."""
 
-OPTIONAL = {("report", "leave_one_out"), ("report", "index"), ("report", "evaluation")}
+OPTIONAL = {
+    ("report", "leave_one_out"),
+    ("report", "index"),
+    ("report", "evaluation"),
+    ("compare_methods", "keyframes"),
+    ("annotate", "keyframes"),
+}
 """Roles that a stage can do without."""
 
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")

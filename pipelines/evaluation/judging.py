@@ -1,0 +1,220 @@
+"""How good a method is in a split: counts, confusion of classes, average precision, boundaries, and how sure it all
+is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.detection import THRESHOLDS, Found, Known, average_precision, bootstrap, boundary_errors, overlap
+from ops.metrics import Counts, compare, pooled
+from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.exams import Exam
+
+I64 = npt.NDArray[np.int64]
+
+NOTHING = "none"
+"""What a frame without a label is called in the confusion of classes."""
+
+INTERVAL_OF = ("p1", "r1", "f1", "p2", "r2", "f2")
+
+Outcome = Mapping[str, Sequence[Segment]]
+"""What a method has found in all folds of a split, by the name of the take."""
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """Frames by what they are (rows) and what they were labelled (columns).
+
+    labels: of rows and columns, the last is `NOTHING`. A frame that is in several classes, or has several labels,
+    counts as right where one is the other; what then is left is counted in equal parts.
+    """
+
+    labels: tuple[str, ...]
+    frames: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Missed:
+    """A manual segment that no method has found. instead: what the methods put there, by method."""
+
+    take: str
+    label: str
+    start: int
+    stop: int
+    instead: dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A method in a split, judged.
+
+    by_class, by_group, by_take: counts. intervals: 95 % over takes, by measure. precision: mean average precision by
+    threshold; class_precision: by class, then threshold. boundaries: int64 (M, 2), see `boundary_errors`.
+    """
+
+    pooled: Counts
+    by_class: dict[str, Counts]
+    by_group: dict[str, Counts]
+    by_take: dict[str, Counts]
+    intervals: dict[str, tuple[float, float]]
+    precision: dict[float, float]
+    class_precision: dict[str, dict[float, float]]
+    confusion: Confusion
+    boundaries: I64
+
+
+def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -> dict[tuple[str, str], Counts]:
+    """The counts of every take and class (thesis, 5.4)."""
+    counts = {}
+    for exam in exams:
+        for label in labels_of(exams, classes):
+            mine = [(one.start, one.stop) for one in outcome[exam.name] if one.label == label]
+            counts[exam.name, label] = compare(
+                mine, [(start, stop) for name, start, stop in exam.truth if name == label]
+            )
+    return counts
+
+
+def labels_of(exams: Sequence[Exam], classes: Sequence[str]) -> list[str]:
+    """The classes in their order, then labels that only the truth has."""
+    return list(dict.fromkeys([*classes, *sorted({label for exam in exams for label, _, _ in exam.truth})]))
+
+
+def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws: int = 1000) -> Judgement:
+    """Judge what a method has found in all takes of a split.
+
+    Parameters
+    ----------
+    exams: the takes of all folds. classes: in the order of the tables. draws: of the bootstrap over takes.
+    """
+    labels = labels_of(exams, classes)
+    counts = counts_of(outcome, exams, classes)
+    by_take = {exam.name: pooled(counts[exam.name, label] for label in labels) for exam in exams}
+    groups = sorted({exam.group for exam in exams})
+    every = list(by_take.values())
+    measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in INTERVAL_OF}
+    class_precision = {label: _precision(outcome, exams, label) for label in labels}
+    return Judgement(
+        pooled(every),
+        {label: pooled(counts[exam.name, label] for exam in exams) for label in labels},
+        {group: pooled(by_take[exam.name] for exam in exams if exam.group == group) for group in groups},
+        by_take,
+        {name: bootstrap(every, measure, draws) for name, measure in measures.items()},
+        {threshold: _mean([class_precision[label][threshold] for label in labels]) for threshold in THRESHOLDS},
+        class_precision,
+        confusion(outcome, exams, labels),
+        _boundaries(outcome, exams, labels),
+    )
+
+
+def _measure(name: str) -> Callable[[Counts], float]:
+    return lambda counts: float(getattr(counts, name))
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
+
+
+def _precision(outcome: Outcome, exams: Sequence[Exam], label: str) -> dict[float, float]:
+    """Average precision of a class by threshold; NaN where it does not occur."""
+    found, known = _of_class(outcome, exams, label)
+    return {threshold: average_precision(found, known, threshold) for threshold in THRESHOLDS}
+
+
+def _of_class(outcome: Outcome, exams: Sequence[Exam], label: str) -> tuple[list[Found], list[Known]]:
+    found = [
+        Found(exam.name, one.start, one.stop, one.sure)
+        for exam in exams
+        for one in outcome[exam.name]
+        if one.label == label
+    ]
+    known = [Known(exam.name, start, stop) for exam in exams for name, start, stop in exam.truth if name == label]
+    return found, known
+
+
+def _boundaries(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) -> I64:
+    errors = [
+        boundary_errors(*_of_class(outcome, [exam], label))
+        for exam in exams
+        for label in labels
+        if any(name == label for name, _, _ in exam.truth)
+    ]
+    return np.concatenate([np.empty((0, 2), np.int64), *errors])
+
+
+def confusion(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) -> Confusion:
+    """Count the frames of all takes by what they are and what they were labelled."""
+    names = (*labels, NOTHING)
+    frames = np.zeros((len(names), len(names)))
+    for exam in exams:
+        truth = _marked([(names.index(label), start, stop) for label, start, stop in exam.truth], exam, len(labels))
+        mine = _marked([(names.index(one.label), one.start, one.stop) for one in outcome[exam.name]], exam, len(labels))
+        both = truth & mine
+        np.fill_diagonal(frames[:-1, :-1], frames.diagonal()[:-1] + both.sum(axis=1))
+        rest_true, rest_mine = truth & ~both, mine & ~both
+        without_true = ~truth.any(axis=0)
+        without_mine = ~mine.any(axis=0)
+        frames[-1, -1] += float((without_true & without_mine).sum())
+        # what is wrong of a frame is shared out among the other side's labels that are wrong there, or `none`
+        wrong_mine, wrong_true = rest_mine.sum(axis=0), rest_true.sum(axis=0)
+        share = np.where(wrong_mine > 0, 1.0 / np.maximum(wrong_mine, 1), 0.0)
+        frames[:-1, :-1] += (rest_true * share) @ rest_mine.T.astype(float)
+        frames[:-1, -1] += (rest_true & (wrong_mine == 0)).sum(axis=1)
+        frames[-1, :-1] += (rest_mine & (wrong_true == 0)).sum(axis=1)
+    return Confusion(names, frames)
+
+
+def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -> npt.NDArray[np.bool_]:
+    """Which frames are in which class, bool (labels, L)."""
+    marked = np.zeros((labels, exam.frames), np.bool_)
+    for label, start, stop in segments:
+        marked[label, start:stop] = True
+    return marked
+
+
+def never_found(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Missed]:
+    """The manual segments that no method has found: no automatic segment of their class has a frame of theirs."""
+    missed = []
+    for exam in exams:
+        for label, start, stop in exam.truth:
+            there = {
+                method: [one for one in outcome[exam.name] if _meets(one, start, stop)]
+                for method, outcome in outcomes.items()
+            }
+            if any(one.label == label for found in there.values() for one in found):
+                continue
+            instead = {method: _names(found, start, stop) for method, found in there.items()}
+            missed.append(Missed(exam.name, label, start, stop, instead))
+    return missed
+
+
+def _meets(one: Segment, start: int, stop: int) -> bool:
+    return one.start < stop and start < one.stop
+
+
+def _names(found: Sequence[Segment], start: int, stop: int) -> tuple[str, ...]:
+    """The labels, the one that overlaps most first, each once."""
+    ranked = sorted(found, key=lambda one: -overlap((one.start, one.stop), (start, stop)))
+    return tuple(dict.fromkeys(one.label for one in ranked))
+
+
+def chosen_takes(by_take: Mapping[str, Counts]) -> dict[str, str]:
+    """The best, the median and the worst take by F1, takes without a defined F1 left out; what they are → their name.
+
+    With two takes there is no median, and with one the best alone.
+    """
+    ranked = sorted((counts.f1, name) for name, counts in by_take.items() if not math.isnan(counts.f1))
+    if not ranked:
+        return {}
+    chosen = {"best": ranked[-1][1]}
+    if len(ranked) > 2:
+        chosen["median"] = ranked[(len(ranked) - 1) // 2][1]
+    if len(ranked) > 1:
+        chosen["worst"] = ranked[0][1]
+    return chosen

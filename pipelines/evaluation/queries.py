@@ -1,0 +1,79 @@
+"""Keyframe queries that are learned in each fold from its own training clips, each set of clips once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import BaseModel
+
+from catalog.classes import load_classes
+from catalog.queries import KeyframeQuery
+from ops.errors import KinedexError
+from pipelines.context import StageContext
+from pipelines.evaluation.exams import Fold
+from pipelines.keyframe_learning import Outcome, keyframe_queries, lessons
+from pipelines.keyframe_runs import Course, known_runs, learn, runs_table
+from pipelines.stages import learn_keyframes
+
+
+class QueryLearner:
+    """Learns the queries of folds as the stage `learn_keyframes` does; runs that were finished before are known, those
+    of that stage too.
+
+    params: of the stage `learn_keyframes`; its filters of takes are not used, a fold has its own clips.
+    """
+
+    def __init__(self, context: StageContext, params: BaseModel) -> None:
+        assert isinstance(params, learn_keyframes.Params)
+        if params.background is not None:
+            raise KinedexError(
+                "queries learned in folds know no background takes, which could be takes to annotate; leave "
+                "`background` of the stage learn_keyframes out"
+            )
+        self._context = context
+        self._params = params
+        self._outcomes: dict[tuple[str, str], list[Outcome]] = {}
+
+    def learn(self, folds: Sequence[Fold]) -> None:
+        """Learn the queries of all folds; what is finished is kept in the store from time to time."""
+        context, params = self._context, self._params
+        store = context.open()
+        setting, rounds = learn_keyframes.setting_of(params, store), params.rounds()
+        known = known_runs(store.result("keyframe_runs", pipeline=context.pipeline))
+        finished: list[Course] = []
+
+        def save(courses: list[Course]) -> None:
+            table = runs_table(_distinct([*finished, *courses]), context.run)
+            with context.writer() as writer:
+                writer.put_results("keyframe_runs", table, stage=context.key(), run=context.run)
+                writer.commit()
+
+        with context.progress("runs", rounds.runs * sum(len(fold.clips) for fold in folds)) as progress:
+            for fold in folds:
+                names = [one.subclass for one in fold.clips]
+                wanted = lessons(fold.clips, load_classes(params.classes, names))
+                bare = [one.subclass for one in wanted if not one.negatives]
+                if bare:
+                    raise KinedexError(
+                        f"split '{fold.split}', {fold.name}: no training clip is of another class than {bare[0]}, so "
+                        "there is nothing to tell it from"
+                    )
+                courses = learn(wanted, setting, rounds, context.executor, known, save, progress.advance)
+                finished += courses
+                known += [(course.key, number, run) for course in courses for number, run in course.runs.items()]
+                self._outcomes[fold.split, fold.name] = [course.outcomes[-1] for course in courses]
+        save([])
+
+    def queries(self, fold: Fold) -> list[KeyframeQuery]:
+        """The queries of a fold."""
+        feature_set = self._context.feature_set
+        return [
+            query
+            for outcome in self._outcomes[fold.split, fold.name]
+            for query in keyframe_queries(outcome, feature_set)
+        ]
+
+
+def _distinct(courses: Sequence[Course]) -> list[Course]:
+    """Each course once; folds may share one."""
+    return list({course.key: course for course in courses}.values())

@@ -1,0 +1,180 @@
+"""A whole comparison of methods: what was compared on what, how each did, and the same as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ops.metrics import Counts
+from pipelines.evaluating import measures
+from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.exams import Exam, Fold
+from pipelines.evaluation.judging import Judgement, Missed, Outcome, chosen_takes
+from pipelines.evaluation.scheme import Method, Metric, Split
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """One point of the τ sweep (thesis, Figure 5.6): what kind of method, τ, and its counts."""
+
+    curve: str
+    tau: float
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class SplitResult:
+    """One split, all methods judged in it. missed: the segments that none of them has found."""
+
+    split: Split
+    folds: tuple[Fold, ...]
+    outcomes: dict[str, Outcome]
+    judgements: dict[str, Judgement]
+    sweep: tuple[Threshold, ...]
+    missed: tuple[Missed, ...]
+
+    @property
+    def exams(self) -> tuple[Exam, ...]:
+        """The takes of all folds."""
+        return tuple(exam for fold in self.folds for exam in fold.exams)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be known of the folds, each remark once."""
+        return list(dict.fromkeys(remark for fold in self.folds for remark in fold.remarks))
+
+    @property
+    def leading(self) -> str:
+        """The method of the highest F1, the first of equal ones."""
+        return max(self.judgements, key=lambda name: _defined(self.judgements[name].pooled.f1))
+
+    def shown(self) -> dict[str, str]:
+        """The takes whose timelines are shown, best, median and worst of the leading method; what → name."""
+        return chosen_takes(self.judgements[self.leading].by_take)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A comparison of methods.
+
+    group: the column of takes that results are divided by. remarks: what is to be known of all of it, in words.
+    """
+
+    title: str
+    pipeline: str
+    run: str
+    created: str
+    store: str
+    archive: str
+    rate_hz: float
+    classes: tuple[str, ...]
+    descriptions: dict[str, str]
+    group: str
+    metrics: tuple[Metric, ...]
+    methods: tuple[Method, ...]
+    splits: tuple[SplitResult, ...]
+    remarks: tuple[str, ...] = ()
+
+
+def boundary_summary(judgement: Judgement, rate_hz: float) -> dict[str, dict[str, float | int | None]]:
+    """Boundary errors in seconds at start and stop: how many, the median (positive: too late), and how large they are
+    in the middle, and in the worst tenth."""
+    summary: dict[str, dict[str, float | int | None]] = {}
+    for column, end in enumerate(("start", "stop")):
+        errors = judgement.boundaries[:, column] / rate_hz
+        sizes = np.abs(errors)
+        summary[end] = {
+            "segments": len(errors),
+            "median": float(np.median(errors)) if len(errors) else None,
+            "median_size": float(np.median(sizes)) if len(errors) else None,
+            "size_of_nine_tenths": float(np.quantile(sizes, 0.9)) if len(errors) else None,
+        }
+    return summary
+
+
+def content(study: Study) -> dict[str, object]:
+    """A study as JSON: everything but the segments of takes that are not shown, which the store has."""
+    return {
+        "format": "kinedex evaluation 1",
+        "title": study.title,
+        "pipeline": study.pipeline,
+        "run": study.run,
+        "created": study.created,
+        "rate_hz": study.rate_hz,
+        "classes": list(study.classes),
+        "divided_by": study.group,
+        "metrics": list(study.metrics),
+        "methods": [one.model_dump(mode="json") for one in study.methods],
+        "remarks": list(study.remarks),
+        "splits": [_split(one, study) for one in study.splits],
+    }
+
+
+def _split(result: SplitResult, study: Study) -> dict[str, object]:
+    shown = result.shown()
+    exams = {exam.name: exam for exam in result.exams}
+    return {
+        "name": result.split.name,
+        "split": result.split.model_dump(mode="json"),
+        "remarks": result.remarks,
+        "folds": [
+            {
+                "name": fold.name,
+                "clips": sum(len(one.names) for one in fold.clips),
+                "takes": [e.name for e in fold.exams],
+            }
+            for fold in result.folds
+        ],
+        "methods": {name: _judgement(one, study) for name, one in result.judgements.items()},
+        "sweep": [{"method": one.curve, "tau": one.tau, **scores(one.counts)} for one in result.sweep],
+        "never_found": [asdict(one) for one in result.missed],
+        "shown": {
+            what: {
+                "take": name,
+                "frames": exams[name].frames,
+                "manual": [list(one) for one in exams[name].truth],
+                "automatic": {method: _segments(found[name]) for method, found in result.outcomes.items()},
+            }
+            for what, name in shown.items()
+        },
+    }
+
+
+def _judgement(one: Judgement, study: Study) -> dict[str, object]:
+    result: dict[str, object] = {
+        "pooled": scores(one.pooled),
+        "intervals": {name: [_number(low), _number(high)] for name, (low, high) in one.intervals.items()},
+        "groups": {name: scores(counts) for name, counts in one.by_group.items()},
+        "classes": {name: scores(counts) for name, counts in one.by_class.items()},
+        "takes": {name: scores(counts) for name, counts in one.by_take.items()},
+        "confusion": {"labels": list(one.confusion.labels), "frames": one.confusion.frames.round(3).tolist()},
+    }
+    if "overlap" in study.metrics:
+        result["map"] = {f"{threshold:g}": _number(value) for threshold, value in one.precision.items()}
+        result["average_precision"] = {
+            label: {f"{threshold:g}": _number(value) for threshold, value in values.items()}
+            for label, values in one.class_precision.items()
+        }
+    if "boundaries" in study.metrics:
+        result["boundaries"] = boundary_summary(one, study.rate_hz)
+    return result
+
+
+def scores(counts: Counts) -> dict[str, float | int | None]:
+    """Measures and counts by name; a measure that is undefined is None."""
+    return {**measures(counts), **asdict(counts)}
+
+
+def _segments(found: Sequence[Segment]) -> list[Mapping[str, object]]:
+    return [asdict(one) for one in found]
+
+
+def _number(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _defined(value: float) -> float:
+    return -1.0 if math.isnan(value) else value

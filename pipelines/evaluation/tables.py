@@ -1,0 +1,184 @@
+"""A comparison of methods in tables: on the terminal, and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from ops.metrics import Counts
+from pipelines.evaluation.judging import NOTHING, Judgement
+from pipelines.evaluation.study import SplitResult, Study, boundary_summary
+
+MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
+MOST_CONFUSIONS = 8
+
+
+@dataclass(frozen=True)
+class Confused:
+    """Frames of one class that were labelled as another (or nothing), and the share of the class that they are."""
+
+    label: str
+    taken_for: str
+    frames: float
+    share: float
+
+
+def headings(study: Study) -> list[str]:
+    """The columns of the table of methods, after the method's name."""
+    columns = []
+    if "frames" in study.metrics:
+        columns += ["F1", "95 %", "P1", "R1"]
+    if "segments" in study.metrics:
+        columns += ["F2", "95 %", "P2", "R2"]
+    if "overlap" in study.metrics:
+        columns += ["mAP .1", "mAP .5", "mAP .7"]
+    if "boundaries" in study.metrics:
+        columns += ["start ±s", "stop ±s"]
+    return columns
+
+
+def row(judgement: Judgement, study: Study) -> list[str]:
+    """A method's line of that table."""
+    counts = judgement.pooled
+    values = []
+    for metric, number in (("frames", 1), ("segments", 2)):
+        if metric in study.metrics:
+            f, p, r = (getattr(counts, f"{letter}{number}") for letter in "fpr")
+            values += [digits(f), between(judgement.intervals[f"f{number}"]), digits(p), digits(r)]
+    if "overlap" in study.metrics:
+        values += [digits(judgement.precision[threshold]) for threshold in (0.1, 0.5, 0.7)]
+    if "boundaries" in study.metrics:
+        ends = boundary_summary(judgement, study.rate_hz)
+        values += [digits(ends[end]["median_size"]) for end in ("start", "stop")]
+    return values
+
+
+def digits(value: float | None) -> str:
+    """Two digits, a dash where there is no value."""
+    return "–" if value is None or math.isnan(value) else f"{value:.2f}"
+
+
+def between(interval: tuple[float, float]) -> str:
+    """An interval as low–high."""
+    return "–" if math.isnan(interval[0]) else f"{interval[0]:.2f}–{interval[1]:.2f}"
+
+
+def six(counts: Counts) -> list[str]:
+    """The six measures of the thesis in the order of Table 5.2."""
+    return [digits(float(getattr(counts, name.lower()))) for name in MEASURE_NAMES]
+
+
+def confusions(judgement: Judgement, most: int = MOST_CONFUSIONS) -> list[Confused]:
+    """The greatest confusions of one class with another, or with nothing, by frames; none below half a percent."""
+    labels, frames = judgement.confusion.labels, judgement.confusion.frames
+    found = []
+    for i, label in enumerate(labels):
+        total = float(frames[i].sum())
+        for j, other in enumerate(labels):
+            if i != j and total and frames[i, j] >= 0.005 * total:
+                found.append(Confused(label, other, float(frames[i, j]), float(frames[i, j]) / total))
+    return sorted(found, key=lambda one: (-one.frames, one.label, one.taken_for))[:most]
+
+
+def described(result: SplitResult) -> str:
+    """A split in one sentence."""
+    takes = len(result.exams)
+    parts = "clips laid end to end as " if result.split.clips_as_takes else ""
+    folds = (
+        f", {len(result.folds)} folds: {', '.join(one.name for one in result.folds)}" if len(result.folds) > 1 else ""
+    )
+    segments = sum(len(exam.truth) for exam in result.exams)
+    return f"{result.split.kind}; {parts}{takes} takes with {segments} manual segments{folds}"
+
+
+def sentence(text: str) -> str:
+    """The same with a capital in front."""
+    return text[:1].upper() + text[1:]
+
+
+def overview(study: Study) -> Group:
+    """A table of methods for each split, for the terminal."""
+    tables = []
+    for result in study.splits:
+        table = Table(
+            title=f"{result.split.name} ({described(result)})",
+            title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
+        )  # fmt: skip
+        table.add_column("", overflow="fold")
+        for name in headings(study):
+            table.add_column(name, justify="right", no_wrap=True)
+        for name, judgement in result.judgements.items():
+            leads = name == result.leading and len(result.judgements) > 1
+            table.add_row(Text(name), *row(judgement, study), style="bold" if leads else None)
+        table.caption = f"{len(result.missed)} manual segments are found by no method"
+        table.caption_justify = "left"
+        tables.append(table)
+    return Group(*tables)
+
+
+def markdown(study: Study) -> str:
+    """The study as a Markdown summary."""
+    lines = [f"# {study.title}", ""]
+    lines += [f"Frames (1) and segments (2) as in the thesis, 5.4; {study.rate_hz:g} frames a second; intervals: 95 % "
+              "over takes, by bootstrap; mAP at thresholds of intersection over union; start and stop: how far off "
+              "boundaries are in the middle.", ""]  # fmt: skip
+    lines += [f"- {remark}" for remark in study.remarks] + ([""] if study.remarks else [])
+    for result in study.splits:
+        lines += [f"## {result.split.name}", "", sentence(described(result)) + ".", ""]
+        lines += [f"- {remark}" for remark in result.remarks] + ([""] if result.remarks else [])
+        lines += grid(["method", *headings(study)], [[name, *row(j, study)] for name, j in result.judgements.items()])
+        lines += ["### By " + study.group, ""]
+        lines += grid(
+            ["", "method", *MEASURE_NAMES],
+            [
+                [group, name, *six(counts)]
+                for name, judgement in result.judgements.items()
+                for group, counts in judgement.by_group.items()
+            ],
+        )
+        lines += _by_class(result) + _missed(result, study.rate_hz)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _by_class(result: SplitResult) -> list[str]:
+    names = list(result.judgements)
+    labels = result.judgements[names[0]].by_class
+    rows = []
+    for label in labels:
+        counts = [result.judgements[name].by_class[label] for name in names]
+        if any(one.frames_automatic + one.frames_manual for one in counts):
+            rows.append([label, *(f"{digits(one.f1)} / {digits(one.f2)}" for one in counts)])
+    lines = ["### By class, F1 / F2", "", *grid(["class", *names], rows)]
+    worst = confusions(result.judgements[result.leading])
+    if worst:
+        said = [
+            f"{one.label} → {one.taken_for} ({one.frames:.0f} frames, {one.share:.0%})"
+            for one in worst
+        ]  # fmt: skip
+        lines += [f"Confused most by {result.leading}: {'; '.join(said)}. ({NOTHING}: no label.)", ""]
+    return lines
+
+
+def _missed(result: SplitResult, rate_hz: float) -> list[str]:
+    lines = [f"### Found by no method: {len(result.missed)}", ""]
+    for one in result.missed:
+        instead = "; ".join(f"{method}: {', '.join(names) or 'nothing'}" for method, names in one.instead.items())
+        lines.append(f"- {one.take}, {one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s, {one.label} ({instead})")
+    return lines + ([""] if result.missed else [])
+
+
+def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A Markdown table, and an empty line."""
+    cells = [[text.replace("|", "\\|") for text in line] for line in (header, *rows)]
+    return [
+        "| " + " | ".join(cells[0]) + " |",
+        "|" + "|".join(["---", *["--:"] * (len(header) - 1)]) + "|",
+        *("| " + " | ".join(line) + " |" for line in cells[1:]),
+        "",
+    ]

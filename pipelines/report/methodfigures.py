@@ -1,0 +1,217 @@
+"""Figures of a comparison of methods: the τ sweep, timelines of methods side by side, confusion, boundary errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.metrics import Counts
+from pipelines.evaluation.exams import Exam
+from pipelines.evaluation.judging import NOTHING, Confusion, Outcome
+from pipelines.evaluation.study import Threshold
+from pipelines.report.axes import Axis, percent, time_axis
+
+WIDTH, HEIGHT = 320.0, 150.0
+"""Of a small plot, in units of its own."""
+
+BINS, FURTHEST = 20, 1.0
+"""Of the histogram of boundary errors: bars, and seconds at its ends."""
+
+LEAST_PERCENT = 1.6
+"""A block narrower than this has no room for its class's number."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve of a plot: what it is, and its path."""
+
+    name: str
+    path: str
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over τ of one level. ticks: (x, text). description: what a reader who sees no figure is told."""
+
+    title: str
+    lines: tuple[Line, ...]
+    ticks: tuple[tuple[float, str], ...]
+    description: str
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The curves of one kind of method, of frames and of segments, and its points as a table."""
+
+    method: str
+    plots: tuple[Plot, Plot]
+    points: tuple[Threshold, ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A segment on a strip: its place in percent, its class by number, whether it is wrong, and what a pointer is
+    told."""
+
+    left: float
+    width: float
+    number: int
+    roomy: bool
+    wrong: bool
+    tip: str
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The segments of one method, or of a person."""
+
+    name: str
+    blocks: tuple[Block, ...]
+    description: str
+
+
+@dataclass(frozen=True)
+class Strips:
+    """A take with what every method labels."""
+
+    what: str
+    exam: Exam
+    strips: tuple[Strip, ...]
+    axis: Axis
+    scores: dict[str, Counts]
+
+
+@dataclass(frozen=True)
+class Shade:
+    """One entry of a confusion: frames, their share of the row, and how dark it is drawn, in percent."""
+
+    frames: float
+    share: float
+    dark: int
+    right: bool
+
+
+@dataclass(frozen=True)
+class ConfusionRow:
+    """One row of a confusion: the class by name and number, its frames, and its entries."""
+
+    label: str
+    number: int
+    frames: float
+    shades: tuple[Shade, ...]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One bar of a histogram, in units of the plot."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    tip: str
+
+
+def sweeps(points: Sequence[Threshold]) -> list[Sweep]:
+    """Draw precision, recall and F-measure over τ (thesis, Figure 5.6), for each kind of method."""
+    result = []
+    for curve in dict.fromkeys(point.curve for point in points):
+        own = tuple(sorted((point for point in points if point.curve == curve), key=lambda point: point.tau))
+        result.append(Sweep(curve, (_plot("frames", 1, own), _plot("segments", 2, own)), own))
+    return result
+
+
+def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
+    low, high = points[0].tau, points[-1].tau
+    across = [WIDTH * (point.tau - low) / (high - low) if high > low else WIDTH / 2 for point in points]
+    lines, said = [], []
+    for letter, name in (("p", "precision"), ("r", "recall"), ("f", "F-measure")):
+        values = [float(getattr(point.counts, f"{letter}{level}")) for point in points]
+        known = [(x, value) for x, value in zip(across, values, strict=True) if not math.isnan(value)]
+        lines.append(
+            Line(name, "M" + "L".join(f"{x:.1f} {HEIGHT * (1 - value):.1f}" for x, value in known) if known else "")
+        )
+        if known:
+            said.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
+    places = {0, len(points) // 2, len(points) - 1}
+    ticks = tuple((across[i], f"{points[i].tau:g}") for i in sorted(places))
+    return Plot(title, tuple(lines), ticks, f"{title}, τ from {low:g} to {high:g}: {', '.join(said)}")
+
+
+def strips(
+    what: str,
+    exam: Exam,
+    outcomes: Mapping[str, Outcome],
+    numbers: Mapping[str, int],
+    rate_hz: float,
+    scores: Mapping[str, Counts],
+) -> Strips:
+    """Lay out a take: what a person labelled on top, below it each method.
+
+    A block is wrong where the other side has none of its class on any of its frames: of a person, where the method
+    that leads (the first in `outcomes`) has none.
+    """
+    manual = sorted((start, stop, label) for label, start, stop in exam.truth)
+    leading = next(iter(outcomes.values()))[exam.name]
+    found = [(one.start, one.stop, one.label) for one in leading]
+    rows = [_strip("manual", manual, found, exam, numbers, rate_hz)]
+    for name, outcome in outcomes.items():
+        own = [(one.start, one.stop, one.label) for one in outcome[exam.name]]
+        rows.append(_strip(name, own, manual, exam, numbers, rate_hz))
+    return Strips(what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
+
+
+def _strip(
+    name: str,
+    segments: Sequence[tuple[int, int, str]],
+    others: Sequence[tuple[int, int, str]],
+    exam: Exam,
+    numbers: Mapping[str, int],
+    rate_hz: float,
+) -> Strip:
+    blocks, words = [], []
+    for start, stop, label in segments:
+        wrong = not any(label == other and start < end and begin < stop for begin, end, other in others)
+        said = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
+        width = percent(stop - start, exam.frames)
+        tip = f"{name}: {said}" + ("; " + ("not found" if name == "manual" else "not so by hand") if wrong else "")
+        blocks.append(Block(percent(start, exam.frames), width, numbers[label], width >= LEAST_PERCENT, wrong, tip))
+        words.append(said)
+    return Strip(name, tuple(blocks), f"{name}: {'; '.join(words) or 'nothing'}")
+
+
+def confusion_rows(confusion: Confusion) -> list[ConfusionRow]:
+    """Lay a confusion out; classes that are neither there nor labelled are left out of the rows."""
+    rows = []
+    for index, label in enumerate(confusion.labels):
+        frames = confusion.frames[index]
+        total = float(frames.sum())
+        if not total:
+            continue
+        shares = frames / total
+        right = label if label != NOTHING else NOTHING
+        shades = tuple(
+            Shade(float(count), float(share), round(60 * float(share) ** 0.5), confusion.labels[column] == right)
+            for column, (count, share) in enumerate(zip(frames.tolist(), shares.tolist(), strict=True))
+        )
+        rows.append(ConfusionRow(label, index + 1, total, shades))
+    return rows
+
+
+def histogram(frames: npt.NDArray[np.int64], rate_hz: float) -> list[Bar]:
+    """Draw boundary errors in seconds; what is beyond the ends stands in the outermost bars."""
+    seconds = np.clip(frames / rate_hz, -FURTHEST, FURTHEST)
+    counts, edges = np.histogram(seconds, bins=BINS, range=(-FURTHEST, FURTHEST))
+    top = max(int(counts.max()), 1)
+    width = WIDTH / BINS
+    return [
+        Bar(
+            index * width + 1, HEIGHT * (1 - count / top), width - 2, HEIGHT * count / top,
+            f"{count} from {edges[index]:+.1f} to {edges[index + 1]:+.1f} s",
+        )
+        for index, count in enumerate(counts.tolist())
+    ]  # fmt: skip

@@ -1,0 +1,136 @@
+"""The page on which methods of annotation are compared: what a busy person wants to know first, details below."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from ops.detection import THRESHOLDS
+from pipelines.evaluation.study import SplitResult, Study, boundary_summary
+from pipelines.evaluation.tables import between, confusions, described, digits, headings, row, sentence, six
+from pipelines.report.methodfigures import (
+    FURTHEST,
+    HEIGHT,
+    WIDTH,
+    Bar,
+    ConfusionRow,
+    Strips,
+    Sweep,
+    confusion_rows,
+    histogram,
+    strips,
+    sweeps,
+)
+from pipelines.report.palette import colour_rules, colour_slot
+
+MOST_ROWS = 300
+"""The longest a list of takes or segments gets; the page says how many more there are."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """One split as it is drawn. labels: the classes of its tables. missed: as many as are shown."""
+
+    result: SplitResult
+    labels: tuple[str, ...]
+    takes: tuple[Strips, ...]
+    sweeps: tuple[Sweep, ...]
+    confusion: dict[str, list[ConfusionRow]]
+    bars: dict[str, list[Bar]]
+
+
+def methods_page(study: Study) -> str:
+    """Render a comparison of methods.
+
+    Returns
+    -------
+    A complete HTML page without any outside reference; the same text for the same study.
+    """
+    labels = _labels(study)
+    light, dark = colour_rules(len(labels))
+    return (
+        _environment()
+        .get_template("methods.html.j2")
+        .render(
+            study=study,
+            sections=[_section(study, result, labels) for result in study.splits],
+            labels=labels,
+            slots={label: colour_slot(index) for index, label in enumerate(labels)},
+            numbers={label: index + 1 for index, label in enumerate(labels)},
+            headings=headings(study),
+            thresholds=THRESHOLDS,
+            width=WIDTH,
+            height=HEIGHT,
+            furthest=FURTHEST,
+            most=MOST_ROWS,
+            light=light,
+            dark=dark,
+        )
+    )
+
+
+def _labels(study: Study) -> list[str]:
+    """All labels of all splits, the classes first."""
+    found = list(study.classes)
+    for result in study.splits:
+        for judgement in result.judgements.values():
+            found += [label for label in judgement.by_class if label not in found]
+    return found
+
+
+def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
+    numbers = {label: index + 1 for index, label in enumerate(labels)}
+    lead = result.leading
+    ordered = {lead: result.outcomes[lead], **result.outcomes}
+    exams = {exam.name: exam for exam in result.exams}
+    judgement = result.judgements[lead]
+    used = tuple(
+        label
+        for label in judgement.by_class
+        if any(
+            one.by_class[label].frames_automatic + one.by_class[label].frames_manual
+            for one in result.judgements.values()
+        )
+    )
+    takes = [
+        strips(
+            what,
+            exams[name],
+            ordered,
+            numbers,
+            study.rate_hz,
+            {method: one.by_take[name] for method, one in result.judgements.items()},
+        )
+        for what, name in result.shown().items()
+    ]
+    bars = {
+        end: histogram(judgement.boundaries[:, column], study.rate_hz) for column, end in enumerate(("start", "stop"))
+    }
+    confusion = {name: confusion_rows(result.judgements[name].confusion) for name in ordered}
+    return Section(result, used, tuple(takes), tuple(sweeps(result.sweep)), confusion, bars)
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("pipelines.report", "pages"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    filters: dict[str, Callable[..., object]] = {
+        "digits": digits,
+        "between": between,
+        "described": described,
+        "sentence": sentence,
+        "row": row,
+        "six": six,
+        "confusions": confusions,
+        "boundaries": boundary_summary,
+        "sortable": lambda value: "" if value is None or math.isnan(value) else value,
+    }
+    environment.filters.update(filters)
+    return environment

@@ -1,0 +1,334 @@
+"""Stage compare_methods: several ways to annotate, on splits of the archive, side by side in one report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import polars as pl
+import pyarrow as pa
+from pydantic import ConfigDict, Field, model_validator
+
+from catalog.classes import OWN, Classes, load_classes
+from catalog.configs import config_path
+from catalog.queries import KeyframeQuery
+from ops.decoding import background
+from ops.errors import KinedexError
+from ops.templates import Kind
+from pipelines.annotating import make_annotator, targets_unknown
+from pipelines.context import StageContext
+from pipelines.digests import files_digest
+from pipelines.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
+from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
+from pipelines.evaluation.exams import Fold, Material, make_folds
+from pipelines.evaluation.judging import Judgement, judge, never_found
+from pipelines.evaluation.queries import QueryLearner
+from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
+from pipelines.evaluation.study import SplitResult, Study, Threshold, content
+from pipelines.evaluation.tables import markdown, overview
+from pipelines.learning import SubclassTemplate, learn_templates
+from pipelines.recipes import feature_weights
+from pipelines.report.methods import methods_page
+from pipelines.report.write import write_page
+from pipelines.stages import annotate
+from pipelines.stages import evaluate as evaluating
+from pipelines.stages import learn_templates as learning
+from pipelines.wording import few
+from storage.manifest import now
+from storage.store import Store
+
+
+class Params(evaluating.Params):
+    """What the stage `compare_methods` takes; templates are learned as `learn_templates` says, but for its takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: str = Field("Methods compared", description="the title of the report")
+    methods: list[Method] = Field(min_length=1, description="ways to annotate, each with a name")
+    splits: list[Split] = Field(min_length=1, description="what is learned from, and what is annotated")
+    classes: str = Field(OWN, description="'own': every subclass is a class; or a class file")
+    divide_by: str = Field("actor", description="the column of takes that Table 5.2 is divided by")
+    taus: list[float] = Field(
+        [],
+        description="thresholds of the sweep (thesis, Figure 5.6), for all methods but those that τ does not matter to",
+    )
+    metrics: list[Metric] = Field(
+        list(METRICS),
+        description="what is reported: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), boundaries",
+    )
+    draws: int = Field(1000, ge=1, description="how often takes are drawn for the 95 % intervals")
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        for what, names in (("methods", [m.name for m in self.methods]), ("splits", [s.name for s in self.splits])):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise ValueError(f"{what}: two are named '{twice[0]}'")
+        return self
+
+    @property
+    def distinct(self) -> list[Method]:
+        """The methods, but those that are another one under a second name."""
+        settings = [_setting(method) for method in self.methods]
+        return [method for index, method in enumerate(self.methods) if settings[index] not in settings[:index]]
+
+    @property
+    def query_files(self) -> list[str]:
+        """The query files of all methods, each once."""
+        return list(dict.fromkeys(name for method in self.methods for name in method.query_files))
+
+
+@dataclass(frozen=True)
+class Known:
+    """What folds share. templates: by subclass, clips and kind. queries: by fold, those that are learned."""
+
+    store: Store
+    classes: Classes
+    learned_with: learning.Params
+    templates: dict[tuple[str, tuple[str, ...], Kind], SubclassTemplate]
+    learned_queries: QueryLearner | None
+
+
+def _setting(method: Method) -> dict[str, object]:
+    """What a method follows from."""
+    fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
+    if method.method == "best":
+        del fields["tau"]
+    return fields | {"learned": method.learned_queries}
+
+
+def external_digest(params: Params, store: Store | None) -> str:
+    """What the stage depends on outside the store: ground truth, class file and query files."""
+    files = [config_path("queries", name) for name in params.query_files]
+    if params.classes != OWN:
+        files.append(config_path("classes", params.classes))
+    return files_digest(files) + evaluating.external_digest(params, store)
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Compute the cells that are missing, judge all methods, and write the report."""
+    store = context.open()
+    same = [method.name for method in params.methods if method not in params.distinct]
+    params = params.model_copy(update={"methods": params.distinct})
+    known = _known(context, params, store)
+    folds = {split.name: _folds(params, split, known) for split in params.splits}
+    known = _with_templates(context, params, known, [fold for some in folds.values() for fold in some])
+    remarks = [f"the same as a method before it, left out: {few(same)}"] if same else []
+    remarks += _remarks(params, known)
+    variants = [*params.methods, *_swept(params)]
+    cells = {
+        (fold.split, fold.name, method.name): _cell(known, fold, method)
+        for some in folds.values()
+        for fold in some
+        for method in variants
+    }
+    found = _run(context, list(cells.values()))
+    splits = [_result(params, split, folds[split.name], cells, found, known.classes) for split in params.splits]
+    study = _study(context, params, store, known.classes, splits, remarks)
+    files = _write(context, study)
+    context.terminal.show(overview(study))
+    for remark in [*remarks, *(remark for split in study.splits for remark in split.remarks)]:
+        context.say(remark)
+    context.say(f"report: {(context.store_path / files[0]).resolve()}")
+    leading = study.splits[0].judgements[study.splits[0].leading].pooled
+    return {
+        "splits": len(splits),
+        "methods": len(params.methods),
+        "cells": len({cell.key for cell in cells.values()}),
+        "leading": study.splits[0].leading,
+        **measures(leading),
+        "files": files,
+    }
+
+
+def _known(context: StageContext, params: Params, store: Store) -> Known:
+    learned_with = context.params[context.inputs["templates"]]
+    assert isinstance(learned_with, learning.Params)
+    labelled = set(store.takes()["class"].drop_nulls().unique())
+    trained = {
+        name for split in params.splits for name in store.takes(split.train)["class"].drop_nulls().unique().to_list()
+    }
+    made = set(learned_with.combine) | trained
+    classes = load_classes(params.classes, made if params.classes == OWN else made | labelled)
+    learner = None
+    if any(method.learned_queries for method in params.methods):
+        if "keyframes" not in context.inputs:
+            names = few([method.name for method in params.methods if method.learned_queries])
+            raise KinedexError(f"queries of {names} are to be learned, so the pipeline needs a stage 'learn_keyframes'")
+        learner = QueryLearner(context, context.params[context.inputs["keyframes"]])
+    return Known(store, classes, learned_with, {}, learner)
+
+
+def _folds(params: Params, split: Split, known: Known) -> list[Fold]:
+    training_with = known.learned_with.model_copy(update={"where": split.train})
+    training = learning.takes_to_learn_from(known.store, training_with)
+    clips = learning.clips_to_learn_from(known.store, training_with, training)
+    tested = known.store.takes(split.test)
+
+    def place(takes: pl.DataFrame) -> GroundTruth:
+        if params.ground_truth == evaluating.NONE:
+            raise KinedexError(
+                f"split '{split.name}' has takes of its own, whose ground_truth must be given, not 'none'"
+            )
+        return evaluating.ground_truth(known.store, params, takes, known.classes)
+
+    material = Material(training, tuple(clips), tested, known.classes, place, params.divide_by)
+    if params.divide_by not in tested.columns:
+        raise KinedexError(f"divide_by: takes have no column '{params.divide_by}'")
+    return make_folds(split, material)
+
+
+def _with_templates(context: StageContext, params: Params, known: Known, folds: Sequence[Fold]) -> Known:
+    """Learn each template that any fold needs once; and the queries, where they are learned."""
+    kinds = list(dict.fromkeys(method.templates for method in params.methods))
+    wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
+    features = len(context.feature_set.features)
+    counts = feature_weights(known.learned_with.weights, context.feature_set)
+    templates = dict(known.templates)
+    with context.progress("templates", len(wanted) * len(kinds)) as progress:
+        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, counts):
+            templates |= {(one.subclass, one.clips, one.kind): one for one in some}
+            progress.advance(len(some))
+    if known.learned_queries is not None:
+        known.learned_queries.learn(folds)
+    return Known(known.store, known.classes, known.learned_with, templates, known.learned_queries)
+
+
+def _swept(params: Params) -> list[Method]:
+    """A method for each threshold and each kind of method that has one, the same kind once."""
+    curves = {method.curve_name: method for method in params.methods if method.method == "thesis"}
+    return [method.at(tau) for method in curves.values() for tau in params.taus]
+
+
+def _remarks(params: Params, known: Known) -> list[str]:
+    remarks = []
+    for method in params.methods:
+        unknown = targets_unknown(_queries(known.store, method), known.classes)
+        if unknown:
+            remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
+    return remarks
+
+
+def _queries(store: Store, method: Method) -> list[KeyframeQuery]:
+    return annotate.queries_of(store, annotate.Params.model_validate({"queries": method.query_files}))
+
+
+def _cell(known: Known, fold: Fold, method: Method) -> Cell:
+    own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
+    feature_set = known.store.feature_set
+    templates = learning.completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
+    if method.learned_queries:
+        assert known.learned_queries is not None
+        queries: Sequence[KeyframeQuery] = known.learned_queries.queries(fold)
+    else:
+        queries = _queries(known.store, method)
+    usual = None
+    if method.method == "best":
+        usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
+    annotator = make_annotator(feature_set, templates, known.classes, method.delta, method.tau, queries, usual)
+    return Cell(cell_key(fold, method, annotator, known.store), fold, method, annotator)
+
+
+def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
+    known = known_cells(context.open().result("method_cells", pipeline=context.pipeline))
+    distinct = list({cell.key: cell for cell in cells}.values())
+
+    def save(found: Mapping[str, Found]) -> None:
+        with context.writer() as writer:
+            table = cells_table(distinct, found, context.run)
+            writer.put_results("method_cells", table, stage=context.key(), run=context.run)
+            writer.commit()
+
+    already = sum(cell.key in known for cell in distinct)
+    if already:
+        context.say(f"{already} of {len(distinct)} cells are known")
+    with context.progress("cells", len(distinct)) as progress:
+        found = run_cells(distinct, context.store_path, context.executor, known, save, progress.advance)
+    save(found)
+    return found
+
+
+def _result(
+    params: Params,
+    split: Split,
+    folds: Sequence[Fold],
+    cells: Mapping[tuple[str, str, str], Cell],
+    found: Mapping[str, Found],
+    classes: Classes,
+) -> SplitResult:
+    def outcome(method: Method) -> Found:
+        keys = [cells[split.name, fold.name, method.name].key for fold in folds]
+        return {name: segments for key in keys for name, segments in found[key].items()}
+
+    exams = [exam for fold in folds for exam in fold.exams]
+    outcomes = {method.name: outcome(method) for method in params.methods}
+    judged: dict[str, Judgement] = {
+        name: judge(one, exams, classes.names, params.draws) for name, one in outcomes.items()
+    }
+    sweep = [
+        Threshold(method.curve_name, method.tau, judge(outcome(method), exams, classes.names, 1).pooled)
+        for method in _swept(params)
+    ]
+    missed = never_found(outcomes, exams)
+    return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), tuple(missed))
+
+
+def _study(
+    context: StageContext,
+    params: Params,
+    store: Store,
+    classes: Classes,
+    splits: Iterable[SplitResult],
+    remarks: Sequence[str],
+) -> Study:
+    return Study(
+        title=params.title,
+        pipeline=context.pipeline,
+        run=context.run,
+        created=now(),
+        store=str(context.store_path),
+        archive=", ".join(sorted(store.takes()["source_root"].unique())),
+        rate_hz=store.rate_hz,
+        classes=classes.names,
+        descriptions={one.name: one.description for one in classes.classes},
+        group=params.divide_by,
+        metrics=tuple(params.metrics),
+        methods=tuple(params.methods),
+        splits=tuple(splits),
+        remarks=tuple(remarks),
+    )
+
+
+def _write(context: StageContext, study: Study) -> list[str]:
+    """Keep the metrics, write page, summary and JSON; their paths within the store, the page first."""
+    with context.writer() as writer:
+        tables = [
+            metrics_rows(Evaluation(f"{result.split.name}: {name}", rows_of(judged)), context.run)
+            for result in study.splits
+            for name, judged in result.judgements.items()
+        ]
+        writer.put_results("metrics", pa.concat_tables(tables), stage=context.key(), run=context.run)
+        writer.commit()
+    texts = {
+        "methods.html": methods_page(study),
+        "methods.md": markdown(study),
+        "methods.json": json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+    }
+    files = []
+    for name, text in texts.items():
+        path = context.report_file(name)
+        write_page(text, path)
+        files.append(path.relative_to(context.store_path).as_posix())
+    return files
+
+
+def rows_of(judged: Judgement) -> tuple[Row, ...]:
+    """A judgement as lines of an evaluation; a fold is a group of takes."""
+    return (
+        Row("pooled", "all", judged.pooled),
+        *(Row("fold", name, counts) for name, counts in judged.by_group.items()),
+        *(Row("class", name, counts) for name, counts in judged.by_class.items()),
+        *(Row("take", name, counts) for name, counts in judged.by_take.items()),
+    )

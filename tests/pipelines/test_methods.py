@@ -1,0 +1,283 @@
+"""Methods compared on splits of an archive: what is left out of which training, what is kept, and what is judged."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from ops.errors import KinedexError
+from ops.metrics import Counts
+from pipelines.config import load_pipeline
+from pipelines.evaluation import cells as grid
+from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.exams import Exam
+from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, judge, never_found
+from pipelines.evaluation.scheme import Method, Split
+from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
+from storage.store import open_store
+from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
+from tests.pipelines.study import Reading
+
+THESIS = {"name": "thesis", "tau": 0.13}
+BEST = {"name": "best", "method": "best"}
+LEFT_OUT = {
+    "name": "left out", "test": "class IS NOT NULL", "leave_out": "actor", "clips_as_takes": True,
+    "clips_a_take": 3, "orders": 2, "most_clips": 2,
+}  # fmt: skip
+MOTIONS = ("walk", "kick", "wave")
+
+
+class Comparing(Line):
+    INPUTS: ClassVar[dict[str, dict[str, str]]] = {
+        **Line.INPUTS,
+        "learn_keyframes": {},
+        "compare_methods": {"templates": "learn_templates", "keyframes": "learn_keyframes"},
+    }
+
+    def compare(self, methods: list[dict], splits: list[dict], **params: object) -> dict:
+        self.run(compare_methods, methods=methods, splits=splits, **params)
+        return json.loads(self.file("json"))
+
+    def file(self, ending: str) -> str:
+        return (self.store / f"results/reports/test/methods.{ending}").read_text(encoding="utf-8")
+
+
+def truth_file(folder: Path, takes: dict[str, tuple[str, ...]]) -> Path:
+    """Ground truth of long takes of these motions in a row, in source frames (four to an analysis frame)."""
+    lines = ["take,class,start,stop"]
+    for take, motions in takes.items():
+        at = 0
+        for name in motions:
+            stop = at + 4 * len(motion(name))
+            lines += [f"{take},{name},{at},{stop}"] if name != "rest" else []
+            at = stop
+    path = folder / "ground_truth.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Comparing:
+    truth_file(tmp_path, {"eve_1": ("walk", "rest", "kick"), "eve_2": ("wave", "walk")})
+    speeds = {"ann": 5, "bob": 6}
+    clips = [clip(name, actor, n, speed) for actor, speed in speeds.items() for name in MOTIONS for n in (1, 2)]
+    long = [long_take("eve_1", "eve", "walk", "rest", "kick"), long_take("eve_2", "eve", "wave", "walk")]
+    store = write_store(tmp_path / "store", [*clips, *long], tmp_path)
+    line = Comparing(store)
+    line.run(learn_templates)
+    line.params["learn_keyframes"] = learn_keyframes.Params(generations=5, population=10, runs=2, group=2)
+    return line
+
+
+def test_every_method_is_judged_in_every_split(line: Comparing) -> None:
+    found = line.compare([THESIS, BEST], [{"name": "eve"}, LEFT_OUT], taus=[0.05, 0.1])
+    eve, left_out = found["splits"]
+    assert set(eve["methods"]) == {"thesis", "best"}
+    assert eve["methods"]["best"]["pooled"]["f1"] == pytest.approx(1.0)
+    assert eve["methods"]["best"]["map"]["0.7"] == pytest.approx(1.0)
+    assert eve["methods"]["best"]["boundaries"]["start"]["median"] == 0.0
+    assert [point["tau"] for point in eve["sweep"]] == [0.05, 0.1]
+    assert [fold["name"] for fold in left_out["folds"]] == ["ann", "bob"]
+    assert set(left_out["methods"]["best"]["groups"]) == {"ann", "bob"}
+    assert left_out["methods"]["best"]["pooled"]["f1"] == pytest.approx(1.0)
+    metrics = open_store(line.store).result("metrics").to_pylist()
+    assert {row["evaluation"] for row in metrics} >= {"eve: best", "left out: thesis"}
+
+
+def test_what_is_annotated_is_never_learned_from(line: Comparing) -> None:
+    by_take = {**LEFT_OUT, "name": "by take", "leave_out": None, "folds": 3, "seed": 4}
+    found = line.compare([BEST], [LEFT_OUT, by_take])
+    left_out, folds = found["splits"]
+    assert [fold["clips"] for fold in left_out["folds"]] == [6, 6]
+    assert [fold["clips"] for fold in folds["folds"]] == [8, 8, 8]
+    rows = open_store(line.store).takes("class IS NOT NULL")
+    assert rows.height == 12
+
+
+def test_clips_laid_end_to_end_are_annotated_as_one_take(line: Comparing) -> None:
+    found = line.compare([BEST], [LEFT_OUT])["splits"][0]
+    shown = found["shown"]["best"]
+    assert shown["frames"] == sum(stop - start for _, start, stop in shown["manual"])
+    assert [(one["label"], one["start"], one["stop"]) for one in shown["automatic"]["best"]] == [
+        tuple(one) for one in shown["manual"]
+    ]
+    assert "takes share clips" in " ".join(found["remarks"])
+
+
+def test_a_fixed_split_refuses_to_annotate_what_it_learned_from(line: Comparing) -> None:
+    with pytest.raises(KinedexError, match=r"split 'x': takes to annotate are learned from as well: ann_kick_001"):
+        line.compare([BEST], [{"name": "x", "test": "class IS NOT NULL", "clips_as_takes": True}])
+
+
+def test_finished_cells_are_kept_and_not_done_again(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = line.compare([THESIS], [{"name": "eve"}, LEFT_OUT])
+    done: list[str] = []
+    real = grid.annotate_task
+    monkeypatch.setattr(grid, "annotate_task", lambda task: done.append(task.exams[0].name) or real(task))
+    assert line.compare([THESIS], [{"name": "eve"}, LEFT_OUT])["splits"] == first["splits"]
+    assert done == []
+    line.compare([THESIS, BEST], [{"name": "eve"}, LEFT_OUT])
+    assert done == ["eve_1", "ann: order 1, take 1", "bob: order 1, take 1"]
+
+
+def test_what_was_finished_before_it_broke_off_is_kept(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = grid.annotate_task
+
+    def breaks(task: grid.Task) -> grid.Found:
+        if task.exams[0].name.startswith("bob"):
+            raise KinedexError("pulled the plug")
+        return real(task)
+
+    monkeypatch.setattr(grid, "annotate_task", breaks)
+    monkeypatch.setattr(grid, "SAVE_SECONDS", 0.0)
+    with pytest.raises(KinedexError, match="pulled the plug"):
+        line.compare([BEST], [LEFT_OUT])
+    assert set(open_store(line.store).result("method_cells")["fold"].to_pylist()) == {"ann"}
+    monkeypatch.setattr(grid, "annotate_task", real)
+    assert len(line.compare([BEST], [LEFT_OUT])["splits"][0]["folds"]) == 2
+
+
+def test_the_result_does_not_depend_on_the_executor(line: Comparing, tmp_path: Path) -> None:
+    serial = line.compare([THESIS, BEST], [LEFT_OUT])
+    other = Comparing(line.store, "processes")
+    other.params = dict(line.params)
+    with_workers = other.compare([THESIS, BEST], [LEFT_OUT], draws=999)
+    other.executor.close()
+    for scope in ("pooled", "takes", "confusion"):
+        assert with_workers["splits"][0]["methods"]["best"][scope] == serial["splits"][0]["methods"]["best"][scope]
+
+
+def test_learned_queries_are_learned_in_each_fold_from_its_own_clips(line: Comparing) -> None:
+    method = {**BEST, "name": "with keyframes", "queries": "learned"}
+    found = line.compare([BEST, method], [LEFT_OUT])["splits"][0]
+    assert found["methods"]["with keyframes"]["pooled"]["f1"] > 0.8
+    runs = open_store(line.store).result("keyframe_runs").to_pylist()
+    assert len({row["key"] for row in runs}) == 2 * len(MOTIONS)  # each class once without ann, once without bob
+
+
+def test_the_same_method_twice_is_compared_once(line: Comparing) -> None:
+    found = line.compare([BEST, {**BEST, "name": "again", "queries": []}], [{"name": "eve"}])
+    assert list(found["splits"][0]["methods"]) == ["best"]
+    assert found["remarks"] == ["the same as a method before it, left out: again"]
+
+
+def test_labels_without_a_template_are_told(line: Comparing, tmp_path: Path) -> None:
+    with open(tmp_path / "ground_truth.csv", "a", encoding="utf-8") as file:
+        file.write("eve_1,dance,20,40\n")
+    found = line.compare([BEST], [{"name": "eve"}], unknown_labels="miss")["splits"][0]
+    assert [(one["take"], one["label"]) for one in found["never_found"]] == [("eve_1", "dance")]
+    assert found["methods"]["best"]["classes"]["dance"]["r2"] == 0.0
+
+
+def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing) -> None:
+    line.compare([THESIS, BEST], [{"name": "eve"}, LEFT_OUT], taus=[0.05, 0.1], title="Walks & kicks")
+    page = line.file("html")
+    reading = Reading(page)
+    assert all(one.startswith("#") for one in reading.references)
+    assert "Walks & kicks" in reading.text
+    assert "Table 5.2" in reading.text
+    assert "Figure 5.6" in reading.text
+    assert page.count('role="img"') == page.count("aria-label") - page.count('role="group"') - 1 - 2  # nav, legends
+    summary = line.file("md")
+    assert "| best | 1.00 |" in summary
+    assert "### Found by no method: 0" in summary
+
+
+@pytest.mark.parametrize(
+    ("split", "message"),
+    [
+        ({"name": "x", "test": "actor = 'nobody'"}, "no take to annotate"),
+        ({"name": "x", "leave_out": "actress"}, "takes have no column 'actress'; did you mean 'actor'"),
+        ({"name": "x", "test": "class IS NULL", "clips_as_takes": True}, "none of the 2 takes"),
+        ({"name": "x", "folds": 5}, "5 folds of 2 takes"),
+    ],
+)
+def test_a_split_that_cannot_be_is_refused(line: Comparing, split: dict, message: str) -> None:
+    with pytest.raises(KinedexError, match=message):
+        line.compare([BEST], [split])
+
+
+def test_a_split_is_of_one_kind() -> None:
+    with pytest.raises(ValueError, match="exclude each other"):
+        Split(name="x", leave_out="actor", folds=3)
+
+
+def test_methods_and_splits_have_names_of_their_own(line: Comparing) -> None:
+    with pytest.raises(ValueError, match="methods: two are named 'best'"):
+        line.compare([BEST, BEST], [{"name": "eve"}])
+
+
+def test_queries_that_are_to_be_learned_need_the_stage(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(Comparing.INPUTS, "compare_methods", {"templates": "learn_templates"})
+    with pytest.raises(KinedexError, match="needs a stage 'learn_keyframes'"):
+        line.compare([{**BEST, "queries": "learned"}], [{"name": "eve"}])
+
+
+def exam(*truth: tuple[str, int, int], frames: int = 10) -> Exam:
+    return Exam("t", "g", (1,), frames, truth)
+
+
+def test_frames_are_confused_as_they_are_labelled() -> None:
+    #       0 1 2 3 4 5 6 7 8 9
+    # true  a a a a b b b . . .
+    # mine  a a b b b . . . c c
+    found = {"t": (Segment("a", 0, 2, 1.0), Segment("b", 2, 5, 1.0), Segment("c", 8, 10, 1.0))}
+    result = confusion(found, [exam(("a", 0, 4), ("b", 4, 7))], ["a", "b", "c"])
+    assert result.labels == ("a", "b", "c", NOTHING)
+    assert result.frames.tolist() == [[2, 2, 0, 0], [0, 1, 0, 2], [0, 0, 0, 0], [0, 0, 2, 1]]
+
+
+def test_a_frame_of_two_classes_is_confused_in_parts() -> None:
+    found = {"t": (Segment("b", 0, 4, 1.0), Segment("c", 2, 4, 1.0))}
+    result = confusion(found, [exam(("a", 0, 4), frames=4)], ["a", "b", "c"])
+    assert result.frames[0].tolist() == [0, 3, 1, 0]
+    both = confusion({"t": (Segment("a", 0, 4, 1.0),)}, [exam(("a", 0, 4), ("b", 0, 4), frames=4)], ["a", "b"])
+    assert both.frames.tolist() == [[4, 0, 0], [0, 0, 4], [0, 0, 0]]
+
+
+def test_a_segment_that_one_method_finds_is_found() -> None:
+    truth = exam(("a", 0, 4), ("b", 5, 9))
+    missed = never_found(
+        {"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}},
+        [truth],
+    )
+    assert [(one.label, one.instead) for one in missed] == [("b", {"one": ("a",), "two": ()})]
+
+
+def test_the_takes_shown_are_the_best_the_middle_and_the_worst() -> None:
+    def counts(right: int) -> Counts:
+        return Counts(right, 10, 10, 0, 0, 0, 0)
+
+    assert chosen_takes({"x": counts(3), "y": counts(9), "z": counts(1), "w": Counts()}) == {
+        "best": "y", "median": "x", "worst": "z",
+    }  # fmt: skip
+    assert chosen_takes({"x": counts(3)}) == {"best": "x"}
+    assert chosen_takes({"x": Counts()}) == {}
+
+
+def test_nothing_found_and_nothing_to_find_is_judged() -> None:
+    result = judge({"t": ()}, [exam()], ["a"], draws=10)
+    assert math.isnan(result.pooled.f1)
+    assert math.isnan(result.precision[0.5])
+    assert result.boundaries.shape == (0, 2)
+    assert result.confusion.frames.sum() == 10
+
+
+def test_the_same_method_at_another_threshold_is_on_the_same_curve() -> None:
+    method = Method(name="mine", tau=0.13)
+    assert method.at(0.06).curve_name == method.curve_name
+    assert method.at(0.06).tau == 0.06
+    assert Method(name="x", queries="learned").curve_name != method.curve_name
+
+
+def test_the_shipped_pipeline_compares_methods() -> None:
+    pipeline = load_pipeline("hdm05", {"source": "/data"})
+    stage = pipeline.stage("compare_methods")
+    assert isinstance(stage.params, compare_methods.Params)
+    assert [method.name for method in stage.params.distinct][-1] == "best, learned queries"
+    assert stage.inputs == {"templates": "learn_templates", "keyframes": "learn_keyframes"}
+    assert stage.params.ground_truth == evaluate.Params().ground_truth
