@@ -75,7 +75,7 @@ def spread_minima(curve: F64, starts: I64, ends: I64) -> F64:
     return spread
 
 
-def annotate(modified: F64, classes: I64, threshold: float = np.inf) -> list[Segment]:
+def annotate(modified: F64, classes: I64, threshold: float | F64 = np.inf) -> list[Segment]:
     """Label every frame with the class that explains it best, and grow the labelled runs (Eq. 5.5 to 5.7).
 
     A class takes the least of its subclasses' modified curves; ties go to the first class, and within it to the
@@ -86,8 +86,9 @@ def annotate(modified: F64, classes: I64, threshold: float = np.inf) -> list[Seg
     ----------
     modified: float64 (S, L), the modified curve of each subclass (see `spread_minima`).
     classes: int64 (S,), the class of each subclass, 0 … P − 1.
-    threshold: τ, which the confidence is measured against where no other class is nearer: 1 − cost / rival, the rival
-        being the mean over the segment's frames of the nearest other class's modified curve, or τ where that is less.
+    threshold: τ, or float64 with one for each class, which the confidence is measured against where no other class is
+        nearer: 1 − cost / rival, the rival being the mean over the segment's frames of the nearest other class's
+        modified curve, or the class's own τ where that is less.
 
     Returns
     -------
@@ -99,13 +100,14 @@ def annotate(modified: F64, classes: I64, threshold: float = np.inf) -> list[Seg
     if not subclasses or not frames:
         return []
     curves, best = _class_curves(modified, classes)
+    taus = np.broadcast_to(np.asarray(threshold, np.float64), np.shape(threshold) or (len(curves),)).tolist()
     labels = _labels(curves)
     segments = []
     for class_index in range(len(curves)):
         for start, stop in grow(curves[class_index], labels == class_index):
             at = start + int(np.argmin(curves[class_index, start:stop]))
             cost = float(curves[class_index, at])
-            sure = _confidence(curves, class_index, slice(start, stop), cost, threshold)
+            sure = _confidence(curves, class_index, slice(start, stop), cost, taus[class_index])
             segments.append(Segment(start, stop, class_index, cost, int(best[class_index, at]), sure))
     return sorted(segments)
 

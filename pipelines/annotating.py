@@ -60,6 +60,8 @@ class Annotator:
     queries: for each template the keyframe queries that preselect frames for it, none for all frames.
     remarks: templates that say too little, in words.
     row: what labels all frames of a take together; None: each frame gets the label of the nearest template (thesis).
+    taus: float64 (P,), thresholds of the classes; None: `tau` is that of all.
+    min_frames: shorter segments are left out.
     """
 
     feature_set: FeatureSet
@@ -71,6 +73,13 @@ class Annotator:
     tau: float
     remarks: tuple[str, ...] = ()
     row: Row | None = None
+    taus: F64 | None = None
+    min_frames: int = 0
+
+    @property
+    def thresholds(self) -> F64:
+        """The threshold of each class, float64 (P,)."""
+        return np.full(len(self.classes), self.tau) if self.taus is None else self.taus
 
     @property
     def method(self) -> str:
@@ -195,9 +204,25 @@ def annotate_takes(
     yield from executor.map(annotate_batch, batches)
 
 
-def takes_table(takes: pl.DataFrame, run: str) -> pa.Table:
-    """Lay the takes that are annotated out as results of the kind `annotated_takes`."""
-    columns = takes.sort("name").select(pl.lit(run).alias("run"), "take_id", pl.col("name").alias("take"), "frames")
+def takes_table(
+    takes: pl.DataFrame, run: str, searched: Mapping[int, float], prints: Mapping[int, str] | None = None
+) -> pa.Table:
+    """Lay the takes that are annotated out as results of the kind `annotated_takes`.
+
+    Parameters
+    ----------
+    searched: take_id → the share of its frames that a template was matched in, on average. prints: take_id →
+        fingerprint, by which a later run knows that nothing has changed.
+    """
+    ids = takes.sort("name")["take_id"].to_list()
+    columns = takes.sort("name").select(
+        pl.lit(run).alias("run"),
+        "take_id",
+        pl.col("name").alias("take"),
+        "frames",
+        pl.Series("searched", [searched[take_id] for take_id in ids], pl.Float64),
+        pl.Series("fingerprint", [(prints or {}).get(take_id) for take_id in ids], pl.String),
+    )
     return columns.to_arrow().cast(result_schema("annotated_takes"))
 
 
@@ -254,7 +279,8 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
         if modified is None:
             segments = _explained(annotator, words.words[piece], ranges, curves[:, piece], piece)
         else:
-            segments = annotate(modified[:, piece], annotator.class_index, annotator.tau)
+            segments = annotate(modified[:, piece], annotator.class_index, annotator.thresholds)
+        segments = [one for one in segments if one.stop - one.start >= annotator.min_frames]
         found.append(
             TakeAnnotation(
                 take_id,
@@ -269,9 +295,10 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
 def _modified(annotator: Annotator, words: TakeWords, ranges: Sequence[I64], curves: F64) -> F64:
     """The modified curves of all templates (thesis, Eq. 5.4)."""
     modified = np.full_like(curves, np.inf)
+    taus = annotator.thresholds[annotator.class_index].tolist()
     for subclass, template in enumerate(annotator.templates):
         minima = [
-            local_minima(curves[subclass, start:stop], annotator.tau) + start
+            local_minima(curves[subclass, start:stop], taus[subclass]) + start
             for start, stop in zip(words.offsets[:-1], words.offsets[1:], strict=True)
         ]
         ends = np.concatenate([np.empty(0, np.int64), *minima])

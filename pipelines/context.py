@@ -22,6 +22,8 @@ class StageContext:
     inputs: role → the stage instance that plays it, for instance {"templates": "learn_templates"}.
     params: the validated parameters of every stage of the pipeline, by instance name, for stages that repeat another
     one's work.
+    code: a hash of the sources that the stage runs, for stages that keep what they did before; empty where it must do
+    all of it again (`--force`, or nobody knows).
     """
 
     store_path: Path
@@ -34,6 +36,7 @@ class StageContext:
     uses: str = ""
     inputs: dict[str, str] = field(default_factory=dict)
     params: dict[str, BaseModel] = field(default_factory=dict)
+    code: str = ""
 
     @property
     def report_dir(self) -> Path:

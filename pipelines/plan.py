@@ -17,6 +17,9 @@ from storage.store import Store, open_store
 PACKAGES = ("ops", "catalog", "storage", "pipelines")
 ROOT = Path(__file__).resolve().parents[1]
 
+FORCED = "--force"
+"""The reason of a stage that runs because it was asked for."""
+
 # What a stage is run by, but what its results do not depend on.
 _CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
 
@@ -60,7 +63,7 @@ class Planner:
         store = _open(self.store_path)
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
         parts = self.parts(stage, store)
-        reason = "--force" if stage.name in self.force else _reason(record, parts)
+        reason = FORCED if stage.name in self.force else _reason(record, parts)
         if reason is None and store is not None and record is not None:
             reason = _gone(stage, store, record)
         if reason is None:

@@ -15,7 +15,7 @@ from ops.errors import KinedexError
 from pipelines.config import Pipeline, load_pipeline
 from pipelines.context import StageContext
 from pipelines.executors import Executor, make_executor
-from pipelines.plan import Planner, Step, make_plan
+from pipelines.plan import FORCED, Planner, Step, make_plan
 from pipelines.terminal import Terminal
 from storage.manifest import StageRecord, now
 from storage.store import open_store
@@ -117,6 +117,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
         terminal=run.terminal,
         inputs=dict(stage.inputs),
         params={other.name: other.params for other in run.pipeline.stages},
+        code="" if step.reason == FORCED else step.parts["code"],
     )
     begin = time.perf_counter()
     try:

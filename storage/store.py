@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -162,6 +163,16 @@ class Store:
         ]
         return pa.concat_tables(tables) if tables else schema.empty_table()
 
+    def result_pieces(self, kind: str, run: str) -> Iterator[pa.Table]:
+        """The rows of one kind of result of a run, piece by piece as they were written; see `result`."""
+        schema = result_schema(kind)
+        for part in self.manifest.results.get(kind, ()):
+            if part.run == run:
+                file = part_file(self.path, part.path)
+                with reading(file), pq.ParquetFile(file) as opened:
+                    for group in range(opened.num_row_groups):
+                        yield opened.read_row_group(group).cast(schema)
+
     def index_path(self) -> Path:
         """The DuckDB file of the index of exactly these takes.
 
@@ -230,8 +241,15 @@ class Store:
 
 
 def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
-    try:
+    with reading(file):
         return pq.read_table(file, schema=schema)
+
+
+@contextmanager
+def reading(file: Path) -> Iterator[None]:
+    """Turn a fault of reading a part into a StoreError that names it."""
+    try:
+        yield
     except (OSError, pa.ArrowException) as fault:
         reason = str(fault).splitlines()[0]
         raise StoreError(f"{file}: the part cannot be read: {reason}; see `kinedex verify`") from None

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import Literal
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
+import pyarrow as pa
+import pyarrow.compute as pc
 from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import OWN, Classes, load_classes
@@ -16,10 +20,9 @@ from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
 from catalog.queryfiles import read_queries
 from ops.decoding import background
-from ops.errors import KinedexError
+from ops.errors import KinedexError, did_you_mean
 from pipelines.annotating import (
     Annotator,
-    TakeAnnotation,
     annotate_takes,
     annotations_table,
     curves_table,
@@ -29,11 +32,13 @@ from pipelines.annotating import (
 )
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
+from pipelines.kept import fingerprints, kept_annotations, setting_digest
 from pipelines.keyframe_learning import keyframe_queries
 from pipelines.keyframe_runs import outcomes_of
 from pipelines.learning import Kind, SubclassTemplate, read_templates, run_of
 from pipelines.wording import few
 from storage.store import Store
+from storage.writer import StoreWriter
 
 F64 = npt.NDArray[np.float64]
 
@@ -54,6 +59,10 @@ class Params(BaseModel):
         0.05, ge=0, lt=0.5, description="template values within delta of 0 or 1 count, the rest are wildcards"
     )
     tau: float = Field(0.13, gt=0, le=1, description="distances below tau make an annotation")
+    tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
+        {}, description="class → its own tau, instead of tau"
+    )
+    min_seconds: float = Field(0, ge=0, allow_inf_nan=False, description="shorter segments are left out")
     classes: str = Field(
         OWN, description="'own': every subclass is a class; or a class file, by its shipped name or its path"
     )
@@ -86,28 +95,24 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         queries = [*queries_of(store, params), *learned_queries(context, store)]
         usual = usual_features(store, templates) if params.method == "best" else None
         annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries, usual)
+        annotator = refined(annotator, params, store.rate_hz)
         _say_what_is_left_out(context, classes, annotator, queries)
-        found: list[TakeAnnotation] = []
-        names = dict(takes.select("take_id", "name").iter_rows())
-        batches = _batches(context, annotator, takes, params, found)
-        curves = (curves_table(batch, annotator, names, context.run) for batch in batches)
-        writer.put_results("distance_curves", curves, stage=context.key(), run=context.run)
-        segments = annotations_table(found, annotator, names, store.rate_hz, context.run)
-        writer.put_results("annotations", segments, stage=context.key(), run=context.run)
-        writer.put_results("annotated_takes", takes_table(takes, context.run), stage=context.key(), run=context.run)
+        done = _annotate(context, writer, annotator, takes, params)
         writer.commit()
-    searched = _share_searched(found, takes)
+    share = _share_searched(done.searched, takes)
     context.say(
-        f"{segments.num_rows} segments in {takes.height} takes"
-        + (f"; templates were matched in {searched:.1%} of the frames" if any(annotator.queries) else "")
+        f"{done.segments} segments in {takes.height} takes"
+        + (f"; templates were matched in {share:.1%} of the frames" if any(annotator.queries) else "")
+        + (f"; {done.kept} takes kept as they were, {takes.height - done.kept} annotated" if done.kept else "")
     )
     return {
         "takes": takes.height,
         "frames": int(takes["frames"].sum()),
         "classes": len(annotator.classes),
         "templates": len(annotator.templates),
-        "segments": segments.num_rows,
-        "searched": round(searched, 6),
+        "segments": done.segments,
+        "kept_takes": done.kept,
+        "searched": round(share, 6),
         "method": params.method,
         "delta": params.delta,
         "tau": params.tau,
@@ -115,15 +120,68 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     }
 
 
-def _batches(
-    context: StageContext, annotator: Annotator, takes: pl.DataFrame, params: Params, found: list[TakeAnnotation]
-) -> Iterator[list[TakeAnnotation]]:
-    """Annotate batch by batch: a batch comes with its curves, `found` keeps it without them."""
-    with context.progress("takes", takes.height) as progress:
-        for batch in annotate_takes(context.store_path, annotator, takes, context.executor, params.store_curves):
-            found += [replace(one, curves=None) for one in batch]
-            progress.advance(len(batch))
-            yield batch
+@dataclass(frozen=True)
+class Done:
+    """What was annotated: how many segments, how many takes were kept from an earlier run, and the share of each
+    take's frames that templates were matched in, by take_id."""
+
+    segments: int
+    kept: int
+    searched: dict[int, float]
+
+
+def _annotate(
+    context: StageContext, writer: StoreWriter, annotator: Annotator, takes: pl.DataFrame, params: Params
+) -> Done:
+    """Annotate what is new, and put it into the store with what is kept.
+
+    Curves go to disk batch by batch; of segments, rows of tables are held, about a hundred bytes each.
+    """
+    setting = setting_digest(annotator, params.store_curves, context.code)
+    prints = fingerprints(writer.store, takes, setting) if context.code else {}
+    kept = kept_annotations(writer.store, context.key(), prints)
+    new = takes.filter(~pl.col("take_id").is_in(list(kept.searched)))
+    names = dict(takes.select("take_id", "name").iter_rows())
+    segments, searched = [kept.annotations(context.run)], dict(kept.searched)
+
+    def curves() -> Iterator[pa.Table]:
+        yield from kept.curves(context.run)
+        with context.progress("takes", new.height) as progress:
+            for batch in annotate_takes(context.store_path, annotator, new, context.executor, params.store_curves):
+                segments.append(annotations_table(batch, annotator, names, writer.store.rate_hz, context.run))
+                searched.update((one.take_id, float(one.preselected.mean())) for one in batch)
+                progress.advance(len(batch))
+                yield curves_table(batch, annotator, names, context.run)
+
+    put = partial(writer.put_results, stage=context.key(), run=context.run)
+    put("distance_curves", curves())
+    table = pa.concat_tables(segments)
+    table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: within a take they are in order
+    put("annotations", table)
+    put("annotated_takes", takes_table(takes, context.run, searched, prints))
+    return Done(table.num_rows, len(kept.searched), searched)
+
+
+def refined(
+    annotator: Annotator, params: Params, rate_hz: float, calibrated: Mapping[str, float] | None = None
+) -> Annotator:
+    """An annotator with the thresholds of classes, and the least length of segments.
+
+    Parameters
+    ----------
+    calibrated: class → τ, where that was asked for; `tau_by_class` goes before it.
+
+    Raises
+    ------
+    KinedexError: `tau_by_class` names no class.
+    """
+    least = math.ceil(round(params.min_seconds * rate_hz, 9))
+    wrong = sorted(set(params.tau_by_class) - set(annotator.classes))
+    if wrong:
+        raise KinedexError(f"tau_by_class: no class is named '{wrong[0]}'{did_you_mean(wrong[0], annotator.classes)}")
+    given = {**(calibrated or {}), **params.tau_by_class}
+    taus = np.array([given.get(name, annotator.tau) for name in annotator.classes]) if given else None
+    return replace(annotator, taus=taus, min_frames=least)
 
 
 def takes_to_annotate(store: Store, params: Params) -> pl.DataFrame:
@@ -194,9 +252,8 @@ def _say_what_is_left_out(
         context.say(f"without a keyframe query, matched in all frames: {few(without)}")
 
 
-def _share_searched(found: Sequence[TakeAnnotation], takes: pl.DataFrame) -> float:
+def _share_searched(searched: Mapping[int, float], takes: pl.DataFrame) -> float:
     """The share of all frames, over all templates, that curves were computed in."""
     frames = dict(takes.select("take_id", "frames").iter_rows())
     total = sum(frames.values())
-    kept = sum(float(one.preselected.mean()) * frames[one.take_id] for one in found)
-    return kept / total if total else 0.0
+    return sum(searched[take_id] * length for take_id, length in frames.items()) / total if total else 0.0

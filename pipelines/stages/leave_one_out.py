@@ -193,6 +193,7 @@ def _evaluate_fold(
     annotator = make_annotator(
         store.feature_set, templates, setting.classes, params.delta, params.tau, setting.queries, usual
     )
+    annotator = annotate.refined(annotator, params, store.rate_hz)
     batches = annotate_takes(context.store_path, annotator, fold.takes, context.executor, keep_curves=False)
     for remark in annotator.remarks:
         context.say(f"{fold.value}: {remark}")

@@ -108,6 +108,8 @@ def test_exactly_the_takes_that_were_annotated_are_evaluated(line: Line):
             "take_id": open_store(line.store).take_id("cat_take01"),
             "take": "cat_take01",
             "frames": 60,
+            "searched": 1.0,
+            "fingerprint": None,
         }
     ]
     line.params["annotate"] = annotate.Params(where="class IS NULL")  # as a filter whose answer has changed since
