@@ -16,8 +16,9 @@ from catalog.queries import KeyframeQuery
 from ops.costs import I64, encode
 from ops.errors import KinedexError
 from ops.ranking import Hits, rank
-from ops.templates import QuantisedTemplate
+from ops.templates import QuantisedTemplate, quantise
 from pipelines.executors import cores
+from pipelines.learning import SubclassTemplate
 from pipelines.search import preselect
 from pipelines.windows import template_ranges
 from storage.schemas import result_schema
@@ -66,6 +67,32 @@ class Ranking:
     def kept(self) -> float:
         """The share of all frames that keyframe queries left."""
         return self.searched / self.frames if self.frames else 0.0
+
+
+def searched_templates(
+    learned: Sequence[SubclassTemplate], delta: float, queries: Sequence[KeyframeQuery] = ()
+) -> tuple[list[Searched], list[str]]:
+    """Quantise templates, and give each the queries for its subclass.
+
+    Returns
+    -------
+    What to search for; and the subclasses whose template is wildcards alone and would fit anything, left out.
+
+    Raises
+    ------
+    KinedexError: no template is left.
+    """
+    searched, vague = [], []
+    for one in learned:
+        template = quantise(one.learned.template, delta)
+        if template.fixed:
+            own = tuple(query for query in queries if query.target == one.subclass)
+            searched.append(Searched(one.subclass, template, own))
+        else:
+            vague.append(one.subclass)
+    if not searched:
+        raise KinedexError(f"at delta = {delta:g} no template is left to rank with; raise `delta`")
+    return searched, vague
 
 
 def rank_store(

@@ -12,13 +12,16 @@ import pyarrow as pa
 from rich import box
 from rich.table import Table
 
+from catalog.classes import OWN, load_classes
 from ops.dtw import distance_curves
 from ops.retrieval import average_precision
 from ops.templates import QuantisedTemplate
 from ops.words import TakeWords
-from pipelines.evaluating import Manual
+from pipelines.evaluating import GroundTruth, Manual, place_ground_truth
 from pipelines.ranking import Hit
+from storage.ground_truth import ground_truth_files, read_ground_truth
 from storage.schemas import result_schema
+from storage.store import Store
 
 _KEYS = 1e9  # costs closer than a billionth are equal, as in ops.ranking
 
@@ -49,6 +52,24 @@ class Judged:
     def recall(self) -> float:
         """The share of what there was to find that is below τ; NaN with nothing to find."""
         return self.found / self.total if self.total else math.nan
+
+
+def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]) -> GroundTruth:
+    """Read the ground truth of the takes that a SQL filter selects; labels without a template count as missed.
+
+    Parameters
+    ----------
+    pattern: files below the takes' source folders, a glob. subclasses: those that have templates.
+    """
+    takes = store.takes(where)
+    files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
+    segments = [segment for file in files for segment in read_ground_truth(file)]
+    return place_ground_truth(segments, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
+
+
+def names_filter(takes: Sequence[str]) -> str:
+    """A SQL filter that selects takes by their names."""
+    return "name IN (" + ", ".join("'" + name.replace("'", "''") + "'" for name in takes) + ")"
 
 
 def judge_hits(label: str, hits: Sequence[Hit], truth: Sequence[Manual], tau: float) -> Judged:

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.classes import OWN, load_classes
 from ops.errors import KinedexError
 from ops.templates import Kind, quantise
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.evaluating import place_ground_truth
 from pipelines.learning import learn_templates, read_templates, training_clips
 from pipelines.ranking import Searched, rank_store
 from pipelines.retrieval import (
@@ -21,11 +19,13 @@ from pipelines.retrieval import (
     judge_clips,
     judge_hits,
     mean_average_precision,
+    names_filter,
+    read_truth,
     recall_at_tau,
     retrieval_rows,
     retrieval_table,
 )
-from storage.ground_truth import ground_truth_files, read_ground_truth
+from storage.ground_truth import ground_truth_files
 from storage.store import Store
 
 NONE = "none"
@@ -92,17 +92,12 @@ def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
     """Each class's ranking of the takes, to its end: without a threshold, and with all hits."""
     if params.ground_truth == NONE:
         return []
-    takes = store.takes(params.where)
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-    classes = load_classes(OWN, {one.subclass for one in learned})
-    files = ground_truth_files(params.ground_truth, sorted(takes["source_root"].unique()))
-    segments = [segment for file in files for segment in read_ground_truth(file)]
-    truth = place_ground_truth(segments, takes, store.takes()["name"], classes, "miss")
+    truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
     for remark in truth.remarks:
         context.say(remark)
-    names = ", ".join("'" + name.replace("'", "''") + "'" for name in truth.takes)
     searched = [Searched(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
-    rankings = rank_store(store, searched, 1.0, None, f"({params.where}) AND name IN ({names})")
+    rankings = rank_store(store, searched, 1.0, None, f"({params.where}) AND {names_filter(truth.takes)}")
     return [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 from pydantic import BaseModel, ConfigDict, Field
 from rich import box
@@ -11,14 +12,14 @@ from rich.table import Table
 
 from catalog.configs import config_path
 from catalog.queryfiles import read_queries
-from ops.errors import KinedexError
-from ops.templates import Kind, quantise
+from ops.templates import Kind
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.explaining import explain_store
 from pipelines.learning import read_templates
-from pipelines.ranking import Ranking, Searched, rank_store, ranking_table
+from pipelines.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
 from pipelines.search import search_store
+from pipelines.stiffness import mean_stiffness
 from pipelines.wording import few
 from storage.store import Store
 
@@ -46,18 +47,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     store = context.open()
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
     queries = [query for name in params.queries for query in read_queries(name, store.feature_set, store.rate_hz)]
-    searched, vague = [], []
-    for one in learned:
-        template = quantise(one.learned.template, params.delta)
-        if not template.fixed:
-            vague.append(one.subclass)
-            continue
-        own = tuple(query for query in queries if query.target == one.subclass)
-        searched.append(Searched(one.subclass, template, own))
+    searched, vague = searched_templates(learned, params.delta, queries)
     if vague:
         context.say(f"templates of wildcards alone, which would fit anything, left out: {few(vague)}")
-    if not searched:
-        raise KinedexError(f"at delta = {params.delta:g} no template is left to rank with; raise `delta`")
     rankings, seconds = [], []
     # Once before the clock starts: kernels are compiled when they are first called.
     rank_store(store, searched[:1], params.tau, 1, params.where, context.executor.workers)
@@ -82,19 +74,41 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "skipped": {one.name: round(one.skipped, 4) for one in rankings},
         "kept": {one.name: round(one.kept, 4) for one in rankings},
         "seconds": {one.name: round(took, 4) for one, took in zip(rankings, seconds, strict=True)},
+        "columns": {one.name: len(one.template) for one in searched},
+        "lists": {name: asdict(found) for name, found in lists.items()},
     }
 
 
-def _lists(store: Store, searched: Sequence[Searched], where: str) -> dict[str, tuple[int, int, float]]:
-    """Of each template with queries: keyframes, segments of their lists, and how long the search of the index takes."""
+@dataclass(frozen=True)
+class Lists:
+    """The keyframe search of one class (thesis, Table 3.2).
+
+    keyframes: K. stiffness: the mean of its gaps. segments: of the inverted lists of all keyframes. seconds: the search
+    of the index, with reading the lists; lists_seconds: the search of the lists once they are read.
+    """
+
+    keyframes: int
+    stiffness: float | None
+    segments: int
+    seconds: float
+    lists_seconds: float
+
+
+def _lists(store: Store, searched: Sequence[Searched], where: str) -> dict[str, Lists]:
+    """How the queries of each template that has any are answered from the index."""
     found = {}
+    for query in [query for one in searched for query in one.queries][:1]:
+        explain_store(store, [query], where)  # once before the clock starts
     for one in searched:
         if one.queries:
             reports = explain_store(store, one.queries, where)
             steps = [keyframe for report in reports for keyframe in report.keyframes]
             begin = time.perf_counter()
             search_store(store, one.queries, where)
-            found[one.name] = (len(steps), sum(step.segments for step in steps), time.perf_counter() - begin)
+            seconds = time.perf_counter() - begin
+            spent = sum(report.milliseconds for report in reports) + sum(step.milliseconds for step in steps)
+            segments = sum(step.segments for step in steps)
+            found[one.name] = Lists(len(steps), mean_stiffness(one.queries), segments, seconds, spent / 1000)
     return found
 
 
@@ -102,18 +116,21 @@ def _shown(
     searched: Sequence[Searched],
     rankings: Sequence[Ranking],
     seconds: Sequence[float],
-    lists: dict[str, tuple[int, int, float]],
+    lists: dict[str, Lists],
 ) -> Table:
     """A row for each class: keyframe search, what it keeps, and the ranking of that."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = ["class", "columns", "K", "Σ|Λ|", "search ms", "kept", "skipped", "ranking ms", "hits", "best"]
-    for column in columns if lists else [name for name in columns if name not in ("K", "Σ|Λ|", "search ms", "kept")]:
+    columns = ["class", "columns", "skipped", "ranking ms", "hits", "best"]
+    if lists:
+        columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]
+    for column in columns:
         table.add_column(column, justify="left" if column == "class" else "right")
     for one, ranking, took in zip(searched, rankings, seconds, strict=True):
         first = [one.name, str(len(one.template))]
         if lists:
-            keyframes, segments, searching = lists.get(one.name, (0, 0, 0.0))
-            first += [str(keyframes), f"{segments:,}", f"{1000 * searching:.1f}", f"{ranking.kept:.1%}"]
+            own = lists.get(one.name, Lists(0, None, 0, 0.0, 0.0))
+            first += [str(own.keyframes), "–" if own.stiffness is None else f"{own.stiffness:.2f}", f"{own.segments:,}"]
+            first += [f"{1000 * own.seconds:.1f}", f"{1000 * own.lists_seconds:.2f}", f"{ranking.kept:.1%}"]
         best = f"{ranking.hits[0].cost:.3f}" if ranking.hits else "–"
         table.add_row(*first, f"{ranking.skipped:.0%}", f"{1000 * took:.1f}", str(len(ranking.hits)), best)
     return table

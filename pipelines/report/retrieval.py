@@ -1,0 +1,262 @@
+"""The page about ranking: both stages per class, precision and recall along the rankings, the stiffness experiment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from pipelines.stiffness import EVERYWHERE, WRITTEN
+
+SIZE = 150
+"""Side of a diagram in SVG units; both axes go from 0 to 1."""
+
+WIDE, HIGH = 560, 170
+RIGID = 1.0
+"""The stiffness that is drawn class by class, as in Figure 3.14."""
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One ranking in a diagram: which, as a CSS class and in words, its path, and a dot where it is one point."""
+
+    name: str
+    words: str
+    path: str
+    dot: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """The rankings of one class, and what the figure says in words."""
+
+    label: str
+    lines: tuple[Line, ...]
+    caption: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Search:
+    """The keyframe search of one class; times in milliseconds. kept: the share of the frames."""
+
+    keyframes: int
+    stiffness: float | None
+    segments: int
+    search: float
+    lists: float
+    kept: float
+
+
+@dataclass(frozen=True)
+class TwoStages:
+    """One row of the table of both stages (thesis, Table 3.2); search is None without queries, ranking in ms."""
+
+    label: str
+    columns: int
+    search: Search | None
+    ranking: float
+    skipped: float
+    hits: int
+    best: float | None
+
+
+@dataclass(frozen=True)
+class Quality:
+    """One row of the table of precision: a class in the takes, and among clips that were left out."""
+
+    label: str
+    takes: tuple[int, float | None, float | None] | None
+    clips: tuple[int, float | None, float | None] | None
+    confused: str
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One row of the stiffness experiment, over the classes that have queries."""
+
+    name: str
+    stiffness: float | None
+    kept: float
+    to_find: int
+    ranked: int
+    recall: float
+    average_precision: float | None
+
+
+@dataclass(frozen=True)
+class Course:
+    """One measure over the stiffness: its name, path in SVG units, and its points."""
+
+    name: str
+    words: str
+    path: str
+    dots: tuple[tuple[float, float, str], ...]
+
+
+def retrieval_page(
+    title: str, rank_summary: Mapping[str, Any], hits: Sequence[Row], quality: Sequence[Row], trials: Sequence[Row]
+) -> str:
+    """Render the page.
+
+    Parameters
+    ----------
+    rank_summary: what the stage `rank` left in its record. hits, quality, trials: rows of the kinds `ranked_hits`,
+        `retrieval` and `precision_recall`.
+
+    Returns
+    -------
+    A complete HTML page without any outside reference; the same text for the same data.
+    """
+    environment = Environment(
+        loader=PackageLoader("pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    rows = two_stages(rank_summary, hits)
+    found = variants(trials)
+    return environment.get_template("retrieval.html.j2").render(
+        title=title,
+        style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
+        summary=rank_summary,
+        rows=rows,
+        searches=[row.search for row in rows if row.search is not None],
+        ranked=[row.ranking for row in rows if row.search is not None],
+        qualities=qualities(quality),
+        means={kind: mean_of(quality, kind) for kind in ("takes", "clips")},
+        diagrams=diagrams(trials, (EVERYWHERE, WRITTEN)),
+        rigid=diagrams(trials, (WRITTEN, f"{RIGID:g}")) if any(row["stiffness"] == RIGID for row in trials) else [],
+        variants=found,
+        courses=courses(found),
+        size=SIZE,
+        wide=WIDE,
+        high=HIGH,
+    )
+
+
+def two_stages(summary: Mapping[str, Any], hits: Sequence[Row]) -> list[TwoStages]:
+    """The table of both stages, a row for each template in the order they were ranked in."""
+    found = []
+    for label, columns in summary["columns"].items():
+        own = [row["cost"] for row in hits if row["template"] == label]
+        lists = summary["lists"].get(label)
+        search = _search(lists, summary["kept"][label]) if lists else None
+        ranking, skipped = 1000 * summary["seconds"][label], summary["skipped"][label]
+        found.append(TwoStages(label, columns, search, ranking, skipped, len(own), min(own, default=None)))
+    return found
+
+
+def _search(lists: Mapping[str, Any], kept: float) -> Search:
+    seconds, inside = 1000 * lists["seconds"], 1000 * lists["lists_seconds"]
+    return Search(lists["keyframes"], lists["stiffness"], lists["segments"], seconds, inside, kept)
+
+
+def qualities(rows: Sequence[Row]) -> list[Quality]:
+    """Average precision and recall of every class; folds are pooled: the mean precision, and all that was found."""
+    found = []
+    for label in sorted({row["class"] for row in rows}):
+        both = [_pooled([row for row in rows if (row["class"], row["evaluation"]) == (label, kind)])
+                for kind in ("takes", "clips")]  # fmt: skip
+        confused: dict[str, int] = {}
+        for row in rows:
+            for one in row["confused_with"] if row["class"] == label else ():
+                name, count = one.rsplit(" ", 1)
+                confused[name] = confused.get(name, 0) + int(count)
+        most = sorted(confused.items(), key=lambda pair: -pair[1])[:3]
+        found.append(Quality(label, both[0], both[1], ", ".join(f"{name} ({count})" for name, count in most)))
+    return found
+
+
+def _pooled(rows: Sequence[Row]) -> tuple[int, float | None, float | None] | None:
+    if not rows:
+        return None
+    total = sum(row["relevant"] for row in rows)
+    averages = [row["average_precision"] for row in rows if row["average_precision"] is not None]
+    average = sum(averages) / len(averages) if averages else None
+    return total, average, sum(row["found"] for row in rows) / total if total else None
+
+
+def mean_of(rows: Sequence[Row], kind: str) -> tuple[float, float] | None:
+    """Mean average precision over classes, and recall over all there was to find, of one kind of evaluation."""
+    own = qualities([row for row in rows if row["evaluation"] == kind])
+    pairs = [pair for pair in ((one.takes if kind == "takes" else one.clips) for one in own) if pair is not None]
+    averages = [average for _, average, _ in pairs if average is not None]
+    total = sum(count for count, _, _ in pairs)
+    if not averages or not total:
+        return None
+    return sum(averages) / len(averages), sum(count * (recall or 0.0) for count, _, recall in pairs) / total
+
+
+def diagrams(trials: Sequence[Row], names: tuple[str, str]) -> list[Diagram]:
+    """Precision over recall of each class (thesis, Figures 3.13 and 3.14), of two variants, the first one dashed."""
+    found = []
+    for label in sorted({row["class"] for row in trials if row["relevant"]}):
+        lines, said = [], []
+        for place, name in enumerate(names):
+            row = next((row for row in trials if (row["class"], row["variant"]) == (label, name)), None)
+            if row is None:
+                continue
+            words = name if name in (EVERYWHERE, WRITTEN) else f"σ ≡ {name}"
+            lines.append(_line("second" if place == 0 else "first", words, row))
+            average = row["average_precision"]
+            said.append(
+                f"{words}: AP {average:.2f}, {row['ranked']} of {row['relevant']} found, {row['kept']:.0%} kept"
+            )
+        if lines:
+            text = f"precision and recall of {label}: " + "; ".join(said)
+            found.append(Diagram(label, tuple(lines), "; ".join(said), text))
+    return found
+
+
+def _line(name: str, words: str, row: Row) -> Line:
+    """The points after each rank up to the last right one; what comes after it only falls."""
+    points = list(zip(row["recall"], row["precision"], strict=True))
+    best = max(row["recall"], default=0.0)
+    last = next((place for place, (recall, _) in enumerate(points) if recall == best), -1) if best else -1
+    places = [(SIZE * recall, SIZE * (1 - precision)) for recall, precision in points[: last + 1]]
+    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places) if places else ""
+    return Line(name, words, path, places[-1] if places else None)
+
+
+def variants(trials: Sequence[Row]) -> list[Variant]:
+    """The rows of the stiffness experiment: all frames, as written, then by stiffness; classes with queries only."""
+    asked = {row["class"] for row in trials if row["variant"] == WRITTEN and row["relevant"]}
+    found = []
+    for name in dict.fromkeys(row["variant"] for row in trials):
+        own = [row for row in trials if row["variant"] == name and row["class"] in asked]
+        if not own:
+            continue
+        averages = [row["average_precision"] for row in own if row["average_precision"] is not None]
+        total, ranked = sum(row["relevant"] for row in own), sum(row["ranked"] for row in own)
+        found.append(
+            Variant(
+                name, own[0]["stiffness"], sum(row["kept"] for row in own) / len(own), total, ranked, ranked / total,
+                sum(averages) / len(averages) if averages else None,
+            )
+        )  # fmt: skip
+    return found
+
+
+def courses(found: Sequence[Variant]) -> list[Course]:
+    """Recall, mean average precision and the share kept over the stiffness, drawn from loose to rigid."""
+    swept = sorted((one for one in found if one.stiffness is not None), key=lambda one: one.stiffness or 0.0)
+    measures = (
+        ("recall", "found at any rank", [one.recall for one in swept]),
+        ("precision", "mean average precision", [one.average_precision or math.nan for one in swept]),
+        ("kept", "share of frames kept", [one.kept for one in swept]),
+    )
+    drawn = []
+    for name, words, values in measures:
+        dots = tuple(
+            (WIDE * (one.stiffness or 0.0), HIGH * (1 - value), f"{words} {value:.3f} at σ = {one.stiffness:g}")
+            for one, value in zip(swept, values, strict=True)
+            if not math.isnan(value)
+        )
+        if dots:
+            drawn.append(Course(name, words, "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in dots), dots))
+    return drawn

@@ -1,0 +1,48 @@
+"""Stage report_retrieval: one HTML page about ranking, from what the pipeline's stages stored."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipelines.context import StageContext
+from pipelines.digests import files_digest
+from pipelines.learning import run_of
+from pipelines.report.retrieval import retrieval_page
+from pipelines.report.write import write_page
+from storage.store import Store
+
+
+class Params(BaseModel):
+    """What the stage `report_retrieval` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: str = Field("How motions are ranked", description="title of the page")
+
+
+def external_digest(params: Params, store: Store | None) -> str:
+    """A hash of the page's own files, so that the report is made again where one of them changed."""
+    pages = resources.files("pipelines.report").joinpath("pages")
+    with resources.as_file(pages) as folder:
+        return files_digest([folder / "retrieval.html.j2", folder / "style.css"])
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Write `retrieval.html` into the pipeline's report folder; what a stage left out is a sentence on the page."""
+    store = context.open()
+    rows = {
+        role: store.result(kind, run=run_of(store, key)).to_pylist()
+        for role, kind, key in (
+            ("ranking", "ranked_hits", context.key(context.inputs["ranking"])),
+            ("evaluation", "retrieval", context.key(context.inputs["evaluation"])),
+            ("stiffness", "precision_recall", context.key(context.inputs["stiffness"])),
+        )
+    }
+    summary = store.manifest.stages[context.key(context.inputs["ranking"])].summary
+    page = retrieval_page(params.title, summary, rows["ranking"], rows["evaluation"], rows["stiffness"])
+    path = context.report_file("retrieval.html")
+    size = write_page(page, path)
+    context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")
+    return {"files": [path.relative_to(context.store_path).as_posix()], "bytes": size}

@@ -1,0 +1,87 @@
+"""Stage vary_stiffness: precision and recall along each class's ranking, and what stiffness does to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+from rich import box
+from rich.table import Table
+
+from catalog.configs import config_path
+from catalog.queryfiles import read_queries
+from ops.errors import KinedexError
+from ops.templates import Kind
+from pipelines.context import StageContext
+from pipelines.digests import files_digest
+from pipelines.learning import read_templates
+from pipelines.ranking import searched_templates
+from pipelines.retrieval import mean_average_precision, names_filter, read_truth
+from pipelines.stiffness import Trial, run_trials, trial_rows
+from storage.ground_truth import ground_truth_files
+from storage.store import Store
+
+
+class Params(BaseModel):
+    """What the stage `vary_stiffness` takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: str = Field("**/ground_truth.csv", description="as in `evaluate_ranking`")
+    where: str = Field("class IS NULL", description="takes to rank: a SQL filter over the columns of takes")
+    templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
+    delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
+    tau: float = Field(0.1, gt=0, le=1, description="recall is told at this threshold")
+    queries: list[str] = Field([], description="keyframe queries: files, by names or paths; without any, all frames")
+    stiffness: list[Annotated[float, Field(ge=0, le=1)]] = Field(
+        [1.0, 0.8, 0.6, 0.4, 0.2, 0.0], description="stiffnesses that all gaps of all queries get, one after the other"
+    )
+
+
+def external_digest(params: Params, store: Store | None) -> str:
+    """What the stage depends on outside the store: the texts of its query files and of the ground truth."""
+    files = [config_path("queries", name) for name in params.queries]
+    if store is not None:
+        try:
+            files += ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique()))
+        except KinedexError:
+            return "none to be read"
+    return files_digest(files)
+
+
+def run(context: StageContext, params: Params) -> dict[str, object]:
+    """Rank with every variant of the queries, print a row for each, store precision and recall along the rankings."""
+    store = context.open()
+    learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+    queries = [query for name in params.queries for query in read_queries(name, store.feature_set, store.rate_hz)]
+    searched, _ = searched_templates(learned, params.delta, queries)
+    truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
+    takes = f"({params.where}) AND {names_filter(truth.takes)}"
+    trials = run_trials(
+        store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers
+    )  # fmt: skip
+    context.terminal.show(_shown(trials))
+    with context.writer() as writer:
+        writer.put_results("precision_recall", trial_rows(trials, context.run), stage=context.key(), run=context.run)
+        writer.commit()
+    return {"trials": len(trials), "tau": params.tau, "delta": params.delta, "queried": len(trials) > len(searched)}
+
+
+def _shown(trials: Sequence[Trial]) -> Table:
+    """A row for each variant, over all classes that it is about."""
+    table = Table(
+        box=box.SIMPLE_HEAD, pad_edge=False, title="rankings by stiffness of the queries", title_justify="left"
+    )
+    for column in ("gaps", "classes", "kept", "to find", "ranked", "mean AP"):
+        table.add_column(column, justify="left" if column == "gaps" else "right")
+    for variant in dict.fromkeys(trial.variant for trial in trials):
+        own = [trial for trial in trials if trial.variant == variant]
+        total = sum(trial.judged.total for trial in own)
+        ranked = sum(sum(trial.judged.relevant) for trial in own)
+        average = mean_average_precision([trial.judged for trial in own])
+        shown = "–" if math.isnan(average) else f"{average:.3f}"
+        kept = sum(trial.kept for trial in own) / len(own)
+        table.add_row(variant, str(len(own)), f"{kept:.1%}", str(total), str(ranked), shown)
+    return table
