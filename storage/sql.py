@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """Everything that a query can ask for by name."""
 
-INDEXED = frozenset(view.name for view in VIEWS if view.columns and view.name not in ("features", "help"))
+INDEXED = frozenset(
+    view.name for view in VIEWS if view.origin == "index" and view.name not in ("takes", "features", "help")
+)
 """The views that exist only with an index."""
 
 
@@ -45,6 +47,9 @@ def connect(store: Store, threads: int | None = None, memory_mb: int | None = No
         for kind in RESULT_KINDS:
             parts = [(part_file(store.path, part.path), ()) for part in store.manifest.results.get(kind, ())]
             _view(connection, kind, duck.parquet_rows(result_schema(kind), parts))
+        for view in VIEWS:
+            if view.origin == "derived":
+                _view(connection, view.name, view.body)
         for macro in MACROS:
             # also those that the index file has for other clients: it may be of an older kinedex
             if indexed or not _reads_index(macro):

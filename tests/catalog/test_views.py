@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from catalog.views import MACROS, VIEWS
 from ops.errors import KinedexError
 from storage import index
+from storage.schemas import RESULT_KINDS
 from storage.store import Store, open_store
 from tests.oracles import runs as naive
 from tests.storage.made_up import BODY, arrays, make_store
@@ -44,8 +46,18 @@ def test_the_example_of_a_macro_runs(store: Store, macro) -> None:
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_a_view_stands_and_has_its_columns(store: Store, view) -> None:
     found = store.sql(f"DESCRIBE {view.name}").to_pylist()
-    if view.columns:
-        assert [(row["column_name"], row["column_type"]) for row in found] == [(c.name, c.type) for c in view.columns]
+    expected = [
+        (name, column.type)
+        for column in view.columns
+        for name in (BODY.joints if column.name == "JOINT" else [column.name])
+    ]
+    assert [(row["column_name"], row["column_type"]) for row in found] == expected
+    assert all(column.meaning for column in view.columns)
+
+
+def test_every_kind_of_result_has_a_view_that_is_described() -> None:
+    described = {view.name for view in VIEWS if view.origin == "results"}
+    assert described == set(RESULT_KINDS)
 
 
 def test_help_lists_what_there_is(store: Store) -> None:
@@ -144,10 +156,31 @@ def test_frames_between_is_a_stretch_of_a_take(store: Store) -> None:
         "FROM timeline('nobody')",
         "FROM frames_between('nobody')",
         "FROM rarest_words('uper')",
+        "FROM pose('rhand_fast, not rhand')",
+        "FROM pose('')",
+        "FROM pattern(['rhand_fast', 'nothing'])",
+        "FROM frames_around('nobody', 1, 2)",
+        "SELECT features_of('uper', 3::UBIGINT)",
     ],
 )
 def test_a_macro_refuses_what_does_not_exist(store: Store, query: str) -> None:
     with pytest.raises(KinedexError, match=r"the view (features|takes) lists them"):
+        store.sql(query)
+
+
+@pytest.mark.parametrize(
+    ("query", "near"),
+    [
+        ("FROM runs_where('rhand_abov_neck')", "no feature rhand_abov_neck (did you mean 'rhand_above_neck'?)"),
+        ("FROM pattern(['lkne_bent', 'not rknee_bent'])", "no feature lkne_bent (did you mean 'lknee_bent'?)"),
+        ("FROM timeline('b_dace')", "no take is named b_dace (did you mean 'b_dance'?)"),
+        ("FROM rarest_words('uper')", "no feature set uper (did you mean 'upper'?)"),
+        ("FROM runs_where('zzz')", "no feature zzz; the view features lists them"),
+        ("FROM runs_where(NULL)", "no feature NULL; the view features lists them"),
+    ],
+)
+def test_a_misspelt_name_is_answered_with_the_nearest(store: Store, query: str, near: str) -> None:
+    with pytest.raises(KinedexError, match=re.escape(near)):
         store.sql(query)
 
 

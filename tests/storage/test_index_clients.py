@@ -92,6 +92,6 @@ def test_the_file_can_be_attached_under_any_name(store: Store) -> None:
 def test_columns_have_the_types_that_are_documented(store: Store) -> None:
     with duckdb.connect(str(store.index_path()), read_only=True) as client:
         for view in VIEWS:
-            if view.columns:
+            if view.origin == "index":
                 found = [(name, kind) for name, kind, *_ in client.execute(f"DESCRIBE {view.name}").fetchall()]
                 assert found == [(column.name, column.type) for column in view.columns]

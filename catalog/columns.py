@@ -1,0 +1,39 @@
+"""What a view says about itself: its columns, their types and meanings, and a query that runs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a view: its DuckDB type and what it holds."""
+
+    name: str
+    type: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class View:
+    """A relation that analysts query by name.
+
+    origin: "index" (a table of the published index), "parts" (read from the store's Parquet files), "results"
+    (likewise, the rows of all live runs) or "derived" (made of other views by `body`). example: a query that runs on
+    any store.
+    """
+
+    name: str
+    origin: Literal["index", "parts", "results", "derived"]
+    summary: str
+    columns: tuple[Column, ...]
+    example: str
+    body: str = ""
+
+
+def columns(text: str) -> tuple[Column, ...]:
+    """Columns as lines of name, type and meaning, with two spaces or more between them."""
+    rows = (re.split(r"\s{2,}", line.strip(), maxsplit=2) for line in text.strip().splitlines())
+    return tuple(Column(name, kind, meaning) for name, kind, meaning in rows)
