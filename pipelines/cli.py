@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from pipelines.commands import exploring, keeping, keyframes, labels, queries, ranking, running, templates
+from pipelines.commands import exploring, keeping, keyframes, labels, queries, ranking, reports, running, templates
 from pipelines.commands.shell import app
 
 PANELS = {
     running: "Run pipelines",
+    reports: "Run pipelines",
     exploring: "Ask a store",
     templates: "Ask a store",
     labels: "Ask a store",

@@ -1,0 +1,160 @@
+"""Two evaluations compared: what got better and what got worse, and what can be compared with what."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ops.errors import KinedexError
+from ops.metrics import Counts
+from pipelines.cli import app
+from pipelines.evaluating import Evaluation, Row, write_metrics
+from pipelines.evaluation.differences import compared, content, difference_interval
+from pipelines.evaluation.differencetables import markdown, page
+from pipelines.evaluation.runs import Scored, pairs, read_run
+from tests.pipelines.study import Reading
+
+
+def counts(right: int, of: int = 10) -> Counts:
+    """Frames and segments of which so many are right."""
+    return Counts(right, of, of, right, of, right, of)
+
+
+def scored(method: str = "m", **takes: int) -> Scored:
+    by_take = {name: counts(right) for name, right in takes.items()}
+    whole = sum(by_take.values(), Counts())
+    return Scored("split", method, whole, {"walk": whole}, by_take)
+
+
+def study_file(path: Path, **methods: dict[str, int]) -> Path:
+    """A file as the stage compare_methods writes it."""
+    found = {
+        name: {
+            "pooled": asdict(one.pooled),
+            "classes": {label: asdict(own) for label, own in one.classes.items()},
+            "takes": {take: asdict(own) for take, own in one.takes.items()},
+        }
+        for name, one in ((name, scored(name, **takes)) for name, takes in methods.items())
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"format": "kinedex evaluation 1", "splits": [{"name": "split", "methods": found}]})
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_takes_are_sorted_into_better_worse_and_same() -> None:
+    one = compared(scored(x=5, y=5, z=5), scored(x=9, y=4, z=5), ("A", "B"))
+    assert {change.name: change.verdict for change in one.takes} == {"x": "better", "y": "worse", "z": "same"}
+    assert one.overall.by == pytest.approx((0.1, 0.1))
+    assert [change.name for change in one.changed(one.takes, "better")] == ["x"]
+    assert one.classes[0].verdict == "better"
+
+
+def test_only_takes_that_both_have_count() -> None:
+    one = compared(scored(x=5, y=0), scored(x=7, z=10), ("A", "B"))
+    assert one.overall.by == pytest.approx((0.2, 0.2))
+    assert (one.only_a, one.only_b) == (("y",), ("z",))
+    assert "takes of A alone, left out: y" in markdown([one])
+
+
+def test_what_is_better_on_every_take_is_no_chance() -> None:
+    sure = compared(scored(a=5, b=5, c=6, d=5), scored(a=8, b=9, c=9, d=8), ("A", "B"))
+    assert sure.intervals["f1"][0] > 0
+    assert "chance" not in sure.verdict
+    unsure = compared(scored(a=5, b=5, c=6, d=5), scored(a=9, b=2, c=9, d=4), ("A", "B"))
+    assert unsure.verdict.startswith("F1 is better by 0.075")
+    assert "which may be chance" in unsure.verdict
+
+
+def test_the_interval_of_no_difference_is_nothing() -> None:
+    same = [counts(3), counts(7)]
+    assert difference_interval(same, same, lambda one: one.f1) == (0.0, 0.0)
+    assert all(math.isnan(end) for end in difference_interval([], [], lambda one: one.f1))
+    assert all(math.isnan(end) for end in difference_interval([Counts()], [Counts()], lambda one: one.f1))
+
+
+def test_a_class_that_goes_up_in_frames_and_down_in_segments_is_mixed() -> None:
+    a = Scored("e", "", Counts(), {"walk": Counts(5, 10, 10, 9, 10, 9, 10)}, {})
+    b = Scored("e", "", Counts(), {"walk": Counts(7, 10, 10, 6, 10, 6, 10), "jump": Counts(1, 1, 1, 1, 1, 1, 1)}, {})
+    one = compared(a, b, ("A", "B"))
+    assert [(change.name, change.verdict) for change in one.classes] == [("walk", "mixed")]
+    assert one.overall.f1 == (None, None)
+    assert json.loads(json.dumps(content([one]), allow_nan=False))["comparisons"][0]["intervals"]["f1"] == [None, None]
+
+
+def test_the_same_method_of_two_stores_is_compared(tmp_path: Path) -> None:
+    study_file(tmp_path / "a/results/reports/p/methods.json", thesis={"x": 5}, best={"x": 8})
+    study_file(tmp_path / "b/results/reports/p/methods.json", thesis={"x": 6}, other={"x": 9})
+    found = pairs(read_run(str(tmp_path / "a")), read_run(str(tmp_path / "b")))
+    assert [(one.name, other.name) for one, other in found] == [("split: thesis", "split: thesis")]
+
+
+def test_two_methods_of_one_store_are_compared(tmp_path: Path) -> None:
+    file = study_file(tmp_path / "methods.json", thesis={"x": 5}, best={"x": 8})
+    ((one, other),) = pairs(read_run(f"{file}::thesis"), read_run(f"{file}::best"))
+    assert (one.method, other.method) == ("thesis", "best")
+
+
+def test_metrics_of_the_stage_evaluate_are_read(tmp_path: Path) -> None:
+    rows = (Row("pooled", "all", counts(5)), Row("take", "x", counts(5)), Row("class", "walk", counts(5)))
+    write_metrics(tmp_path / "metrics.json", Evaluation("annotate", rows), "run")
+    (found,) = read_run(str(tmp_path)).found
+    assert found == Scored("annotate", "", counts(5), {"walk": counts(5)}, {"x": counts(5)})
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "split", "message"),
+    [
+        ("one", "none", None, "there is no such store, folder or file"),
+        ("one", "empty", None, "holds no evaluation"),
+        ("one::bets", "one", None, "no method 'bets'; did you mean 'best'"),
+        ("one", "one", "spilt", "no evaluation 'spilt'; did you mean 'split'"),
+        ("one", "two", None, r"nothing to compare: .*'split: best', 'split: thesis'.* --split|nothing to compare"),
+        ("broken.json", "one", None, "is no JSON file"),
+        ("other.json", "one", None, "is no evaluation"),
+    ],
+)
+def test_what_cannot_be_compared_is_said(tmp_path: Path, a: str, b: str, split: str | None, message: str) -> None:
+    study_file(tmp_path / "one/methods.json", best={"x": 8}, thesis={"x": 5})
+    study_file(tmp_path / "two/methods.json", mine={"x": 8}, yours={"x": 5})
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "broken.json").write_text("{", encoding="utf-8")
+    (tmp_path / "other.json").write_text("[1]", encoding="utf-8")
+    with pytest.raises(KinedexError, match=message):
+        pairs(read_run(str(tmp_path / a)), read_run(str(tmp_path / b)), split)
+
+
+def test_a_store_with_reports_of_two_pipelines_asks_which(tmp_path: Path) -> None:
+    for name in ("p", "q"):
+        study_file(tmp_path / f"results/reports/{name}/methods.json", best={"x": 8})
+    with pytest.raises(KinedexError, match=r"evaluations of 2 pipelines; name one of .*reports/p, "):
+        read_run(str(tmp_path))
+
+
+def test_the_command_shows_and_writes_what_changed(tmp_path: Path) -> None:
+    file = study_file(tmp_path / "methods.json", thesis={"x": 5, "y": 5}, best={"x": 8, "y": 4})
+    arguments = ["report", "compare", f"{file}::thesis", f"{file}::best"]
+    shown = CliRunner().invoke(app, arguments)
+    assert shown.exit_code == 0
+    assert "better: 1 of 2 takes" in shown.output
+    assert "worse: 1 of 2 takes" in shown.output
+    for ending in ("md", "html", "json"):
+        written = CliRunner().invoke(app, [*arguments, "--output", str(tmp_path / f"out.{ending}")])
+        assert written.exit_code == 0
+    assert "split: best against split: thesis" in (tmp_path / "out.md").read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["comparisons"][0]["b"] == "split: best"
+    refused = CliRunner().invoke(app, [*arguments, "--output", "out.txt"])
+    assert refused.exit_code == 1
+    assert "must end in .md, .html, .json" in refused.output
+
+
+def test_the_page_stands_alone() -> None:
+    text = page([compared(scored(x=5), scored(x=9), ("<A>", "B"))])
+    reading = Reading(text)
+    assert reading.references == []
+    assert "B against <A>" in reading.text
