@@ -17,8 +17,8 @@ from catalog.features import FeatureSet
 from ops.words import TakeWords
 from storage import index
 from storage.duck import connect, quote
-from storage.parts import FramesWriter, frames_table
-from storage.schemas import frames_schema, takes_schema
+from storage.parts import FramesWriter
+from storage.schemas import takes_schema
 from storage.store import Store, open_store
 from storage.writer import StoreWriter
 
@@ -115,7 +115,7 @@ def _store(words: TakeWords, feature_set: FeatureSet) -> Store:
 def _add(path: Path, feature_set: FeatureSet, words: TakeWords, name: str) -> None:
     """Add takes that have words, and no positions."""
     names = [f"{name}_{i:06d}" for i in range(len(words))]
-    frames, takes = frames_schema(feature_set, 30.0), takes_schema()
+    takes = takes_schema()
     with StoreWriter.open(path, feature_set) as writer:
         ids = writer.assign_take_ids(names)
         for first in range(0, len(words), TAKES_A_PART):
@@ -125,7 +125,7 @@ def _add(path: Path, feature_set: FeatureSet, words: TakeWords, name: str) -> No
                     count = int(words.frames[i])
                     nowhere = np.full((len(feature_set.joints), 3, count), np.nan, np.float32)
                     turned = np.full((4, count), np.nan, np.float32)
-                    part.add_table(ids[names[i]], frames_table(ids[names[i]], nowhere, turned, words.take(i), frames))
+                    part.add(ids[names[i]], nowhere, turned, words.take(i))
                 done = part.close()
             rows = [_row(ids[names[i]], names[i], int(words.frames[i]), takes) for i in chosen]
             writer.add_takes(pa.Table.from_pylist(rows, schema=takes), done)

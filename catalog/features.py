@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,11 @@ class FeatureSet:
         for one, other in self.mirror:
             order[[one - 1, other - 1]] = other - 1, one - 1
         return order
+
+    @cached_property
+    def encoded(self) -> dict[str, Any]:
+        """The set as manifests write it; kept, since every version of a store writes it again."""
+        return asdict(self)
 
     def mirrored(self, words: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
         """The words of the same motion with left and right exchanged; invalid frames stay invalid.

@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -192,7 +193,14 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
     ------
     ConfigError: file, line and key of the first fault.
     """
-    located = load_yaml(config_path("skeletons", name_or_path))
+    path = config_path("skeletons", name_or_path)
+    stat = path.stat()
+    return _load_skeleton(path, (stat.st_size, stat.st_mtime_ns), joints)
+
+
+@lru_cache(maxsize=64)
+def _load_skeleton(path: Path, _stamp: tuple[int, int], joints: tuple[str, ...]) -> SkeletonMapping:
+    located = load_yaml(path)
     located.mapping()
     parsed = located.model(_SkeletonFile)
     for joint in parsed.joints:

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
+import numpy as np
+import numpy.typing as npt
 
 from catalog.features import FeatureSet
 from catalog.skeletons import Mappings
 from ops.errors import StoreError
+from ops.words import NO_WORD
 from pipelines.analysis import analyse, blind
 from pipelines.failures import Failure, failure
-from storage.bodies import Body, Given, read_body
+from storage.acclaim import read_text
+from storage.bodies import READ_WHOLE, Body, Given, read_body
 from storage.manifest import Part
-from storage.parts import FramesWriter, frames_table
-from storage.schemas import frames_schema
+from storage.parts import FramesWriter
 from storage.sources import SourceFile, checksum
 
 
@@ -47,11 +49,6 @@ class Batch:
     strict: bool
     tasks: tuple[Task, ...]
 
-    @cached_property
-    def schema(self) -> pa.Schema:
-        """The schema of the frames part."""
-        return frames_schema(self.feature_set, self.rate_hz)
-
     @property
     def subject(self) -> str:
         """What the batch is about, for messages."""
@@ -75,13 +72,9 @@ def read_batch(batch: Batch) -> Written:
     try:
         for task in batch.tasks:
             try:
-                # not before: it reads the whole file, which is work for many processes
-                content = checksum(task.motion.absolute)
-                asf = task.skeleton.absolute if task.skeleton is not None else None
-                joints = batch.feature_set.joints
-                body = read_body(task.motion.absolute, asf, batch.mappings, joints, batch.given)
-                rows = _frames(batch, task, body)
-                take = _take_row(batch, task, content, body, rows)
+                content, body = _read(batch, task)
+                frames = analyse(body, batch.feature_set, batch.rate_hz)
+                take = _take_row(batch, task, content, body, frames[2])
             except StoreError:
                 raise
             except Exception as fault:
@@ -92,7 +85,7 @@ def read_batch(batch: Batch) -> Written:
                 continue
             if writer is None:
                 writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
-            writer.add_table(task.take_id, rows)
+            writer.add(task.take_id, *frames)
             takes.append(take)
         return Written(takes, writer.close() if writer is not None else None, failures)
     except BaseException:
@@ -101,13 +94,16 @@ def read_batch(batch: Batch) -> Written:
         raise
 
 
-def _frames(batch: Batch, task: Task, body: Body) -> pa.Table:
-    """The rows of one take, at the analysis rate."""
-    positions, orientation, words = analyse(body, batch.feature_set, batch.rate_hz)
-    return frames_table(task.take_id, positions, orientation, words, batch.schema)
+def _read(batch: Batch, task: Task) -> tuple[str, Body]:
+    """The checksum of one file and the body in it, of the same bytes where the file is read as a whole."""
+    motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
+    data = read_text(motion) if motion.suffix.lower() in READ_WHOLE else None
+    # not before: it reads the whole file, which is work for many processes
+    content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
+    return content, read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data)
 
 
-def _take_row(batch: Batch, task: Task, content: str, body: Body, rows: pa.Table) -> dict[str, Any]:
+def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
     groups = dict(task.groups)
     return {
         "take_id": task.take_id,
@@ -125,9 +121,9 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, rows: pa.Table
         "source_rate_hz": body.rate_hz,
         "source_frames": body.frames,
         "rate_hz": batch.rate_hz,
-        "frames": rows.num_rows,
+        "frames": len(words),
         "seconds": body.frames / body.rate_hz,
-        "invalid_frames": rows.column("word").null_count,
+        "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
         "actor": groups.pop("actor", None),
         "class": groups.pop("class", None),
         "clip": groups.pop("clip", None),

@@ -93,10 +93,10 @@ class _Asf:
         return word.upper()
 
 
-def read_text(path: str | Path) -> bytes:
-    """The bytes of a source file, or a SourceError that says why not; an empty file is one."""
+def read_text(path: str | Path, data: bytes | None = None) -> bytes:
+    """The bytes of a source file (`data`, once they are read), or a SourceError: an empty one, too."""
     try:
-        data = Path(path).read_bytes()
+        data = Path(path).read_bytes() if data is None else data
     except OSError as fault:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
     if not data or data.isspace():
@@ -286,14 +286,18 @@ class Motion:
     warnings: tuple[str, ...] = ()
 
 
-def read_amc(path: str | Path, skeleton: Skeleton) -> Motion:
+def read_amc(path: str | Path, skeleton: Skeleton, data: bytes | None = None) -> Motion:
     """Read an AMC motion that belongs to a skeleton.
+
+    Parameters
+    ----------
+    data: the file's bytes, where they have been read already.
 
     Raises
     ------
     SourceError: with the line of the first thing that is wrong; nothing of such a file is used.
     """
-    data = read_text(path)
+    data = read_text(path, data)
     start, line, degrees = _amc_header(Path(path), data)
     names = [name for name, _ in skeleton.channels]
     widths = [len(dofs) for _, dofs in skeleton.channels]

@@ -18,7 +18,7 @@ from storage.body import FARTHEST_M, NOTHING_GIVEN, Body, Given, built, orientat
 from storage.bvh import Bvh, parse_bvh
 from storage.points import read_c3d, read_positions
 
-__all__ = ["FARTHEST_M", "FORMS", "NOTHING_GIVEN", "Body", "Given", "form_of", "read_body"]
+__all__ = ["FARTHEST_M", "FORMS", "NOTHING_GIVEN", "READ_WHOLE", "Body", "Given", "form_of", "read_body"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -38,14 +38,24 @@ def form_of(motion: str | Path) -> Format:
     return "amass" if ending == ".npz" and holds_poses(Path(motion)) else FORMS[ending]
 
 
+READ_WHOLE = (".amc", ".bvh")
+"""Endings of files that are read at once, which `read_body` therefore takes the bytes of."""
+
+
 def read_body(
-    motion: Path, asf: Path | None, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN
+    motion: Path,
+    asf: Path | None,
+    mappings: Mappings,
+    joints: tuple[str, ...],
+    given: Given = NOTHING_GIVEN,
+    data: bytes | None = None,
 ) -> Body:
     """Read a motion file of any format, told by its ending.
 
     Parameters
     ----------
     asf: the skeleton of an AMC file; other formats have none. given: what the user says of its rate.
+    data: the bytes of a file of `READ_WHOLE`, where they have been read already.
 
     Raises
     ------
@@ -53,7 +63,7 @@ def read_body(
     """
     form = form_of(motion)
     if form == "bvh":
-        return read_bvh(motion, mappings, joints, given)
+        return read_bvh(motion, mappings, joints, given, data)
     if form == "positions":
         return read_positions(motion, mappings, joints, given)
     if form == "c3d":
@@ -62,7 +72,7 @@ def read_body(
         return read_amass(motion, mappings, joints, given)
     if asf is None:
         raise SourceError(motion, "an AMC file is read with its ASF skeleton; none is given")
-    return read_acclaim(motion, asf, mappings, joints, given.acclaim_hz)
+    return read_acclaim(motion, asf, mappings, joints, given.acclaim_hz, data)
 
 
 @lru_cache(maxsize=64)
@@ -70,12 +80,20 @@ def _skeleton(path: str, _stamp: tuple[int, int], unit_m: float) -> Skeleton:
     return read_asf(path, unit_m)
 
 
-def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ...], rate_hz: float = RATE_HZ) -> Body:
+def read_acclaim(
+    amc: Path,
+    asf: Path,
+    mappings: Mappings,
+    joints: tuple[str, ...],
+    rate_hz: float = RATE_HZ,
+    data: bytes | None = None,
+) -> Body:
     """Read an AMC file with its ASF skeleton.
 
     Parameters
     ----------
     joints: the named joints, in the order of the result. rate_hz: Acclaim files do not say their rate.
+    data: the bytes of the AMC file, where they have been read already.
 
     Raises
     ------
@@ -90,7 +108,7 @@ def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ..
     fit = mappings.detect(asf, "acclaim", skeleton.bones)
     if fit.mapping.unit_m not in (None, INCH_M):
         skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
-    motion = read_amc(amc, skeleton)
+    motion = read_amc(amc, skeleton, data)
     nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels, wanted=fit.nodes)
     positions = fit.apply(nodes, joints)
     refuse_far(amc, positions, joints, fit.unknown)
@@ -105,19 +123,25 @@ def read_acclaim(amc: Path, asf: Path, mappings: Mappings, joints: tuple[str, ..
     )
 
 
-def read_bvh(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN) -> Body:
+def read_bvh(
+    path: Path,
+    mappings: Mappings,
+    joints: tuple[str, ...],
+    given: Given = NOTHING_GIVEN,
+    data: bytes | None = None,
+) -> Body:
     """Read a BVH file, which carries its own skeleton and rate.
 
     Parameters
     ----------
     mappings: those that its skeleton is looked for in. joints: the named joints, in the order of the result.
-    given: a rate that counts in place of the file's.
+    given: a rate that counts in place of the file's. data: the file's bytes, where they have been read already.
 
     Raises
     ------
     SourceError: file and line of the first fault, or that no mapping fits.
     """
-    bvh = parse_bvh(path)
+    bvh = parse_bvh(path, data)
     fit = mappings.detect(path, "bvh", bvh.places)
     nodes, restored = _restore(bvh, fit)
     positions, turned = _track(nodes, bvh.channels, fit, joints)

@@ -132,8 +132,8 @@ def _shown(word: str | None) -> str:
     return "the end of the file" if word is None else repr(word[:40])
 
 
-def parse_bvh(path: str | Path) -> Bvh:
-    """Read a BVH file.
+def parse_bvh(path: str | Path, data: bytes | None = None) -> Bvh:
+    """Read a BVH file (`data`, where its bytes have been read already).
 
     A joint's rotation is the product of its rotation channels in the order in which they are listed, leftmost first.
     A position channel stands in the place of the same axis of the joint's OFFSET, at the root and at any other joint:
@@ -143,7 +143,7 @@ def parse_bvh(path: str | Path) -> Bvh:
     ------
     SourceError: with the line of the first thing that is wrong; nothing of such a file is used.
     """
-    data = read_text(path)
+    data = read_text(path, data)
     text = _Text(Path(path), data, pos=3 if data.startswith(b"\xef\xbb\xbf") else 0)
     joints = _hierarchy(text)
     claimed, rate_hz, warnings = _motion_header(text)

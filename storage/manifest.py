@@ -283,7 +283,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
 def _text(manifest: Manifest) -> str:
     """The manifest as JSON for people too: a line for each part, each stage, and everything else."""
     content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
-    content["feature_set"] = asdict(manifest.feature_set)
+    content["feature_set"] = manifest.feature_set.encoded
     content["frames"] = [part.encoded for part in manifest.frames]
     content["takes"] = [part.encoded for part in manifest.takes]
     content["results"] = {kind: [asdict(part) for part in parts] for kind, parts in manifest.results.items()}

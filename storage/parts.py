@@ -7,6 +7,7 @@ import os
 import uuid
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -26,43 +27,35 @@ ROW_GROUP = 131_072
 """Rows of a row group of frames: about 27 MB on disk, so that one take is read without much else."""
 
 
-def frames_table(
-    take_id: int,
-    positions: npt.NDArray[np.floating],
-    orientation: npt.NDArray[np.floating],
-    words: npt.NDArray[np.uint64],
-    schema: pa.Schema,
-) -> pa.Table:
-    """Lay one take out as rows of a frames part.
+@dataclass(frozen=True)
+class _Packed:
+    """The frames of one take on their way into a part: float32 (3 J + 4, T) in the order of the columns, and words."""
 
-    Parameters
-    ----------
-    take_id: the take's id in the store.
-    positions: (J, 3, T) in metres, joints in the order of the feature set; stored as float32, NaN where unknown.
-    orientation: (4, T), the root's unit quaternion w, x, y, z.
-    words: uint64 (T,); `NO_WORD`, in an invalid frame, becomes null.
-    schema: `frames_schema` of the store.
-    """
-    joints = len(schema) - 4
-    if positions.shape != (joints, 3, len(words)):
-        raise ParameterError("positions", f"of shape ({joints}, 3, {len(words)})", positions.shape)
-    if orientation.shape != (4, len(words)):
-        raise ParameterError("orientation", f"of shape (4, {len(words)})", orientation.shape)
-    packed = np.ascontiguousarray(positions, dtype=np.float32)
-    turned = np.ascontiguousarray(orientation, dtype=np.float32)
+    take_id: int
+    numbers: npt.NDArray[np.float32]
+    words: npt.NDArray[np.uint64]
+
+
+def _table(takes: Sequence[_Packed], schema: pa.Schema) -> pa.Table:
+    """Lay takes out as rows of a frames part, each column in one piece: a piece for every take would cost the most."""
+    lengths = [len(take.words) for take in takes]
+    numbers = np.concatenate([take.numbers for take in takes], axis=1)
+    words = np.concatenate([take.words for take in takes])
+    structs = [field.type for field in schema if pa.types.is_struct(field.type)]
+    parts = iter(numbers)
     columns: list[pa.Array] = [
-        pa.array(np.full(len(words), take_id, dtype=np.int64)),
-        pa.array(np.arange(len(words), dtype=np.int32)),
+        pa.array(np.repeat(np.array([take.take_id for take in takes], np.int64), lengths)),
+        pa.array(np.concatenate([np.arange(length, dtype=np.int32) for length in lengths])),
     ]
-    columns += [pa.StructArray.from_arrays([pa.array(axis) for axis in joint], ["x", "y", "z"]) for joint in packed]
-    columns.append(pa.StructArray.from_arrays([pa.array(axis) for axis in turned], list("wxyz")))
-    words = np.ascontiguousarray(words, dtype=np.uint64)
+    for struct in structs:
+        fields = [pa.array(next(parts)) for _ in struct]
+        columns.append(pa.StructArray.from_arrays(fields, fields=list(struct)))
     columns.append(pa.array(words, mask=words == NO_WORD))
     return pa.Table.from_arrays(columns, schema=schema)
 
 
 def joint_positions(frames: pa.Table, joints: Iterable[str]) -> npt.NDArray[np.float32]:
-    """Read joints back from rows of a frames part: float32 (J, 3, T), in metres; the inverse of `frames_table`."""
+    """Read joints back from rows of a frames part: float32 (J, 3, T), in metres."""
     rows = [
         [field.to_numpy(zero_copy_only=False) for field in frames.column(joint).combine_chunks().flatten()]
         for joint in joints
@@ -83,6 +76,8 @@ class FramesWriter:
         self._folder = self.store / "frames"
         self._temporary = self._folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
         self._writer: pq.ParquetWriter | None = None
+        self._packed: list[_Packed] = []
+        self._packed_rows = 0
         self._waiting: list[pa.Table] = []
         self._waiting_rows = 0
         self._take_ids: list[int] = []
@@ -95,8 +90,28 @@ class FramesWriter:
         orientation: npt.NDArray[np.floating],
         words: npt.NDArray[np.uint64],
     ) -> None:
-        """Add a whole take; arrays as in `frames_table`."""
-        self.add_table(take_id, frames_table(take_id, positions, orientation, words, self.schema))
+        """Add a whole take.
+
+        Parameters
+        ----------
+        take_id: the take's id in the store.
+        positions: (J, 3, T) in metres, joints in the order of the feature set; stored as float32, NaN where unknown.
+        orientation: (4, T), the root's unit quaternion w, x, y, z.
+        words: uint64 (T,); `NO_WORD`, in an invalid frame, becomes null.
+        """
+        joints = len(self.schema) - 4
+        if positions.shape != (joints, 3, len(words)):
+            raise ParameterError("positions", f"of shape ({joints}, 3, {len(words)})", positions.shape)
+        if orientation.shape != (4, len(words)):
+            raise ParameterError("orientation", f"of shape (4, {len(words)})", orientation.shape)
+        self._follow(take_id)
+        numbers = np.empty((3 * joints + 4, len(words)), np.float32)
+        numbers[:-4].reshape(positions.shape)[:] = positions
+        numbers[-4:] = orientation
+        self._packed.append(_Packed(take_id, numbers, np.array(words, np.uint64)))
+        self._packed_rows += len(words)
+        if self._packed_rows >= ROW_GROUP:
+            self._lay_out()
 
     def add_table(self, take_id: int, table: pa.Table) -> None:
         """Add a whole take that is laid out already, its frames in order."""
@@ -104,19 +119,33 @@ class FramesWriter:
 
     def add_pieces(self, take_ids: Sequence[int], pieces: Iterable[pa.Table]) -> None:
         """Add whole takes that are laid out already: all their rows, in order, in pieces of any length."""
+        self._lay_out()
         for take_id in take_ids:
-            if self._take_ids and take_id <= self._take_ids[-1]:
-                raise ParameterError("take_id", f"above {self._take_ids[-1]}, the take before", take_id)
-            self._take_ids.append(take_id)
+            self._follow(take_id)
         for piece in pieces:
-            self._waiting.append(piece)
-            self._waiting_rows += piece.num_rows
-            self._rows += piece.num_rows
-            if self._waiting_rows >= 2 * ROW_GROUP:
-                self._write(last=False)
+            self._add_piece(piece)
+
+    def _follow(self, take_id: int) -> None:
+        if self._take_ids and take_id <= self._take_ids[-1]:
+            raise ParameterError("take_id", f"above {self._take_ids[-1]}, the take before", take_id)
+        self._take_ids.append(take_id)
+
+    def _lay_out(self) -> None:
+        """Turn the takes that came as arrays into a piece."""
+        if self._packed:
+            packed, self._packed, self._packed_rows = self._packed, [], 0
+            self._add_piece(_table(packed, self.schema))
+
+    def _add_piece(self, piece: pa.Table) -> None:
+        self._waiting.append(piece)
+        self._waiting_rows += piece.num_rows
+        self._rows += piece.num_rows
+        if self._waiting_rows >= 2 * ROW_GROUP:
+            self._write(last=False)
 
     def close(self) -> Part:
         """Finish the part, give it its name, and say what is in it."""
+        self._lay_out()
         self._write(last=True)
         assert self._writer is not None
         with writing(self._folder):

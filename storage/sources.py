@@ -8,7 +8,8 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from ops.errors import SourceError, StoreError
@@ -53,12 +54,12 @@ class SourceFile:
     @property
     def stem(self) -> str:
         """The file's name without folder and ending: the take's name."""
-        return Path(self.path).stem
+        return os.path.splitext(os.path.basename(self.path))[0]
 
     @property
     def format(self) -> str:
         """The file's ending in small letters, without the dot: "amc" or "bvh" of a motion file."""
-        return Path(self.path).suffix[1:].lower()
+        return os.path.splitext(self.path)[1][1:].lower()
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,15 @@ class Scan:
         """Whether a path lies where the scan could not look, so that nothing is known of it."""
         return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
 
-    @property
+    @cached_property
+    def _skeletons_in(self) -> dict[str, _Folder]:
+        return _by_folder(self.skeletons)
+
+    def skeleton_of(self, motion: SourceFile) -> SourceFile:
+        """The skeleton file that belongs to one of the motion files, by the rule of `skeleton_of`."""
+        return _nearest(motion, self._skeletons_in)
+
+    @cached_property
     def digest(self) -> str:
         """A hash of every file's path, size and time: equal means that nothing has changed."""
         hasher = hashlib.sha256()
@@ -126,58 +135,65 @@ def scan(root: str | Path) -> Scan:
     unread: list[SourceFile] = []
     refused: list[Refused] = []
     kinds = dict.fromkeys(MOTIONS, motions) | {".asf": skeletons} | dict.fromkeys(UNREAD, unread)
-    for path in _entries(root, refused):
-        kind = kinds.get(path.suffix.lower())
+    for folder, name in _entries(root, refused):
+        ending = os.path.splitext(name)[1].lower()
+        kind = kinds.get(ending)
         if kind is not None:
             try:
-                file = _source_file(root, path)
-                if path.suffix.lower() != ".csv" or is_positions_csv(path):
+                file = _source_file(root, folder, name)
+                if ending != ".csv" or is_positions_csv(file.absolute):
                     kind.append(file)
             except SourceError as fault:
-                refused.append(Refused(readable(path.relative_to(root).as_posix()), fault))
+                refused.append(Refused(readable(_below(root, folder, name)), fault))
     return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused))
 
 
-def _entries(root: Path, refused: list[Refused]) -> Iterator[Path]:
-    """Every entry below the root that is no folder; folders that cannot be entered are refused."""
+def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
+    """Every entry below the root that is no folder, as its folder and its name; what cannot be entered is refused."""
 
-    def refuse(path: Path, message: str) -> None:
-        shown = readable(path.relative_to(root).as_posix())
-        refused.append(Refused(shown, SourceError(readable(str(path)), message)))
+    def refuse(path: str, message: str) -> None:
+        shown = readable(Path(path).relative_to(root).as_posix())
+        refused.append(Refused(shown, SourceError(readable(path), message)))
 
     def unreadable(fault: OSError) -> None:
-        refuse(Path(fault.filename), f"the folder cannot be read: {fault.strerror}")
+        refuse(os.fsdecode(fault.filename), f"the folder cannot be read: {fault.strerror}")
 
     for folder, folders, names in os.walk(root, onerror=unreadable):
         folders.sort()
         for name in folders:
-            path = Path(folder) / name
-            target = Path(os.path.realpath(path))
-            if path.is_symlink() and not target.is_relative_to(root):
+            path = os.path.join(folder, name)
+            if os.path.islink(path) and not (target := Path(os.path.realpath(path))).is_relative_to(root):
                 refuse(path, f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}")
-        yield from (Path(folder) / name for name in sorted(names))
+        yield from ((folder, name) for name in sorted(names))
 
 
 _BRING_IN = "copy what it leads to into the source, or ingest that folder as a source of its own"
 
 
-def _source_file(root: Path, path: Path) -> SourceFile:
-    shown = readable(str(path))
+def _below(root: Path, folder: str, name: str) -> str:
+    """The path of an entry relative to the root, with /."""
+    return name if folder == str(root) else f"{Path(folder).relative_to(root).as_posix()}/{name}"
+
+
+def _source_file(root: Path, folder: str, name: str) -> SourceFile:
+    path = os.path.join(folder, name)
     try:
-        if path.is_symlink():
+        found = os.lstat(path)
+        if stat.S_ISLNK(found.st_mode):
             target = Path(os.path.realpath(path))
             if not target.is_relative_to(root):
-                raise SourceError(shown, f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}")
-        found = path.stat()
+                raise SourceError(
+                    readable(path), f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}"
+                )
+            found = os.stat(path)
     except OSError as fault:
         # gone since the folder was listed, a link to nowhere, or links in a circle
-        raise SourceError(shown, f"cannot be read: {fault.strerror}") from None
+        raise SourceError(readable(path), f"cannot be read: {fault.strerror}") from None
     if not stat.S_ISREG(found.st_mode):
-        raise SourceError(shown, "is no file (but a pipe, a device or a socket, or a link to a folder)")
-    relative = path.relative_to(root).as_posix()
-    name = readable(relative)
-    on_disk = "" if name == relative else relative
-    return SourceFile(str(root), name, found.st_size, found.st_mtime_ns, on_disk)
+        raise SourceError(readable(path), "is no file (but a pipe, a device or a socket, or a link to a folder)")
+    relative = _below(root, folder, name)
+    shown = readable(relative)
+    return SourceFile(str(root), shown, found.st_size, found.st_mtime_ns, "" if shown == relative else relative)
 
 
 def checksum(path: Path) -> str:
@@ -207,30 +223,55 @@ def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFi
     ------
     SourceError: none, or a tie; the message names the candidates.
     """
-    by_folder: dict[str, list[SourceFile]] = {}
+    return _nearest(motion, _by_folder(skeletons))
+
+
+@dataclass
+class _Folder:
+    """The skeleton files of one folder, and the same by their stems in small letters."""
+
+    files: list[SourceFile] = field(default_factory=list)
+    of_stem: dict[str, list[SourceFile]] = field(default_factory=dict)
+
+
+def _by_folder(skeletons: Iterable[SourceFile]) -> dict[str, _Folder]:
+    folders: dict[str, _Folder] = {}
     for skeleton in skeletons:
-        by_folder.setdefault(skeleton.path.rpartition("/")[0] or ".", []).append(skeleton)
-    folder = Path(motion.path).parent
+        folder = folders.setdefault(os.path.dirname(skeleton.path), _Folder())
+        folder.files.append(skeleton)
+        folder.of_stem.setdefault(skeleton.stem.casefold(), []).append(skeleton)
+    return folders
+
+
+def _nearest(motion: SourceFile, folders: Mapping[str, _Folder]) -> SourceFile:
+    """See `skeleton_of`; a skeleton of the motion's own name is found without a look at the others."""
     stem = motion.stem.casefold()
+    at = os.path.dirname(motion.path)
     seen: list[str] = []
     while True:
-        here = by_folder.get(folder.as_posix(), [])
-        seen += [skeleton.path for skeleton in here]
-        stems = [s.stem.casefold() for s in here]
-        shared = [_shared_prefix(stem, other) for other in stems]
-        longest = max(shared, default=0)
-        same = [s for s, other in zip(here, stems, strict=True) if other == stem]
-        best = same or [s for s, length in zip(here, shared, strict=True) if length == longest > 0]
+        here = folders.get(at, _NO_SKELETONS)
+        best = here.of_stem.get(stem) or _alike(stem, here)
         if len(best) == 1:
             return best[0]
         if best:
             names = ", ".join(s.path for s in best)
             raise SourceError(motion.absolute, f"several skeletons fit its name equally well: {names}; rename one")
-        if folder == folder.parent or folder.as_posix() == ".":
+        seen += [skeleton.path for skeleton in here.files]
+        if not at:
             break
-        folder = folder.parent
+        at = os.path.dirname(at)
     found = f"found only {', '.join(seen)}" if seen else "found none in its folder nor above, up to the source root"
     raise SourceError(motion.absolute, f"no ASF skeleton whose name begins like '{motion.stem}': {found}")
+
+
+_NO_SKELETONS = _Folder()
+
+
+def _alike(stem: str, folder: _Folder) -> list[SourceFile]:
+    """The skeletons of a folder whose stems share the longest beginning with another, if they share any."""
+    shared = {other: _shared_prefix(stem, other) for other in folder.of_stem}
+    longest = max(shared.values(), default=0)
+    return [s for other, length in shared.items() if length == longest > 0 for s in folder.of_stem[other]]
 
 
 def _shared_prefix(a: str, b: str) -> int:

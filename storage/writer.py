@@ -138,6 +138,23 @@ class StoreWriter:
         self._rows.update(zip(takes.column("take_id").to_pylist(), takes.column("frames").to_pylist(), strict=True))
         self._changes.append(["added", sorted(part.sha256 for part in parts)])
 
+    def restate_takes(self, takes: pa.Table) -> None:
+        """Put rows of takes in the place of those that the store has; frames stay, and what is made of them is valid.
+
+        For what says where a take has come from (place and time), on which neither the index nor any stage depends.
+
+        Raises
+        ------
+        StoreError: no live take has one of the ids.
+        """
+        takes = conform(takes, takes_schema(), "takes")
+        ids = takes.column("take_id").to_pylist()
+        unknown = set(ids) - set(self._manifest.live_takes)
+        if unknown:
+            raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
+        self._drop_take_rows(ids)
+        self._takes.update({take: takes.slice(row, 1) for row, take in enumerate(ids)})
+
     def drop_takes(self, take_ids: Iterable[int]) -> None:
         """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit."""
         gone = set(take_ids)
@@ -224,7 +241,8 @@ class StoreWriter:
             part = write_part(self.path, "takes", rows, sorted(self._takes))
             others = tuple(other for other in pending.takes if other.path != part.path)
             pending = replace(pending, takes=(*others, part))
-            self._changes.append(["rows", part.sha256])
+            if self._changes:
+                self._changes.append(["rows", part.sha256])
         if pending == self._committed:
             self._changes = []
             return self._committed

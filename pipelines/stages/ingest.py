@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from catalog.features import FeatureSet, load_feature_set
-from catalog.skeletons import Format, Mappings, load_mappings
+from catalog.skeletons import Mappings, load_mappings
 from ops import features, kinematics, textnumbers
-from ops.errors import KinedexError, SourceError
+from ops.errors import KinedexError
 from pipelines.batches import run_batches
+from pipelines.changes import Naming, compare, digest
 from pipelines.context import StageContext
 from pipelines.executors import WorkerDied
-from pipelines.failures import Failure, failure, killer, log_table, refusal
-from pipelines.plan import code_digest
+from pipelines.failures import Failure, failure, killer, log_table
 from pipelines.reading import Batch, Task, Written, read_batch
-from storage.bodies import FORMS, Given
+from storage.bodies import Given
 from storage.bodymodel import model_digest
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 from storage.compaction import compact
 from storage.schemas import takes_schema
-from storage.sources import MOTIONS, Scan, SourceFile, checksum, path_groups, scan, skeleton_of
+from storage.sources import MOTIONS, scan
 from storage.store import Store
 from storage.writer import StoreWriter
 
@@ -53,7 +49,7 @@ class Params(BaseModel):
         description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
         "relative to the source; the first that is found anywhere in it counts",
     )
-    name: Literal["stem", "path", "file"] = Field(
+    name: Naming = Field(
         "stem",
         description="what a take is called: its file's stem, its path without the ending (`path`), or with it (`file`)",
     )
@@ -106,7 +102,7 @@ def external_digest(params: Params, store: Store | None) -> str:
     feature_set = load_feature_set()
     mappings = load_mappings(params.skeleton, feature_set.joints)
     forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
-    return _digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])
+    return digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:
@@ -121,7 +117,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         )
     mappings = load_mappings(params.skeleton, context.feature_set.joints)
     with context.writer() as writer:
-        plan = _plan(writer, context.feature_set, params, mappings, found)
+        plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
         context.say(
             f"{len(found.motions)} motion files below {params.source}: "
             f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
@@ -142,6 +138,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
             raise KinedexError(f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)")
         if params.prune:
             writer.drop_takes(plan.gone)
+        writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=takes_schema()))
         writer.commit()
         _compact(context, writer)
         total = len(writer.manifest.live_takes)
@@ -159,130 +156,6 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "not_read": len(found.unread),
         "dropped": len(plan.gone) if params.prune else 0,
     }
-
-
-@dataclass(frozen=True)
-class _Plan:
-    tasks: list[Task]
-    unchanged: int
-    gone: list[int]
-    failures: list[Failure]
-
-
-def _plan(writer: StoreWriter, feature_set: FeatureSet, params: Params, mappings: Mappings, found: Scan) -> _Plan:
-    """Compare the source with the store: what is new or changed, what is unchanged, what is gone, what has no place."""
-    known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
-    patterns = [re.compile(pattern) for pattern in params.patterns]
-    recipes = {
-        ending[1:]: _recipe(feature_set, mappings.digest(form), _matters(params.given, form))
-        for ending, form in FORMS.items()
-    }
-    # What an .npz holds is known when it is read: what matters to either of its formats matters.
-    recipes["npz"] += f" {mappings.digest('amass')} {model_digest(params.given.body_model)}"
-    skeleton_sums: dict[str, str] = {}
-    tasks: list[Task] = []
-    failures = [refusal(refused) for refused in found.refused]
-    unchanged = 0
-    former = {found.motions[0].root}  # where this archive is, and was before it moved
-    names = _take_names(params, found)
-    for motion in found.motions:
-        name = _name(params, motion)
-        try:
-            if len(names[name]) > 1:
-                others = ", ".join(path for path in names[name] if path != motion.path)
-                rule = _apart(names[name])
-                raise SourceError(
-                    motion.absolute,
-                    f"two takes would be named '{name}' (also {others}); rename one, or set `name: {rule}`",
-                )
-            skeleton = skeleton_of(motion, found.skeletons) if motion.format == "amc" else None
-            if skeleton is not None and skeleton.path not in skeleton_sums:
-                skeleton_sums[skeleton.path] = checksum(skeleton.absolute)
-            groups = path_groups(motion.path, patterns)
-            of_skeleton = skeleton_sums[skeleton.path] if skeleton is not None else ""
-            made = _digest([recipes[motion.format], of_skeleton, sorted((groups or {}).items())])
-            row = known.get(name)
-            if row is not None and _moved(row, motion):
-                former.add(row["source_root"])
-            elif row is not None and row["recipe"] == made and _same_content(row, motion):
-                unchanged += 1
-                continue
-            elif row is not None and not _same_place(row, motion) and not _same_content(row, motion):
-                raise _stranger(row, motion)
-            warnings = () if groups is not None or not patterns else ("its path matches no pattern of the config",)
-            tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
-        except SourceError as fault:
-            failures.append(failure(motion, fault))
-    ids = writer.assign_take_ids(task.name for task in tasks)
-    tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
-    gone = [
-        row["take_id"]
-        for name, row in known.items()
-        if name not in names and row["source_root"] in former and not found.hidden(row["source"])
-    ]
-    return _Plan(tasks, unchanged, gone, failures)
-
-
-def _take_names(params: Params, found: Scan) -> dict[str, list[str]]:
-    names: dict[str, list[str]] = {}
-    for motion in found.motions:
-        names.setdefault(_name(params, motion), []).append(motion.path)
-    return names
-
-
-def _name(params: Params, motion: SourceFile) -> str:
-    if params.name == "stem":
-        return motion.stem
-    return motion.path if params.name == "file" else str(Path(motion.path).with_suffix(""))
-
-
-def _apart(paths: Sequence[str]) -> str:
-    """The rule of naming that tells these files apart."""
-    return "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
-
-
-def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:
-    return (row["source_root"], row["source"]) == (motion.root, motion.path)
-
-
-def _same_content(row: dict[str, Any], motion: SourceFile) -> bool:
-    """Whether a file is what the take was read from; it is read only where its place, size or time say otherwise."""
-    if row["source_bytes"] != motion.size:
-        return False
-    untouched = _same_place(row, motion) and row["source_mtime_ns"] == motion.mtime_ns
-    return bool(untouched or row["checksum"] == checksum(motion.absolute))
-
-
-def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
-    """Whether a take's file has moved with its archive: the same place below another root, and none at the old one."""
-    same = row["source"] == motion.path and row["source_root"] != motion.root
-    return same and not (Path(row["source_root"]) / row["source"]).exists()
-
-
-def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
-    """A changed file replaces its take; a different file of the same name does not."""
-    return SourceError(
-        motion.absolute,
-        f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
-        "differs; rename one, set `name: path`, or use a store of its own",
-    )
-
-
-def _matters(given: Given, form: Format) -> object:
-    """What of the user's word changes a take of a format."""
-    if form in ("positions", "c3d"):
-        return astuple(replace(given, body_model=None))
-    return given.acclaim_hz if form == "acclaim" else given.override_rate_hz
-
-
-def _recipe(feature_set: FeatureSet, mappings: str, given: object) -> str:
-    """What a take's rows depend on besides its own files; when it changes, the take is read again."""
-    code = [code_digest(module) for module in ("storage.bodies", "pipelines.analysis")]
-    return _digest([feature_set.digest, mappings, given, code])
-
-
-def _digest(parts: object) -> str:
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
 def _bring_in(

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +17,10 @@ import pytest
 from catalog.skeletons import load_skeleton
 from ops import features, kinematics
 from ops.errors import ConfigError, KinedexError
-from pipelines import reading
 from pipelines.stages import ingest
-from storage import sources
+from storage import index
 from storage.acclaim import read_amc, read_asf
+from storage.index.generations import Generation, current, read_generation
 from storage.store import open_store
 from storage.verify import verify
 from tests.pipelines.archives import context, human_amc, write_archive
@@ -29,6 +30,13 @@ TAKES = {"a/x_1.amc": 50, "a/x_2.amc": 33, "b/x_3.amc": 121}
 
 def bring_in(store: Path, source: Path, **params: object) -> dict[str, object]:
     return ingest.run(context(store), ingest.Params(source=str(source), **params))  # type: ignore[arg-type]
+
+
+def indexed(store: Path) -> Generation | None:
+    """What stands as the index of the store's takes; None where it is stale."""
+    opened = open_store(store)
+    found = current(opened.path, opened.manifest)
+    return None if found is None else read_generation(found)
 
 
 def test_every_fourth_source_frame_becomes_a_frame_with_the_word_of_the_source_rate(tmp_path: Path) -> None:
@@ -67,26 +75,98 @@ def test_a_second_run_reads_nothing_and_a_changed_file_only(tmp_path: Path) -> N
     assert verify(open_store(store)) == []
 
 
-def test_files_are_read_once_and_only_those_that_are_not_as_they_were(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = write_archive(tmp_path / "source", {f"x_{number}.amc": 9 for number in range(4)})
-    read: list[str] = []
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the motion and skeleton files that are opened, in order."""
+    names: list[str] = []
+    really = Path.open
 
-    def checksum(path: Path) -> str:
-        read.append(path.stem)
-        return sources.checksum(path)
+    def record(path: Path, *how: Any, **more: Any) -> Any:
+        if path.suffix in (".amc", ".asf", ".trc"):
+            names.append(path.name)
+        return really(path, *how, **more)
 
-    monkeypatch.setattr(ingest, "checksum", checksum)
-    monkeypatch.setattr(reading, "checksum", checksum)
-    bring_in(tmp_path / "store", source)
-    assert sorted(read) == ["x", "x_0", "x_1", "x_2", "x_3"]
-    read.clear()
+    monkeypatch.setattr(Path, "open", record)
+    return names
+
+
+def test_files_are_read_once_and_only_those_that_are_not_as_they_were(tmp_path: Path, opened: list[str]) -> None:
+    source, store = (
+        write_archive(tmp_path / "source", {f"x_{number}.amc": 9 for number in range(4)}),
+        tmp_path / "store",
+    )
+    opened.clear()
+    bring_in(store, source)
+    assert sorted(opened) == ["x.asf", "x.asf", "x_0.amc", "x_1.amc", "x_2.amc", "x_3.amc"]
     os.utime(source / "x_1.amc")
     text = (source / "x_2.amc").read_text()
     (source / "x_2.amc").write_text(text[:-1] + " \n")
-    assert bring_in(tmp_path / "store", source)["unchanged"] == 3
-    assert read == ["x", "x_1", "x_2"]
+    opened.clear()
+    assert bring_in(store, source)["unchanged"] == 3
+    assert opened == ["x.asf", "x_1.amc", "x_2.amc"]
+    opened.clear()
+    assert bring_in(store, source)["unchanged"] == 4
+    assert opened == ["x.asf"]
+
+
+def test_a_file_that_was_touched_or_has_moved_is_read_once_to_see_that_it_is_the_same(
+    tmp_path: Path, opened: list[str]
+) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    bring_in(store, source)
+    index.build(open_store(store))
+    before = open_store(store).takes()
+    (source / "c").mkdir()
+    (source / "a/x_1.amc").rename(source / "c/x_1.amc")
+    os.utime(source / "a/x_2.amc", ns=(1, 1))
+    opened.clear()
+    assert bring_in(store, source)["unchanged"] == 3
+    assert opened == ["x.asf", "x_2.amc", "x_1.amc"]
+    opened.clear()
+    assert bring_in(store, source)["unchanged"] == 3
+    assert opened == ["x.asf"]
+    after = open_store(store).takes()
+    changed = ["source", "source_mtime_ns"]
+    assert after.drop(changed).equals(before.drop(changed))
+    assert after["source"].to_list() == ["c/x_1.amc", "a/x_2.amc", "b/x_3.amc"]
+    assert after["source_mtime_ns"][1] == 1
+    assert indexed(store) is not None
+    assert verify(open_store(store)) == []
+
+
+def test_of_two_copies_of_a_file_the_take_stays_that_of_the_first(tmp_path: Path) -> None:
+    source, copy = write_archive(tmp_path / "source", TAKES), write_archive(tmp_path / "copy", TAKES)
+    bring_in(tmp_path / "store", source)
+    assert bring_in(tmp_path / "store", copy)["unchanged"] == 3
+    assert set(open_store(tmp_path / "store").takes()["source_root"]) == {str(source)}
+
+
+def test_what_is_added_to_a_large_store_costs_work_for_itself(tmp_path: Path, opened: list[str]) -> None:
+    """Hundreds of takes stay as they lie: neither they nor their parts nor their shards are read or made again."""
+    source, store = write_archive(tmp_path / "source", {}), tmp_path / "store"
+    text = human_amc(8, seed=0)
+    for number in range(300):
+        (source / f"x_{number:03}.amc").write_text(text)
+    bring_in(store, source)
+    index.build(open_store(store))
+    before = open_store(store).manifest
+    old = indexed(store)
+    for number in range(10):
+        (source / f"x_new{number}.amc").write_text(text)
+    opened.clear()
+    assert bring_in(store, source)["read"] == 10
+    index.build(open_store(store))
+    assert sorted(opened) == ["x.asf", *(f"x_new{number}.amc" for number in range(10))]
+    after = open_store(store).manifest
+    assert set(before.frames) < set(after.frames)
+    assert set(before.takes) < set(after.takes)
+    assert [part.rows for part in after.takes if part not in before.takes] == [10]
+    new = [part for part in after.frames if part not in before.frames]
+    assert [len(part.live) for part in new] == [10]
+    now = indexed(store)
+    assert old is not None
+    assert now is not None
+    assert set(old.shards) < set(now.shards)
 
 
 def test_a_changed_skeleton_reads_its_takes_again(tmp_path: Path) -> None:
@@ -198,7 +278,6 @@ def test_what_a_path_says_becomes_columns(tmp_path: Path) -> None:
 INGEST = """
 import sys
 from pathlib import Path
-from pipelines import reading
 from pipelines.stages import ingest
 from tests.pipelines.archives import context
 ingest.MEGABYTE = 1 << 12

@@ -101,14 +101,14 @@ def test_a_folder_that_cannot_be_read_is_refused_and_hides_what_is_in_it(
 def test_a_file_that_vanishes_while_the_source_is_listed_is_refused(
     source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    really = Path.stat
+    really = os.lstat
 
-    def stat(path: Path, **how: bool) -> os.stat_result:
-        if path.suffix == ".amc":
-            raise FileNotFoundError(2, "No such file or directory", str(path))
+    def lstat(path: str, **how: int) -> os.stat_result:
+        if str(path).endswith(".amc"):
+            raise FileNotFoundError(2, "No such file or directory", path)
         return really(path, **how)
 
-    monkeypatch.setattr(Path, "stat", stat)
+    monkeypatch.setattr(os, "lstat", lstat)
     assert refused(source) == {"a/x.amc": "cannot be read: No such file or directory"}
 
 
