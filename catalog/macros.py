@@ -312,7 +312,7 @@ FROM takes AS t JOIN (
     ON l.take_id = t.take_id
 WHERE t.take_id = {_take("take")}
 ORDER BY l.start, l.stop, l.said_by, l.run, l.class""",
-        "SELECT * FROM labels_of((SELECT min(name) FROM takes))",
+        "SELECT * FROM labels_of((SELECT min(take) FROM annotations))",
         needs="results",
     ),
     Macro(

@@ -51,7 +51,7 @@ VIEWS = (
         "One row per take: name, source file, rate, length, actor, class, warnings.",
         columns("""
 take_id    BIGINT    its number, which stays when the file is read again
-name    VARCHAR    its name: the path of the source file without the ending, or what the source pattern says
+name    VARCHAR    its name: the stem or the path of the source file, as `name` of ingest says
 source    VARCHAR    the source file, relative to source_root
 source_root    VARCHAR    the folder of the archive
 checksum    VARCHAR    SHA-256 of the source file
@@ -68,10 +68,10 @@ rate_hz    DOUBLE    frames a second here
 frames    BIGINT    frames here
 seconds    DOUBLE    duration
 invalid_frames    BIGINT    frames without a word, because joints were not seen
-actor    VARCHAR    who moves, as the source pattern says
+actor    VARCHAR    who moves, as `patterns` of ingest say
 class    VARCHAR    what a clip shows (its subclass); NULL for other takes
-clip    VARCHAR    number of the clip, as the source pattern says
-groups    VARCHAR    JSON: what else the source pattern says
+clip    VARCHAR    number of the clip, as the patterns say
+groups    VARCHAR    JSON: what else the patterns say
 warnings    VARCHAR[]    reservations about the file
 """),
         "SELECT name, actor, seconds, warnings FROM takes WHERE class IS NULL ORDER BY seconds DESC LIMIT 10",

@@ -1,0 +1,80 @@
+"""docs/sql.md: its reference is that of the views and macros, and everything in it runs on an archive of its own."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from catalog.sqlreference import renewed
+from catalog.views import MACROS, VIEWS
+from pipelines.stages import annotate, index, ingest, learn_templates
+from storage.store import Store, open_store
+from tests.pipelines.archives import context, write_archive
+from tests.pipelines.labelled import Line
+
+PAGE = (Path(__file__).resolve().parents[1] / "docs" / "sql.md").read_text(encoding="utf-8")
+STATEMENTS = re.findall(r"```sql\n(.*?)```", PAGE, re.DOTALL)
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Motion files that were read, indexed, learned from and annotated."""
+    folder = tmp_path_factory.mktemp("docs")
+    takes = {
+        "x_bo_long_1.amc": 600,
+        "x_al_long_2.amc": 400,
+        "x_al_hop_1.amc": 90,
+        "x_al_hop_2.amc": 99,
+        "x_bo_sway_1.amc": 88,
+    }
+    source = write_archive(folder / "source", takes)
+    patterns = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)", r"x_(?P<actor>[a-z]+)_long_\d"]
+    ingest.run(context(folder / "store"), ingest.Params(source=str(source), patterns=patterns))
+    index.run(context(folder / "store", "index"), index.Params())
+    line = Line(folder / "store")
+    line.run(learn_templates)
+    line.run(annotate)
+    return open_store(folder / "store")
+
+
+def test_the_reference_is_up_to_date() -> None:
+    assert renewed(PAGE) == PAGE, "python -m catalog.sqlreference"
+
+
+def test_the_page_has_every_view_and_macro_once() -> None:
+    titles = re.findall(r"^### (\w+)", PAGE, re.MULTILINE)
+    assert sorted(titles) == sorted([view.name for view in VIEWS] + [macro.name for macro in MACROS])
+    assert len(STATEMENTS) > len(titles)
+
+
+@pytest.mark.parametrize("statement", STATEMENTS, ids=lambda text: " ".join(text.split())[:50])
+def test_every_statement_of_the_page_runs(store: Store, statement: str) -> None:
+    assert store.sql(statement).num_columns > 0
+
+
+def test_the_archive_of_the_examples_says_something(store: Store) -> None:
+    empty = {name for name, example in _examples(store) if store.sql(example).num_rows == 0}
+    nothing_stored = {view.name for view in VIEWS if view.origin == "results" and not store.result(view.name).num_rows}
+    assert empty - nothing_stored <= {"word_runs", "annotated_takes", "runs_where", "followed_by"}
+    assert not nothing_stored & {"templates", "annotations", "distance_curves", "annotated_takes"}
+
+
+def test_every_example_of_help_runs_and_is_on_the_page(store: Store) -> None:
+    for name, example in _examples(store):
+        assert f"```sql\n{example};\n```" in PAGE, name
+
+
+def _examples(store: Store) -> list[tuple[str, str]]:
+    return [(row["name"], row["example"]) for row in store.sql("SELECT name, example FROM help").to_pylist()]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_the_programs_of_the_page_run(store: Store, program: str) -> None:
+    names: dict[str, object] = {}
+    exec(program.replace("build/demo-store", str(store.path)), names)
+    assert len(names["first"]) == store.takes("seconds > 1")["frames"][0]  # type: ignore[arg-type]
+    assert len(names["height"]) == 30  # type: ignore[arg-type]
+    assert names["valid"].all()  # type: ignore[attr-defined]
