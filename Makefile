@@ -4,6 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STORE  ?= build/demo-store
 DATA   ?=
+METHOD ?= thesis
 FUZZ_SECONDS ?= 20
 FUZZ_SEED    ?= 0
 
@@ -13,6 +14,7 @@ FUZZ_SEED    ?= 0
 help:
 	@echo "make demo                  set up .venv, make a synthetic archive, run the main job, print where the report is"
 	@echo "make demo DATA=dir         the same job on your own archive (STORE=dir says where the store goes)"
+	@echo "make demo METHOD=best      the same job with all frames of a take labelled together"
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
@@ -32,7 +34,7 @@ setup: $(VENV)/run.stamp
 
 # ---- the main job ----------------------------------------------------------------------------------------
 demo: setup
-	@$(BIN)/kinedex demo --store "$(STORE)" $(if $(DATA),--data "$(DATA)")
+	@$(BIN)/kinedex demo --store "$(STORE)" $(if $(DATA),--data "$(DATA)") --method $(METHOD)
 
 # ---- checks ----------------------------------------------------------------------------------------------
 lint: setup

@@ -17,20 +17,26 @@ ACTORS, SEED = 5, 2026
 
 
 def run_demo(
-    store: Path, data: Path | None, minutes: float, executor: str, workers: int | None, console: Console
+    store: Path,
+    data: Path | None,
+    minutes: float,
+    executor: str,
+    workers: int | None,
+    console: Console,
+    method: str = "thesis",
 ) -> Outcome:
     """Run the pipeline `annotate`; without data, on a synthetic archive beside the store.
 
     Parameters
     ----------
     store: where the store goes. data: an archive of the user's own, or None. minutes: size of the synthetic archive.
-    executor, workers: as for `run_pipeline`. console: where to say what happens.
+    executor, workers: as for `run_pipeline`. console: where to say what happens. method: of the stage `annotate`.
     """
-    settings = {}
+    settings = {"method": method}
     if data is None:
         data = store.parent / f"{store.name}-archive-{minutes:g}min"
         make_archive(data, minutes, ACTORS, SEED, workers, console)
-        settings = {"classes": "synthetic"}
+        settings["classes"] = "synthetic"
     elif not data.is_dir():
         raise KinedexError(f"--data {data}: no such folder")
     elif not any(data.rglob("ground_truth.csv")):

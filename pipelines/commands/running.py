@@ -30,6 +30,7 @@ def demo(
         Path | None, typer.Option(help="an archive of your own; a synthetic one is made without it")
     ] = None,
     minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in the synthetic archive")] = 30.0,
+    method: Annotated[str, typer.Option(help="how takes are labelled: thesis, or best")] = "thesis",
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
 ) -> None:
@@ -37,7 +38,7 @@ def demo(
     from pipelines.demo import run_demo
 
     console = make_console()
-    outcome = run_demo(store, data, minutes, executor, workers, console)
+    outcome = run_demo(store, data, minutes, executor, workers, console, method)
     finish(outcome, store, console)
 
 
