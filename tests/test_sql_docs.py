@@ -36,7 +36,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     index.run(context(folder / "store", "index"), index.Params())
     line = Line(folder / "store")
     line.run(learn_templates)
-    line.run(annotate)
+    line.run(annotate, tau=0.5)
     return open_store(folder / "store")
 
 
