@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import indexing, keyframes, learning, ranking, reading, searching
+from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import calibrate, show, write
 from pipelines.terminal import make_console
@@ -12,7 +12,8 @@ def main() -> None:
     """Run everything on one core, with a calibration before and after."""
     opened = store()
     figures = [calibrate(), *reading.figures(), *indexing.figures(opened), *searching.figures(opened)]
-    figures += [*learning.figures(opened), *keyframes.figures(opened), *ranking.figures(opened), calibrate()]
+    figures += [*learning.figures(opened), *keyframes.figures(opened), *ranking.figures(opened)]
+    figures += [*annotating.figures(opened), calibrate()]
     console = make_console()
     console.print(show(figures))
     console.print(f"written to {write(figures, BUILD)}", markup=False)

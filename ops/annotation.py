@@ -103,7 +103,7 @@ def annotate(modified: F64, classes: I64, threshold: float | F64 = np.inf) -> li
     taus = np.broadcast_to(np.asarray(threshold, np.float64), np.shape(threshold) or (len(curves),)).tolist()
     labels = _labels(curves)
     segments = []
-    for class_index in range(len(curves)):
+    for class_index in np.unique(labels[labels >= 0]).tolist():
         for start, stop in grow(curves[class_index], labels == class_index):
             at = start + int(np.argmin(curves[class_index, start:stop]))
             cost = float(curves[class_index, at])
@@ -125,7 +125,9 @@ def _class_curves(modified: F64, classes: I64) -> tuple[F64, I64]:
     best = np.zeros((count, modified.shape[1]), np.int64)
     for class_index in range(count):
         members = np.flatnonzero(classes == class_index)
-        if len(members):
+        if len(members) == 1:
+            curves[class_index], best[class_index] = modified[members[0]], members[0]
+        elif len(members):
             curves[class_index] = modified[members].min(axis=0)
             best[class_index] = members[np.argmax(modified[members] <= curves[class_index] + TOLERANCE, axis=0)]
     return curves, best

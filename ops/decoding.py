@@ -88,11 +88,11 @@ def log_ratios(templates: Sequence[Template], usual: F64, words: U64, decoding: 
     float64 (V, C), C = N_1 + … + N_T: the mean over features of log P(bit | column) − log P(bit | background), plus the
     gain; −∞ for `NO_WORD`.
     """
-    ratios = _linear(templates, usual, decoding)
+    ratios = linear_ratios(templates, usual, decoding)
     return _table(*ratios, words)
 
 
-def _linear(templates: Sequence[Template], usual: F64, decoding: Decoding) -> tuple[F64, F64]:
+def linear_ratios(templates: Sequence[Template], usual: F64, decoding: Decoding) -> tuple[F64, F64]:
     """The log ratios as a linear function of a word's bits: slopes (f, C) and intercepts (C,)."""
     columns = np.concatenate([template.values for template in templates])
     if columns.shape[1] != len(usual):
@@ -119,6 +119,7 @@ def explain(
     words: U64,
     decoding: Decoding,
     ranges: Sequence[I64] | None = None,
+    linear: tuple[F64, F64] | None = None,
 ) -> list[Explained]:
     """Find the explanation of a take that has the greatest value.
 
@@ -130,7 +131,7 @@ def explain(
     ----------
     templates: T templates. usual: float64 (f,), see `background`. words: uint64 (L,), one take's.
     ranges: for each template int64 (R, 2), the half-open stretches it may explain, ascending and apart; None:
-    everywhere.
+    everywhere. linear: `linear_ratios` of the templates, where they are known already.
 
     Returns
     -------
@@ -148,7 +149,7 @@ def explain(
     value, winner = np.zeros(len(words) + 1), np.full(len(words) + 1, -1)
     scores = np.full((4, len(columns)), -np.inf)
     slopes, intercepts = np.zeros((len(usual), len(columns))), np.full(len(columns), -np.inf)
-    slopes[:, columns], intercepts[columns] = _linear(templates, usual, decoding)
+    slopes[:, columns], intercepts[columns] = linear_ratios(templates, usual, decoding) if linear is None else linear
     step = max(1, _TABLE_CELLS // len(columns))
     for start in range(0, len(words), step):
         stop = min(start + step, len(words))
@@ -193,10 +194,15 @@ def margins(
     classes reach on the same frames.
     """
     result = np.empty(len(found))
+    if not found:
+        return result
+    slopes, intercepts = linear_ratios(templates, usual, decoding)
+    home = np.repeat(classes, [len(template) for template in templates])
     for place, one in enumerate(found):
         label = classes[one.template]
         others = [template for template, other in zip(templates, classes, strict=True) if other != label]
-        rivals = explain(others, usual, words[one.start : one.stop], decoding)
+        linear = slopes[:, home != label], intercepts[home != label]
+        rivals = explain(others, usual, words[one.start : one.stop], decoding, linear=linear)
         result[place] = 1.0 - sum(rival.value for rival in rivals) / one.value
     return np.clip(result, 0.0, 1.0)
 

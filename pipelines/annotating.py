@@ -14,10 +14,12 @@ import pyarrow as pa
 from catalog.classes import Classes
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery
-from ops.annotation import Segment, annotate, local_minima, spread_minima
+from ops.annotation import Segment, annotate, lower_stretches
+from ops.costs import encode
 from ops.decoding import Decoding, explain, margins
-from ops.dtw import distance_curves, start_frames
+from ops.dtw import distance_curves
 from ops.errors import KinedexError, did_you_mean
+from ops.pruning import minima_below
 from ops.templates import QuantisedTemplate, Template, quantise
 from ops.words import U64, TakeWords
 from pipelines.executors import Executor
@@ -270,8 +272,9 @@ def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
 def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = False) -> list[TakeAnnotation]:
     """Annotate takes, all templates against all words at once."""
     ranges = _ranges(annotator, words)
-    curves = _curves(annotator, words, ranges)
-    modified = _modified(annotator, words, ranges, curves) if annotator.row is None else None
+    modified = _modified(annotator, words, ranges) if annotator.row is None else None
+    # minima below τ are found without the curves, which are only drawn, and give rows their costs
+    curves = _curves(annotator, words, ranges) if keep_curves or modified is None else np.empty((0, len(words.words)))
     found = []
     for index, take_id in enumerate(words.take_ids.tolist()):
         piece = slice(int(words.offsets[index]), int(words.offsets[index + 1]))
@@ -292,18 +295,20 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
     return found
 
 
-def _modified(annotator: Annotator, words: TakeWords, ranges: Sequence[I64], curves: F64) -> F64:
-    """The modified curves of all templates (thesis, Eq. 5.4)."""
-    modified = np.full_like(curves, np.inf)
+def _modified(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F64:
+    """The modified curves of all templates (thesis, Eq. 5.4).
+
+    A neighbour at τ or above never keeps a frame from being a minimum below τ, so the minima are those of the curves.
+    """
+    modified = np.full((len(annotator.templates), len(words.words)), np.inf)
+    coded = encode(words.words)
     taus = annotator.thresholds[annotator.class_index].tolist()
     for subclass, template in enumerate(annotator.templates):
-        minima = [
-            local_minima(curves[subclass, start:stop], taus[subclass]) + start
-            for start, stop in zip(words.offsets[:-1], words.offsets[1:], strict=True)
-        ]
-        ends = np.concatenate([np.empty(0, np.int64), *minima])
-        starts = start_frames(template, words.words, ends, ranges[subclass])
-        modified[subclass] = spread_minima(curves[subclass], starts, ends)
+        own = ranges[subclass]
+        # blocks are looked at in all words, which costs more than it saves where keyframes leave few of them
+        prune = 4 * int((own[:, 1] - own[:, 0]).sum()) > len(words.words)
+        minima = minima_below(template, words.words, taus[subclass], own, coded, prune)
+        lower_stretches(modified[subclass], minima.starts, minima.ends, minima.costs)
     return modified
 
 
