@@ -39,14 +39,21 @@ class Confusion:
 
 
 @dataclass(frozen=True)
-class Missed:
-    """A manual segment that no method has found. instead: what the methods put there, by method."""
+class Fate:
+    """What became of a manual segment. overlaps: by method, intersection over union with the automatic segment of its
+    class that overlaps it most, 0 where none does. labels: what the methods put there, what overlaps most first."""
 
     take: str
     label: str
     start: int
     stop: int
-    instead: dict[str, tuple[str, ...]]
+    overlaps: dict[str, float]
+    labels: dict[str, tuple[str, ...]]
+
+    @property
+    def missed(self) -> bool:
+        """Whether no method has found it: no automatic segment of its class has a frame of it."""
+        return not any(self.overlaps.values())
 
 
 @dataclass(frozen=True)
@@ -178,20 +185,24 @@ def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -
     return marked
 
 
-def never_found(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Missed]:
-    """The manual segments that no method has found: no automatic segment of their class has a frame of theirs."""
-    missed = []
+def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:
+    """Say of every manual segment what the methods made of it, in the order of takes and time."""
+    found = []
     for exam in exams:
-        for label, start, stop in exam.truth:
+        for label, start, stop in sorted(exam.truth, key=lambda one: (one[1], one[2], one[0])):
             there = {
                 method: [one for one in outcome[exam.name] if _meets(one, start, stop)]
                 for method, outcome in outcomes.items()
             }
-            if any(one.label == label for found in there.values() for one in found):
-                continue
-            instead = {method: _names(found, start, stop) for method, found in there.items()}
-            missed.append(Missed(exam.name, label, start, stop, instead))
-    return missed
+            overlaps = {
+                method: max(
+                    (overlap((one.start, one.stop), (start, stop)) for one in own if one.label == label), default=0.0
+                )
+                for method, own in there.items()
+            }
+            labels = {method: _names(own, start, stop) for method, own in there.items()}
+            found.append(Fate(exam.name, label, start, stop, overlaps, labels))
+    return found
 
 
 def _meets(one: Segment, start: int, stop: int) -> bool:

@@ -12,7 +12,7 @@ from ops.metrics import Counts
 from pipelines.evaluating import measures
 from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam, Fold
-from pipelines.evaluation.judging import Judgement, Missed, Outcome, chosen_takes
+from pipelines.evaluation.judging import Fate, Judgement, Outcome, chosen_takes
 from pipelines.evaluation.scheme import Method, Metric, Split
 
 
@@ -27,14 +27,15 @@ class Threshold:
 
 @dataclass(frozen=True)
 class SplitResult:
-    """One split, all methods judged in it. missed: the segments that none of them has found."""
+    """One split, all methods judged in it. fates: of all manual segments. notes: what is to be known, in words."""
 
     split: Split
     folds: tuple[Fold, ...]
     outcomes: dict[str, Outcome]
     judgements: dict[str, Judgement]
     sweep: tuple[Threshold, ...]
-    missed: tuple[Missed, ...]
+    fates: tuple[Fate, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def exams(self) -> tuple[Exam, ...]:
@@ -43,8 +44,13 @@ class SplitResult:
 
     @property
     def remarks(self) -> list[str]:
-        """What is to be known of the folds, each remark once."""
-        return list(dict.fromkeys(remark for fold in self.folds for remark in fold.remarks))
+        """What is to be known of the split and its folds, each remark once."""
+        return list(dict.fromkeys([*self.notes, *(remark for fold in self.folds for remark in fold.remarks)]))
+
+    @property
+    def missed(self) -> list[Fate]:
+        """The manual segments that no method has found."""
+        return [one for one in self.fates if one.missed]
 
     @property
     def leading(self) -> str:
@@ -130,7 +136,8 @@ def _split(result: SplitResult, study: Study) -> dict[str, object]:
         ],
         "methods": {name: _judgement(one, study) for name, one in result.judgements.items()},
         "sweep": [{"method": one.curve, "tau": one.tau, **scores(one.counts)} for one in result.sweep],
-        "never_found": [asdict(one) for one in result.missed],
+        "never_found": len(result.missed),
+        "segments": [asdict(one) for one in result.fates],
         "shown": {
             what: {
                 "take": name,

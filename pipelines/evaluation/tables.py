@@ -12,11 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from ops.metrics import Counts
-from pipelines.evaluation.judging import NOTHING, Judgement
+from pipelines.evaluation.judging import NOTHING, Fate, Judgement
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
 MOST_CONFUSIONS = 8
+MOST_LISTED = 60
+"""Manual segments that Markdown lists; the page folds them, the JSON has all."""
 
 
 @dataclass(frozen=True)
@@ -167,10 +169,26 @@ def _by_class(result: SplitResult) -> list[str]:
 
 def _missed(result: SplitResult, rate_hz: float) -> list[str]:
     lines = [f"### Found by no method: {len(result.missed)}", ""]
-    for one in result.missed:
-        instead = "; ".join(f"{method}: {', '.join(names) or 'nothing'}" for method, names in one.instead.items())
-        lines.append(f"- {one.take}, {one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s, {one.label} ({instead})")
-    return lines + ([""] if result.missed else [])
+    for one in result.missed[:MOST_LISTED]:
+        labels = "; ".join(f"{method}: {', '.join(names) or 'nothing'}" for method, names in one.labels.items())
+        lines.append(f"- {one.take}, {one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s, {one.label} ({labels})")
+    if len(result.missed) > MOST_LISTED:
+        lines.append(f"- and {len(result.missed) - MOST_LISTED} more, in the JSON")
+    lines += [""] if result.missed else []
+    if len(result.fates) > MOST_LISTED:
+        return lines
+    names = list(result.judgements)
+    rows = [
+        [one.take, f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f}", one.label, *(fate(one, n) for n in names)]
+        for one in result.fates
+    ]
+    return [*lines, "### Segment by segment", "", *grid(["take", "seconds", "class", *names], rows)]
+
+
+def fate(one: Fate, method: str) -> str:
+    """What a method made of a manual segment: the overlap, or what it put there instead."""
+    share = one.overlaps[method]
+    return f"{share:.0%}" if share else f"missed ({', '.join(one.labels[method]) or 'nothing'})"
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

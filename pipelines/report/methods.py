@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from ops.detection import THRESHOLDS
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
-from pipelines.evaluation.tables import between, confusions, described, digits, headings, row, sentence, six
+from pipelines.evaluation.tables import between, confusions, described, digits, fate, headings, row, sentence, six
 from pipelines.report.methodfigures import (
     FURTHEST,
     HEIGHT,
@@ -32,7 +32,7 @@ MOST_ROWS = 300
 
 @dataclass(frozen=True)
 class Section:
-    """One split as it is drawn. labels: the classes of its tables. missed: as many as are shown."""
+    """One split as it is drawn. labels: the classes of its tables."""
 
     result: SplitResult
     labels: tuple[str, ...]
@@ -127,6 +127,7 @@ def _environment() -> Environment:
         "described": described,
         "sentence": sentence,
         "row": row,
+        "fate": fate,
         "six": six,
         "confusions": confusions,
         "boundaries": boundary_summary,

@@ -23,7 +23,7 @@ from pipelines.digests import files_digest
 from pipelines.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
 from pipelines.evaluation.exams import Fold, Material, make_folds
-from pipelines.evaluation.judging import Judgement, judge, never_found
+from pipelines.evaluation.judging import Judgement, fates, judge
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from pipelines.evaluation.study import SplitResult, Study, Threshold, content
@@ -271,8 +271,12 @@ def _result(
         Threshold(method.curve_name, method.tau, judge(outcome(method), exams, classes.names, 1).pooled)
         for method in _swept(params)
     ]
-    missed = never_found(outcomes, exams)
-    return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), tuple(missed))
+    used = [cells[split.name, fold.name, method.name].annotator for fold in folds for method in params.methods]
+    labelled = {one.classes[index] for one in used for index in one.class_index.tolist()}
+    lacking = sorted({label for exam in exams for label, _, _ in exam.truth} - labelled)
+    notes = [f"without a template, so their segments cannot be found: {few(lacking)}"] if lacking else []
+    met = tuple(fates(outcomes, exams))
+    return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), met, tuple(notes))
 
 
 def _study(

@@ -15,7 +15,7 @@ from pipelines.config import load_pipeline
 from pipelines.evaluation import cells as grid
 from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, judge, never_found
+from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, fates, judge
 from pipelines.evaluation.scheme import Method, Split
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
 from storage.store import open_store
@@ -169,7 +169,9 @@ def test_labels_without_a_template_are_told(line: Comparing, tmp_path: Path) -> 
     with open(tmp_path / "ground_truth.csv", "a", encoding="utf-8") as file:
         file.write("eve_1,dance,20,40\n")
     found = line.compare([BEST], [{"name": "eve"}], unknown_labels="miss")["splits"][0]
-    assert [(one["take"], one["label"]) for one in found["never_found"]] == [("eve_1", "dance")]
+    (missed,) = [one for one in found["segments"] if not one["overlaps"]["best"]]
+    assert (missed["take"], missed["label"], found["never_found"]) == ("eve_1", "dance", 1)
+    assert "without a template, so their segments cannot be found: dance" in found["remarks"]
     assert found["methods"]["best"]["classes"]["dance"]["r2"] == 0.0
 
 
@@ -241,11 +243,9 @@ def test_a_frame_of_two_classes_is_confused_in_parts() -> None:
 
 def test_a_segment_that_one_method_finds_is_found() -> None:
     truth = exam(("a", 0, 4), ("b", 5, 9))
-    missed = never_found(
-        {"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}},
-        [truth],
-    )
-    assert [(one.label, one.instead) for one in missed] == [("b", {"one": ("a",), "two": ()})]
+    found, missed = fates({"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
+    assert (found.label, found.overlaps, found.missed) == ("a", {"one": pytest.approx(1 / 6), "two": 0.0}, False)
+    assert (missed.label, missed.labels, missed.missed) == ("b", {"one": ("a",), "two": ()}, True)
 
 
 def test_the_takes_shown_are_the_best_the_middle_and_the_worst() -> None:
