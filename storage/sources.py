@@ -172,7 +172,7 @@ _BRING_IN = "copy what it leads to into the source, or ingest that folder as a s
 
 def _below(root: Path, folder: str, name: str) -> str:
     """The path of an entry relative to the root, with /."""
-    return name if folder == str(root) else f"{Path(folder).relative_to(root).as_posix()}/{name}"
+    return os.path.join(folder, name)[len(os.path.join(root, "")) :].replace(os.sep, "/")
 
 
 def _source_file(root: Path, folder: str, name: str) -> SourceFile:

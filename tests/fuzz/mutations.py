@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import re
-import struct
-import zipfile
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from random import Random
 
 Mutation = Callable[[bytes, Random], bytes]
@@ -227,119 +223,6 @@ def nest(data: bytes, random: Random, pairs: Sequence[tuple[bytes, bytes]]) -> b
     depth = random.choice((3, 100, 990, 1100, 12_000))
     at = random.choice([found.end() for found in _LINE_END.finditer(data, *_window(data, random))] or [0])
     return data[:at] + opening * depth + closing * random.choice((depth, depth, 0, depth - 1)) + data[at:]
-
-
-# ---- arrays ----------------------------------------------------------------------------------------------
-
-_HEADERS = (
-    *(b"(1000000000000, 24, 3)", b"(2, 1000000000, 3)", b"(-1, 24, 3)", b"(0, 24, 3)", b"(24, 3)", b"()", b"(9,)"),
-    *(
-        b"(99999999999999999999, 24, 3)",
-        b"(1, 1, 3)",
-        b"(1, 24, 3",
-        b"(True, 24, 3)",
-        b"(2, 24, 3, 1)",
-        b"(1.5, 24, 3)",
-    ),
-    *(b"(" * 200 + b")" * 200, b"(400000, 24, 3)"),
-)
-_TYPES = (
-    *(b"'<f8'", b"'>f8'", b"'<f4'", b"'<f2'", b"'|O'", b"'<U99999999'", b"'<i8'", b"'|b1'", b"'<c16'", b"'|V8'"),
-    *(b"'<M8[ns]'", b"'|S8'", b"'<f16'", b"'zz'", b"[('a', '<f8')]", b"'<U0'", b"1", b"'<u1'", b"'(9999,9999)f8'"),
-)
-
-
-def npy_header(data: bytes, random: Random) -> bytes:
-    """Another shape, type or length in the header of an NPY file."""
-    match random.randrange(4):
-        case 0:
-            return re.sub(rb"'shape': \([^)]*\)", b"'shape': " + random.choice(_HEADERS), data, count=1)
-        case 1:
-            return re.sub(rb"'descr': '[^']*'", b"'descr': " + random.choice(_TYPES), data, count=1)
-        case 2:
-            return data[:8] + struct.pack("<H", random.choice((0, 1, 10, 117, 119, 65535))) + data[10:]
-        case _:
-            return data[:6] + bytes(random.choice(((2, 0), (3, 0), (9, 9), (0, 0)))) + data[8:]
-
-
-def npy_numbers(data: bytes, random: Random) -> bytes:
-    """Numbers of an array are none, infinite or huge."""
-    changed = bytearray(data)
-    value = random.choice((float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 1e-308, 1e5, 1e12, 0.0))
-    for _ in range(random.choice((1, 3, 1000))):
-        if len(changed) > 200:
-            at = 128 + 8 * random.randrange((len(changed) - 136) // 8 + 1)
-            changed[at : at + 8] = struct.pack("<d", value)
-    return bytes(changed)
-
-
-NPY: tuple[Mutation, ...] = (npy_header, npy_header, npy_numbers, npy_numbers)
-"""Mutations of an NPY file, besides those of its bytes."""
-
-
-def npz_entry(data: bytes, random: Random) -> bytes:
-    """One array inside an NPZ file is mutated and packed again, so that its checksum is right."""
-    entries = _unpacked(data)
-    if not entries:
-        return data
-    name = random.choice(sorted(entries))
-    entries[name] = random.choice((*ANY, *NPY, *NPY))(entries[name], random)
-    return _packed(entries, random)
-
-
-def npz_names(data: bytes, random: Random) -> bytes:
-    """Arrays of an NPZ file are called otherwise, are missing, or are no arrays."""
-    entries = _unpacked(data)
-    if not entries:
-        return data
-    name = random.choice(sorted(entries))
-    content = entries.pop(name)
-    new = random.choice(
-        ("fps.npy", "poses.npy", "names.npy", "positions", "../positions.npy", "joints.npy", "rate_hz.npy")
-    )
-    for changed, value in random.choice((((new, content),), ((new, content), (name, content)), ((name, b""),), ())):
-        entries[changed] = value
-    return _packed(entries, random)
-
-
-def npz_bomb(data: bytes, random: Random) -> bytes:
-    """An array of an NPZ file unpacks to far more than there is."""
-    entries = _unpacked(data)
-    if not entries:
-        return data
-    name = random.choice(sorted(entries))
-    header = entries[name][:128].replace(b"'shape': (", b"'shape': (9")
-    entries[name] = header + b"\0" * random.choice((1 << 20, 8 << 20))
-    return _packed(entries, random)
-
-
-def npz_sizes(data: bytes, random: Random) -> bytes:
-    """The directory of an NPZ file gives other sizes and places than there are."""
-    at = data.rfind(b"PK\x01\x02")
-    if at < 0:
-        return data
-    changed = bytearray(data)
-    field = at + random.choice((8, 10, 16, 20, 24, 28, 30, 32, 42))
-    changed[field : field + 4] = struct.pack("<I", random.choice((0, 1, 1000, 0x7FFFFFFF, 0xFFFFFFFF)))
-    return bytes(changed[: len(data)])
-
-
-NPZ: tuple[Mutation, ...] = (npz_entry, npz_entry, npz_entry, npz_names, npz_bomb, npz_sizes)
-"""Mutations of an NPZ file, besides those of its bytes."""
-
-
-def _unpacked(data: bytes) -> dict[str, bytes]:
-    with suppress(Exception), zipfile.ZipFile(io.BytesIO(data)) as packed:
-        return {name: packed.read(name) for name in packed.namelist()}
-    return {}
-
-
-def _packed(entries: dict[str, bytes], random: Random) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as packed:
-        for name, content in entries.items():
-            packed.writestr(zipfile.ZipInfo(name), content)
-    return file.getvalue()
 
 
 def mutate(data: bytes, mutations: Sequence[Mutation], random: Random, largest: int) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tempfile
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,10 +12,12 @@ import numpy as np
 from catalog.configs import config_names, config_path
 from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Mappings, load_mappings, load_skeleton
+from storage.bodymodel import BODY, HANDS
 from storage.labels.formats import FORMATS
 from storage.labels.segments import Label, TakeLabels
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
+from tests.c3d_files import standing_markers, write_c3d
 from tests.pipelines.archives import human_amc, human_asf
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -131,6 +134,63 @@ def npz() -> dict[str, bytes]:
         pack(file, positions=_walk(), names=np.array(list(STANDING)), fps=np.float64(60.0))
         seeds[pack.__name__] = file.getvalue()
     return seeds
+
+
+def c3d() -> dict[str, bytes]:
+    """Markers in millimetres and metres, with gaps and analog channels."""
+    points = standing_markers(6)
+    gaps = 1000 * points.copy()
+    gaps[3, :, 2:4] = np.nan
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "seed.c3d"
+        return {
+            "millimetres": write_c3d(path, gaps, first=9).read_bytes(),
+            "analog": write_c3d(path, points, unit="m", analog=3, Y_SCREEN=["+Y"]).read_bytes(),
+        }
+
+
+def strange_c3d() -> dict[str, bytes]:
+    """Parsed, but of markers that no mapping fits: those of a vendor's system where it is there, and made ones."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_c3d(Path(folder) / "seed.c3d", standing_markers(3)[:2], ("a", "b"))
+        seeds = {"two": path.read_bytes()}
+    file = SHARED / "c3d" / "Optotrak.c3d"
+    return seeds | ({"optotrak": file.read_bytes()} if file.is_file() else {})
+
+
+def amass() -> dict[str, bytes]:
+    """Joint angles as older and as newer files hold them."""
+    turns = np.random.default_rng(0).normal(0, 0.2, (4, 3 * len((*BODY, *HANDS))))
+    places, rate = np.zeros((4, 3)), np.array(60.0)
+    old = {
+        "poses": turns,
+        "trans": places,
+        "betas": np.zeros(16),
+        "gender": np.array("female"),
+        "mocap_framerate": rate,
+    }
+    new = {"root_orient": turns[:, :3], "pose_body": turns[:, 3:66], "pose_hand": turns[:, 66:], "trans": places}
+    new |= {"mocap_frame_rate": rate, "gender": np.array(b"neutral")}
+    return {"old": _zipped(old), "new": _zipped(new)}
+
+
+def body_model() -> bytes:
+    """A table of joints at rest, for whatever angles."""
+    places = np.random.default_rng(1).normal(0, 0.3, (len(BODY), 3)) + np.array([0.0, 1.0, 0.0])
+    return _zipped({"joints": places, "names": np.array(BODY), "shapes": np.full((len(BODY), 3, 4), 0.01)})
+
+
+def body_models() -> dict[str, bytes]:
+    """What a body model may be: a table of joints, or the model itself, small."""
+    random = np.random.default_rng(2)
+    model = {"v_template": random.normal(0, 1, (30, 3)), "J_regressor": random.uniform(0, 0.1, (len(BODY), 30))}
+    return {"table": body_model(), "model": _zipped(model | {"shapedirs": random.normal(0, 0.1, (30, 3, 5))})}
+
+
+def _zipped(arrays: dict[str, np.ndarray]) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    return file.getvalue()
 
 
 def ground_truth() -> dict[str, bytes]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import re
+import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -11,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog.classes import load_classes
-from catalog.configs import config_names, config_path
+from catalog.configs import config_names, config_path, load_yaml
 from catalog.features import load_feature_set
 from catalog.queryfiles import parse_queries, read_queries
 from catalog.querywriting import write_queries
@@ -20,12 +23,28 @@ from ops.errors import KinedexError, SourceError
 from pipelines.analysis import analyse, blind
 from pipelines.config import load_pipeline
 from storage.bodies import FARTHEST_M, Given, read_body
+from storage.bodymodel import load_body_model
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
+from storage.c3d import parse_c3d
 from storage.ground_truth import read_ground_truth
 from storage.positions import is_positions_csv
 from tests.bodies import STANDING
 from tests.fuzz import seeds
-from tests.fuzz.mutations import ANY, NPY, NPZ, TEXT, Mutation, insert_word, nest
+from tests.fuzz.binary import C3D, NPY, NPZ
+from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
+from tests.fuzz.words import (
+    AMC_WORDS,
+    ASF_WORDS,
+    BVH_WORDS,
+    CSV_WORDS,
+    DEEP_BVH,
+    DEEP_EAF,
+    DEEP_YAML,
+    EAF_WORDS,
+    JSON_WORDS,
+    VTT_WORDS,
+    YAML_WORDS,
+)
 
 
 class Broken(AssertionError):
@@ -145,6 +164,36 @@ def check_strange_bvh(path: Path) -> None:
         raise Broken("two nodes of one name")
 
 
+def check_strange_c3d(path: Path) -> None:
+    """The parser alone, whatever the markers are called."""
+    markers = parse_c3d(path)
+    if np.isinf(markers.positions).any() or not SLOWEST_HZ <= (markers.rate_hz or 0.0) <= FASTEST_HZ:
+        raise Broken("markers infinitely far away, or a rate out of bounds")
+    if markers.positions.shape[:2] != (len(markers.names), 3) or len(set(markers.names)) != len(markers.names):
+        raise Broken(f"{markers.positions.shape[:2]} points, named {markers.names}")
+
+
+def check_amass(path: Path) -> None:
+    """Joint angles with a body model; what has positions after a mutation is read as such."""
+    check_motion(path, given=Given(30.0, None, 5, str(_body_model())))
+
+
+@lru_cache(maxsize=1)
+def _body_model() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="kinedex-fuzz-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    model = folder / "model.npz"
+    model.write_bytes(seeds.body_model())
+    return model
+
+
+def check_body_model(path: Path) -> None:
+    """A mutated body model: joints that a figure of some shape can be made of."""
+    model = load_body_model(str(path), "neutral")
+    if not np.isfinite(model.rest(np.ones(16))).all() or not all(a < i for i, a in enumerate(model.parents)):
+        raise Broken("places that are no numbers, or a joint before its parent")
+
+
 def check_csv(path: Path) -> None:
     """Whether a table is one of positions, and what it says then."""
     if is_positions_csv(path):
@@ -186,7 +235,9 @@ def check_skeleton(path: Path) -> None:
 
 def check_pipeline(path: Path) -> None:
     """A pipeline's stages have checked parameters."""
-    for stage in load_pipeline(path, {"source": "somewhere"}).stages:
+    settings = load_yaml(path).mapping().get("settings")
+    needed = [str(name) for name, value in settings.items() if value is None] if isinstance(settings, dict) else []
+    for stage in load_pipeline(path, dict.fromkeys(needed, "somewhere")).stages:
         stage.params.model_dump_json()
 
 
@@ -208,86 +259,6 @@ def _subclasses() -> list[str]:
     return sorted({word.replace("*", "") for text in texts for word in re.findall(r"[A-Za-z0-9*]{3,}", text)})
 
 
-_BVH_WORDS = (
-    *(b"HIERARCHY", b"ROOT x", b"JOINT y", b"End Site", b"{", b"}", b"OFFSET 1 2 3", b"CHANNELS 3", b"MOTION"),
-    *(b"CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation", b"Frames: 1", b"Frame Time: 1"),
-    *(b"#", b"//", b"Xrotation", b"CHANNELS 0", b"CHANNELS 1e9"),
-)
-_DEEP_BVH = (
-    (b"JOINT a\n{\nOFFSET 0 0 0\nCHANNELS 0\n", b"}\n"),
-    (b"JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n", b"}\n"),
-    (b"{\n", b"}\n"),
-    (b"End Site\n{\nOFFSET 0 0 0\n", b"}\n"),
-)
-_ASF_WORDS = (
-    *(b":units", b":root", b":bonedata", b":hierarchy", b":documentation", b"begin", b"end", b"dof rx ry rz l"),
-    *(b"order RX RY", b"axis 0 0 0 ZYX", b"name root", b"name head", b"length 0", b"length 1e308", b"dof tx ty tz"),
-    *(b"root head", b"head root", b"angle rad", b"direction 0 0 0", b"direction 1e200 1e200 0", b"limits (-1 1)"),
-)
-_AMC_WORDS = (b"1", b"2", b"root 0 0 0 0 0 0", b":RADIANS", b":DEGREES", b"#", b"head 0 0 0", b"head", b"999999999")
-_YAML_WORDS = (
-    *(
-        b"&a ",
-        b"*a",
-        b"<<: *a",
-        b"? ",
-        b"- ",
-        b"!!python/object:os.system ",
-        b"!!binary ",
-        b"!!float ",
-        b"!!set ",
-        b"|",
-    ),
-    *(b">", b"%YAML 9.9", b"---", b"...", b"null", b"on", b"2001-99-99", b"0o7", b"1:99", b"'", b'"', b'"\\ud800"'),
-    *(b"{}", b"[]", b"? {a: b}", b"~: ~", b"\t", b".inf", b".nan", b"1e999", b"keyframes:", b"joints:", b"[1, 2]: 3"),
-    *(b"!!timestamp x", b"!!int ''", b"!!omap [a]", b"!!pairs 3", b"=", b"!!bool x", b'"\\uFFFF"', b"!<tag:x> "),
-)
-_DEEP_YAML = ((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b"? ", b""), (b"&a [*a, ", b"]"), (b"!!seq [", b"]"))
-_CSV_WORDS = (b'"', b"root_x,root_y,root_z,", b"frame,", b"time,", b",,,,", b"nan,", b"take,class,start,stop", b'""')
-
-_EAF_WORDS = (
-    *(
-        b"<!DOCTYPE a [<!ENTITY b 'cc'>]>",
-        b"&b;",
-        b"<![CDATA[",
-        b"]]>",
-        b"<!--",
-        b"-->",
-        b"<?x y?>",
-        b"&#0;",
-        b"&#xD800;",
-    ),
-    *(b'<!DOCTYPE a SYSTEM "file:///etc/passwd">', b"<TIER>", b'<TIER TIER_ID="x">', b"</TIER>", b"<ANNOTATION_VALUE>"),
-    *(b'TIME_VALUE="9"', b'<?xml version="1.0" encoding="utf-7"?>', b'encoding="shift_jis"', b'PARENT_REF="walk"'),
-)
-_DEEP_EAF = ((b"<TIER TIER_ID='x'>", b"</TIER>"), (b"<ANNOTATION_VALUE>", b"</ANNOTATION_VALUE>"), (b"<a>", b"</a>"))
-_VTT_WORDS = (
-    b"NOTE",
-    b"STYLE",
-    b"-->",
-    b"00:00.000 --> 99:59:59.999",
-    b"<b>",
-    b"&lt;",
-    b"&#xD800;",
-    b"WEBVTT",
-    b"\n\n",
-)
-_JSON_WORDS = (
-    b"{",
-    b"}",
-    b"[",
-    b"]",
-    b"NaN",
-    b"-Infinity",
-    b'"\\ud800"',
-    b"1e999",
-    b"null",
-    b"true",
-    b'"start": 1,',
-    b"9" * 20,
-)
-
-
 def _text(words: tuple[bytes, ...] = (), pairs: tuple[tuple[bytes, bytes], ...] = ()) -> tuple[Mutation, ...]:
     """The mutations of a text format: those of any, its own words put somewhere, and what it nests."""
     own: tuple[Mutation, ...] = (*ANY, *TEXT, *TEXT)
@@ -298,25 +269,29 @@ def _text(words: tuple[bytes, ...] = (), pairs: tuple[tuple[bytes, bytes], ...] 
     return own
 
 
-_YAML = _text(_YAML_WORDS, _DEEP_YAML)
+_YAML = _text(YAML_WORDS, DEEP_YAML)
 
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
-        Target("asf", ".asf", partial(seeds.acclaim, 0), _text(_ASF_WORDS), check_asf),
-        Target("amc", ".amc", partial(seeds.acclaim, 1), _text(_AMC_WORDS), check_amc),
-        Target("bvh", ".bvh", seeds.bvh, _text(_BVH_WORDS, _DEEP_BVH), check_motion),
-        Target("bvh-parser", ".bvh", seeds.strange_bvh, _text(_BVH_WORDS, _DEEP_BVH), check_strange_bvh),
+        Target("asf", ".asf", partial(seeds.acclaim, 0), _text(ASF_WORDS), check_asf),
+        Target("amc", ".amc", partial(seeds.acclaim, 1), _text(AMC_WORDS), check_amc),
+        Target("bvh", ".bvh", seeds.bvh, _text(BVH_WORDS, DEEP_BVH), check_motion),
+        Target("bvh-parser", ".bvh", seeds.strange_bvh, _text(BVH_WORDS, DEEP_BVH), check_strange_bvh),
         Target("trc", ".trc", seeds.trc, _text(), check_motion),
-        Target("csv", ".csv", seeds.csv, _text(_CSV_WORDS), check_csv),
+        Target("csv", ".csv", seeds.csv, _text(CSV_WORDS), check_csv),
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
         Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
-        Target("ground-truth", ".csv", seeds.ground_truth, _text(_CSV_WORDS), check_ground_truth),
+        Target("c3d", ".c3d", seeds.c3d, (*ANY, *C3D, *C3D), check_motion),
+        Target("c3d-parser", ".c3d", seeds.strange_c3d, (*ANY, *C3D, *C3D), check_strange_c3d),
+        Target("amass", ".npz", seeds.amass, (*ANY, *NPZ, *NPZ), check_amass),
+        Target("body-model", ".npz", seeds.body_models, (*ANY, *NPZ, *NPZ), check_body_model),
+        Target("ground-truth", ".csv", seeds.ground_truth, _text(CSV_WORDS), check_ground_truth),
         *(
             Target(f"labels-{ending}", f".{ending}", partial(seeds.label_file, ending), mutations, check_ground_truth)
             for ending, mutations in (
-                ("eaf", _text(_EAF_WORDS, _DEEP_EAF)), ("vtt", _text(_VTT_WORDS)), ("txt", _text((b"\\", b"\t"))),
-                ("json", _text(_JSON_WORDS, _DEEP_YAML)),
+                ("eaf", _text(EAF_WORDS, DEEP_EAF)), ("vtt", _text(VTT_WORDS)), ("txt", _text((b"\\", b"\t"))),
+                ("json", _text(JSON_WORDS, DEEP_YAML)),
             )
         ),
         *(

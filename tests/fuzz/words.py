@@ -1,0 +1,82 @@
+"""Words of the text formats, and what they nest, that mutants get where no valid file would have them."""
+
+from __future__ import annotations
+
+BVH_WORDS = (
+    *(b"HIERARCHY", b"ROOT x", b"JOINT y", b"End Site", b"{", b"}", b"OFFSET 1 2 3", b"CHANNELS 3", b"MOTION"),
+    *(b"CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation", b"Frames: 1", b"Frame Time: 1"),
+    *(b"#", b"//", b"Xrotation", b"CHANNELS 0", b"CHANNELS 1e9"),
+)
+DEEP_BVH = (
+    (b"JOINT a\n{\nOFFSET 0 0 0\nCHANNELS 0\n", b"}\n"),
+    (b"JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n", b"}\n"),
+    (b"{\n", b"}\n"),
+    (b"End Site\n{\nOFFSET 0 0 0\n", b"}\n"),
+)
+ASF_WORDS = (
+    *(b":units", b":root", b":bonedata", b":hierarchy", b":documentation", b"begin", b"end", b"dof rx ry rz l"),
+    *(b"order RX RY", b"axis 0 0 0 ZYX", b"name root", b"name head", b"length 0", b"length 1e308", b"dof tx ty tz"),
+    *(b"root head", b"head root", b"angle rad", b"direction 0 0 0", b"direction 1e200 1e200 0", b"limits (-1 1)"),
+)
+AMC_WORDS = (b"1", b"2", b"root 0 0 0 0 0 0", b":RADIANS", b":DEGREES", b"#", b"head 0 0 0", b"head", b"999999999")
+YAML_WORDS = (
+    *(
+        b"&a ",
+        b"*a",
+        b"<<: *a",
+        b"? ",
+        b"- ",
+        b"!!python/object:os.system ",
+        b"!!binary ",
+        b"!!float ",
+        b"!!set ",
+        b"|",
+    ),
+    *(b">", b"%YAML 9.9", b"---", b"...", b"null", b"on", b"2001-99-99", b"0o7", b"1:99", b"'", b'"', b'"\\ud800"'),
+    *(b"{}", b"[]", b"? {a: b}", b"~: ~", b"\t", b".inf", b".nan", b"1e999", b"keyframes:", b"joints:", b"[1, 2]: 3"),
+    *(b"!!timestamp x", b"!!int ''", b"!!omap [a]", b"!!pairs 3", b"=", b"!!bool x", b'"\\uFFFF"', b"!<tag:x> "),
+)
+DEEP_YAML = ((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b"? ", b""), (b"&a [*a, ", b"]"), (b"!!seq [", b"]"))
+CSV_WORDS = (b'"', b"root_x,root_y,root_z,", b"frame,", b"time,", b",,,,", b"nan,", b"take,class,start,stop", b'""')
+
+EAF_WORDS = (
+    *(
+        b"<!DOCTYPE a [<!ENTITY b 'cc'>]>",
+        b"&b;",
+        b"<![CDATA[",
+        b"]]>",
+        b"<!--",
+        b"-->",
+        b"<?x y?>",
+        b"&#0;",
+        b"&#xD800;",
+    ),
+    *(b'<!DOCTYPE a SYSTEM "file:///etc/passwd">', b"<TIER>", b'<TIER TIER_ID="x">', b"</TIER>", b"<ANNOTATION_VALUE>"),
+    *(b'TIME_VALUE="9"', b'<?xml version="1.0" encoding="utf-7"?>', b'encoding="shift_jis"', b'PARENT_REF="walk"'),
+)
+DEEP_EAF = ((b"<TIER TIER_ID='x'>", b"</TIER>"), (b"<ANNOTATION_VALUE>", b"</ANNOTATION_VALUE>"), (b"<a>", b"</a>"))
+VTT_WORDS = (
+    b"NOTE",
+    b"STYLE",
+    b"-->",
+    b"00:00.000 --> 99:59:59.999",
+    b"<b>",
+    b"&lt;",
+    b"&#xD800;",
+    b"WEBVTT",
+    b"\n\n",
+)
+JSON_WORDS = (
+    b"{",
+    b"}",
+    b"[",
+    b"]",
+    b"NaN",
+    b"-Infinity",
+    b'"\\ud800"',
+    b"1e999",
+    b"null",
+    b"true",
+    b'"start": 1,',
+    b"9" * 20,
+)
