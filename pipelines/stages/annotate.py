@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Literal
@@ -30,17 +30,22 @@ from pipelines.annotating import (
     takes_table,
     targets_unknown,
 )
+from pipelines.calibrating import Calibration, calibrate
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.kept import fingerprints, kept_annotations, setting_digest
 from pipelines.keyframe_learning import keyframe_queries
 from pipelines.keyframe_runs import outcomes_of
-from pipelines.learning import Kind, SubclassTemplate, read_templates, run_of
+from pipelines.learning import Kind, SubclassTemplate, TrainingClips, learn_templates, read_templates, run_of
+from pipelines.recipes import feature_weights
+from pipelines.stages import learn_templates as learning
 from pipelines.wording import few
 from storage.store import Store
 from storage.writer import StoreWriter
 
 F64 = npt.NDArray[np.float64]
+
+CALIBRATED, DEFAULT_TAU = "calibrated", 0.13
 
 
 class Params(BaseModel):
@@ -58,9 +63,13 @@ class Params(BaseModel):
     delta: float = Field(
         0.05, ge=0, lt=0.5, description="template values within delta of 0 or 1 count, the rest are wildcards"
     )
-    tau: float = Field(0.13, gt=0, le=1, description="distances below tau make an annotation")
+    tau: Annotated[float, Field(gt=0, le=1)] | Literal["calibrated"] = Field(
+        DEFAULT_TAU,
+        description="distances below tau make an annotation; 'calibrated': each class has the threshold that divides "
+        "its training clips from others best, matched with templates of the other actors' clips",
+    )
     tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
-        {}, description="class → its own tau, instead of tau"
+        {}, description="class → its own tau, instead of the common or the calibrated one"
     )
     min_seconds: float = Field(0, ge=0, allow_inf_nan=False, description="shorter segments are left out")
     classes: str = Field(
@@ -70,6 +79,11 @@ class Params(BaseModel):
         None, description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames"
     )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")
+
+    @property
+    def common_tau(self) -> float:
+        """The threshold of classes that have none of their own."""
+        return DEFAULT_TAU if self.tau == CALIBRATED else float(self.tau)
 
     @property
     def query_files(self) -> list[str]:
@@ -94,8 +108,13 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         classes = classes_of(store, params, templates)
         queries = [*queries_of(store, params), *learned_queries(context, store)]
         usual = usual_features(store, templates) if params.method == "best" else None
-        annotator = make_annotator(store.feature_set, templates, classes, params.delta, params.tau, queries, usual)
-        annotator = refined(annotator, params, store.rate_hz)
+        annotator = make_annotator(
+            store.feature_set, templates, classes, params.delta, params.common_tau, queries, usual
+        )
+        calibration = calibrated(context, store, params, classes)
+        annotator = refined(annotator, params, store.rate_hz, calibration.taus)
+        for remark in calibration.remarks:
+            context.say(remark)
         _say_what_is_left_out(context, classes, annotator, queries)
         done = _annotate(context, writer, annotator, takes, params)
         writer.commit()
@@ -116,8 +135,44 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "method": params.method,
         "delta": params.delta,
         "tau": params.tau,
+        "tau_by_class": {} if annotator.taus is None else _rounded(zip(annotator.classes, annotator.taus, strict=True)),
+        "calibration_f": _rounded(calibration.scores.items()),
         "remarks": list(annotator.remarks),
     }
+
+
+def _rounded(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
+    return {name: round(float(value), 6) for name, value in pairs}
+
+
+def calibrated(
+    context: StageContext,
+    store: Store,
+    params: Params,
+    classes: Classes,
+    clips: Sequence[TrainingClips] | None = None,
+) -> Calibration:
+    """The calibrated thresholds of classes, none where they are not asked for or do not matter.
+
+    Parameters
+    ----------
+    clips: what to calibrate on; None: all clips that the templates were learned from.
+    """
+    if params.tau != CALIBRATED or params.method == "best":
+        return Calibration({}, {}, ())
+    learned = context.params[context.inputs["templates"]]
+    assert isinstance(learned, learning.Params)
+    takes = learning.takes_to_learn_from(store, learned)
+    counts = feature_weights(learned.weights, store.feature_set)
+
+    def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
+        features, kinds = len(store.feature_set.features), [params.templates]
+        found = [one for task in learn_templates(some, kinds, features, context.executor, counts) for one in task]
+        return learning.completed(found, learned, store.feature_set, kinds, where_possible=True)
+
+    known = learning.clips_to_learn_from(store, learned, takes) if clips is None else clips
+    actors = dict(takes.select("name", "actor").iter_rows())
+    return calibrate(known, actors, classes, params.delta, learn, context.executor)
 
 
 @dataclass(frozen=True)

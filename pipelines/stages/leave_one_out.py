@@ -191,11 +191,12 @@ def _evaluate_fold(
     if params.method == "best":
         usual = background([words for one in fold.clips for words in one.words], len(store.feature_set.features))
     annotator = make_annotator(
-        store.feature_set, templates, setting.classes, params.delta, params.tau, setting.queries, usual
+        store.feature_set, templates, setting.classes, params.delta, params.common_tau, setting.queries, usual
     )
-    annotator = annotate.refined(annotator, params, store.rate_hz)
+    calibration = annotate.calibrated(context, store, params, setting.classes, fold.clips)
+    annotator = annotate.refined(annotator, params, store.rate_hz, calibration.taus)
     batches = annotate_takes(context.store_path, annotator, fold.takes, context.executor, keep_curves=False)
-    for remark in annotator.remarks:
+    for remark in (*annotator.remarks, *calibration.remarks):
         context.say(f"{fold.value}: {remark}")
     found = [one for batch in batches for one in batch]
     names = dict(fold.takes.select("take_id", "name").iter_rows())

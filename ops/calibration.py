@@ -1,0 +1,42 @@
+"""Thresholds from examples: which distance divides the clips of a class from all others best."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+
+def best_threshold(own: F64, others: F64) -> tuple[float, float]:
+    """Return the threshold τ of the greatest F, and that F, where clips of a distance below τ are taken for the class.
+
+    F = 2 TP / (2 TP + FP + FN), TP the clips of the class below τ, FP the others below it, FN = those of the class that
+    are not. Every τ between two distances divides the clips alike, so the middle between them stands for all; of
+    several that divide equally well, the one in the widest gap, then the lowest. Nothing beyond the greatest distance
+    counts as a gap: there τ is the middle between it and twice of it.
+
+    Parameters
+    ----------
+    own, others: float64 (A,), (B,), the least distance in each clip of the class and of other classes, ∞ where no path
+        fits.
+
+    Raises
+    ------
+    ParameterError: no finite distance in `own`, or one below 0.
+    """
+    own, others = np.sort(np.asarray(own, np.float64)), np.sort(np.asarray(others, np.float64))
+    finite = np.unique(np.concatenate([own[np.isfinite(own)], others[np.isfinite(others)]]))
+    if not len(own) or not np.isfinite(own[0]) or finite[0] < 0:
+        raise ParameterError("own", "distances from 0, at least one of them finite", own.tolist()[:8])
+    lows, highs = finite, np.append(finite[1:], max(2 * finite[-1], finite[-1] + 1e-6))
+    middles = (lows + highs) / 2
+    hits = np.searchsorted(own, lows, side="right")
+    false = np.searchsorted(others, lows, side="right")
+    scores = 2 * hits / (hits + false + len(own))
+    best = np.flatnonzero(scores >= scores.max() - 1e-12)
+    gaps = (highs - lows)[best]
+    place = best[int(np.argmax(gaps >= gaps.max() - 1e-12))]
+    return float(middles[place]), float(scores[place])
