@@ -18,6 +18,7 @@ from pipelines.annotating import BATCH_FRAMES, Annotator, annotate_words
 from pipelines.evaluation.exams import Exam, Fold
 from pipelines.evaluation.scheme import Method
 from pipelines.executors import Executor
+from pipelines.kept import setting_digest
 from pipelines.plan import code_digest
 from storage.schemas import result_schema
 from storage.store import Store, open_store
@@ -62,33 +63,16 @@ Found = dict[str, tuple[Segment, ...]]
 """What a cell has found, by the name of the take."""
 
 
-def cell_key(fold: Fold, method: Method, annotator: Annotator, store: Store) -> str:
-    """A hash of the takes, the templates, the queries, the method, and the code that annotates."""
-    hasher = hashlib.sha256(code_digest(CODE).encode())
+def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
+    """A hash of the takes, of all that annotates them, and of the code that does."""
+    hasher = hashlib.sha256()
     checksums = dict(store.takes().select("take_id", "checksum").iter_rows())
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
     for exam in fold.exams:
         parts = [str(checksums[take_id]) for take_id in exam.take_ids]
         hasher.update(json.dumps([exam.name, exam.frames, parts]).encode())
-    how = [method.method, method.delta, annotator.tau if method.method == "thesis" else None]
-    hasher.update(json.dumps([how, annotator.classes, annotator.subclasses]).encode())
-    hasher.update(annotator.class_index.tobytes() + repr(annotator.queries).encode())
-    for template in annotator.templates:
-        hasher.update(_bytes(vars(template)))
-    if annotator.row is not None:
-        hasher.update(annotator.row.usual.tobytes() + repr(annotator.row.decoding).encode())
-        for learned in annotator.row.templates:
-            hasher.update(_bytes(vars(learned)))
+    hasher.update(setting_digest(annotator, False, code_digest(CODE)).encode())
     return hasher.hexdigest()[:32]
-
-
-def _bytes(fields: Mapping[str, object]) -> bytes:
-    """The content of a template's arrays, with their names and shapes."""
-    parts = []
-    for name, value in sorted(fields.items()):
-        array = np.asarray(value) if value is not None else np.empty(0)
-        parts.append(f"{name}{array.shape}{array.dtype}".encode() + array.tobytes())
-    return b"".join(parts)
 
 
 def run_cells(
@@ -103,8 +87,8 @@ def run_cells(
 
     Parameters
     ----------
-    known: by key, what cells have found before. save: keeps what is finished; called every `SAVE_SECONDS` and at the
-    end. advance: is told how many cells are done.
+    known: by key, what cells have found before. save: keeps what is finished; called every `SAVE_SECONDS`.
+    advance: is told how many cells are done.
 
     Returns
     -------
@@ -124,8 +108,6 @@ def run_cells(
         if time.monotonic() - stored > SAVE_SECONDS:
             save(finished)
             stored = time.monotonic()
-    if todo:
-        save(finished)
     return finished
 
 

@@ -26,6 +26,8 @@ class Method(BaseModel):
     templates: Kind = "soft"
     delta: float = Field(0.05, ge=0, lt=0.5)
     tau: float = Field(0.13, gt=0, le=1)
+    tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = {}
+    min_seconds: float = Field(0, ge=0, allow_inf_nan=False)
     queries: list[str] | str | None = Field(
         None, description="none: all frames; query files; or 'learned': in each fold from its own training clips"
     )
@@ -49,7 +51,7 @@ class Method(BaseModel):
 
     def at(self, tau: float) -> Method:
         """The same method at another threshold, named after it."""
-        return self.model_copy(update={"tau": tau, "name": f"{self.curve_name} τ = {tau:g}"})
+        return self.model_copy(update={"tau": tau, "tau_by_class": {}, "name": f"{self.curve_name} τ = {tau:g}"})
 
     @property
     def curve_name(self) -> str:
@@ -59,7 +61,8 @@ class Method(BaseModel):
             how = (
                 "with learned keyframes" if self.learned_queries else f"with keyframes of {', '.join(self.query_files)}"
             )
-        return f"{self.method}, {how}, {self.templates} templates, δ = {self.delta:g}"
+        least = f", segments of {self.min_seconds:g} s and more" if self.min_seconds else ""
+        return f"{self.method}, {how}, {self.templates} templates, δ = {self.delta:g}{least}"
 
 
 class Split(BaseModel):

@@ -16,6 +16,7 @@ from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
 from ops.decoding import background
 from ops.errors import KinedexError
+from ops.metrics import pooled
 from ops.templates import Kind
 from pipelines.annotating import make_annotator, targets_unknown
 from pipelines.context import StageContext
@@ -23,7 +24,7 @@ from pipelines.digests import files_digest
 from pipelines.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
 from pipelines.evaluation.exams import Fold, Material, make_folds
-from pipelines.evaluation.judging import Judgement, fates, judge
+from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from pipelines.evaluation.study import SplitResult, Study, Threshold, content
@@ -212,7 +213,12 @@ def _remarks(params: Params, known: Known) -> list[str]:
 
 
 def _queries(store: Store, method: Method) -> list[KeyframeQuery]:
-    return annotate.queries_of(store, annotate.Params.model_validate({"queries": method.query_files}))
+    return annotate.queries_of(store, _params(method))
+
+
+def _params(method: Method) -> annotate.Params:
+    """The parameters of the stage `annotate` that mean the same method."""
+    return annotate.Params.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
 
 
 def _cell(known: Known, fold: Fold, method: Method) -> Cell:
@@ -228,7 +234,8 @@ def _cell(known: Known, fold: Fold, method: Method) -> Cell:
     if method.method == "best":
         usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
     annotator = make_annotator(feature_set, templates, known.classes, method.delta, method.tau, queries, usual)
-    return Cell(cell_key(fold, method, annotator, known.store), fold, method, annotator)
+    annotator = annotate.refined(annotator, _params(method), known.store.rate_hz)
+    return Cell(cell_key(fold, annotator, known.store), fold, method, annotator)
 
 
 def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
@@ -268,7 +275,7 @@ def _result(
         name: judge(one, exams, classes.names, params.draws) for name, one in outcomes.items()
     }
     sweep = [
-        Threshold(method.curve_name, method.tau, judge(outcome(method), exams, classes.names, 1).pooled)
+        Threshold(method.curve_name, method.tau, pooled(counts_of(outcome(method), exams, classes.names).values()))
         for method in _swept(params)
     ]
     used = [cells[split.name, fold.name, method.name].annotator for fold in folds for method in params.methods]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from rich.console import Console
 
 from ops.errors import KinedexError
 from ops.metrics import Counts
@@ -17,7 +19,9 @@ from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam
 from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, fates, judge
 from pipelines.evaluation.scheme import Method, Split
+from pipelines.runner import run_pipeline
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
+from pipelines.terminal import Terminal
 from storage.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
 from tests.pipelines.study import Reading
@@ -208,6 +212,16 @@ def test_a_split_is_of_one_kind() -> None:
         Split(name="x", leave_out="actor", folds=3)
 
 
+def test_methods_take_what_the_stage_annotate_takes(line: Comparing) -> None:
+    long = {**BEST, "name": "long", "min_seconds": 5}
+    strict = {**THESIS, "name": "strict", "tau_by_class": {"walk": 1e-9}}
+    found = line.compare([THESIS, BEST, long, strict], [LEFT_OUT])["splits"][0]["methods"]
+    assert found["best"]["pooled"]["segments_automatic"] > found["long"]["pooled"]["segments_automatic"] == 0
+    assert found["strict"]["classes"]["walk"] != found["thesis"]["classes"]["walk"]
+    with pytest.raises(KinedexError, match="no class is named 'wlak'; did you mean 'walk'"):
+        line.compare([{**BEST, "tau_by_class": {"wlak": 0.1}}], [LEFT_OUT])
+
+
 def test_methods_and_splits_have_names_of_their_own(line: Comparing) -> None:
     with pytest.raises(ValueError, match="methods: two are named 'best'"):
         line.compare([BEST, BEST], [{"name": "eve"}])
@@ -281,3 +295,25 @@ def test_the_shipped_pipeline_compares_methods() -> None:
     assert [method.name for method in stage.params.distinct][-1] == "best, learned queries"
     assert stage.inputs == {"templates": "learn_templates", "keyframes": "learn_keyframes"}
     assert stage.params.ground_truth == evaluate.Params().ground_truth
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_hdm05_an_actor_never_seen_and_one_left_out(shared: Path, tmp_path: Path) -> None:
+    settings = {"source": str(shared / "data" / "hdm05"), "compare_methods.taus": "[]"}
+    methods = "[{name: thesis, tau: 0.06}, {name: best, method: best}]"
+    assignments = {
+        **settings,
+        "compare_methods.methods": methods,
+        "learn_keyframes.runs": "1",
+        "learn_keyframes.generations": "0",
+        "compare_methods.draws": "200",
+    }
+    run_pipeline("hdm05", tmp_path / "store", assignments=assignments, terminal=Terminal(Console(file=io.StringIO())))
+    text = (tmp_path / "store/results/reports/hdm05/methods.json").read_text(encoding="utf-8")
+    unseen, left_out = json.loads(text)["splits"]
+    assert unseen["methods"]["best"]["pooled"]["f1"] >= 0.91
+    assert unseen["methods"]["best"]["pooled"]["f2"] >= 0.97
+    assert unseen["methods"]["thesis"]["pooled"]["f1"] >= 0.83
+    assert left_out["methods"]["best"]["pooled"]["f1"] >= 0.94
+    assert {fold["name"]: fold["clips"] < 188 for fold in left_out["folds"]} == {"bd": True, "bk": True, "dg": True}
