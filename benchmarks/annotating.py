@@ -105,7 +105,9 @@ def _query(one: SubclassTemplate, features: FeatureSet, words: TakeWords) -> Key
     alone = load_classes("own", [one.subclass])
     best: tuple[float, KeyframeQuery] | None = None
     for name in ("upper", "lower", "mix"):
-        query = KeyframeQuery(one.subclass, one.subclass, _keyframes(quantised, features, name), (_GAP, _GAP))
+        query = KeyframeQuery(
+            one.subclass, one.subclass, _keyframes(quantised, features, name), (_GAP, _GAP), _POSITIONS
+        )
         annotator = make_annotator(features, [one], alone, DELTA, TAU, [query])
         share = float(np.mean([found.preselected[0] for found in annotate_words(annotator, words)]))
         if best is None or abs(share - KEPT) < best[0]:

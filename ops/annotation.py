@@ -113,8 +113,9 @@ def annotate(modified: F64, classes: I64, threshold: float | F64 = np.inf) -> li
 
 
 def _confidence(curves: F64, class_index: int, frames: slice, cost: float, threshold: float) -> float:
-    others = np.delete(curves[:, frames], class_index, axis=0)
-    rival = float(np.minimum(others.min(axis=0, initial=np.inf), threshold).mean())
+    before = curves[:class_index, frames].min(axis=0, initial=threshold)
+    after = curves[class_index + 1 :, frames].min(axis=0, initial=threshold)
+    rival = float(np.minimum(before, after).mean())
     return 1.0 - min(cost / rival, 1.0) if rival > 0 else 0.0
 
 

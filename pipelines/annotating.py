@@ -275,10 +275,10 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
     modified = _modified(annotator, words, ranges) if annotator.row is None else None
     # minima below τ are found without the curves, which are only drawn, and give rows their costs
     curves = _curves(annotator, words, ranges) if keep_curves or modified is None else np.empty((0, len(words.words)))
+    kept = np.array([_frames_within(one, words.offsets) for one in ranges], np.float64)
     found = []
     for index, take_id in enumerate(words.take_ids.tolist()):
         piece = slice(int(words.offsets[index]), int(words.offsets[index + 1]))
-        kept = np.array([_frames_within(one, piece) for one in ranges], np.float64)
         if modified is None:
             segments = _explained(annotator, words.words[piece], ranges, curves[:, piece], piece)
         else:
@@ -288,7 +288,7 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
             TakeAnnotation(
                 take_id,
                 tuple(segments),
-                kept / max(piece.stop - piece.start, 1),
+                kept[:, index] / max(piece.stop - piece.start, 1),
                 curves[:, piece].astype(np.float32) if keep_curves else None,
             )
         )
@@ -362,9 +362,13 @@ def _curves(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F6
     return curves
 
 
-def _frames_within(ranges: I64, piece: slice) -> int:
-    clipped = np.clip(ranges, piece.start, piece.stop)
-    return int((clipped[:, 1] - clipped[:, 0]).sum())
+def _frames_within(ranges: I64, offsets: I64) -> I64:
+    """How many frames of each take lie in ascending ranges that are apart, int64 (takes,)."""
+    before = np.concatenate(([0], np.cumsum(ranges[:, 1] - ranges[:, 0])))
+    place = np.searchsorted(ranges[:, 0], offsets, side="right")
+    ends = np.concatenate(([0], ranges[:, 1]))
+    covered: I64 = before[place] - np.maximum(ends[place] - offsets, 0)
+    return np.diff(covered)
 
 
 def annotations_table(

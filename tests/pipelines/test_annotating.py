@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from hypothesis import strategies as st
 
 from catalog.classes import Classes, MotionClass, load_classes
 from catalog.queries import Gap, Keyframe, KeyframeQuery
+from ops.annotation import local_minima, spread_minima
 from ops.decoding import background
+from ops.dtw import distance_curves, start_frames
 from ops.errors import KinedexError
 from ops.templates import Learned, Template, learn_soft
 from ops.words import TakeWords
@@ -169,3 +172,35 @@ def test_takes_are_divided_into_batches_and_none_is_lost(monkeypatch: pytest.Mon
     monkeypatch.setattr(annotating, "BATCH_FRAMES", 100)
     assert split_takes([3, 1, 2, 4, 5], [10, 60, 50, 300, 1]) == [(1,), (2, 3), (4,), (5,)]
     assert split_takes([], []) == []
+
+
+@given(
+    st.lists(st.integers(0, 12), min_size=1, max_size=5),
+    st.lists(st.tuples(st.integers(0, 6), st.integers(1, 6)), max_size=6),
+)
+def test_frames_within_ranges_are_counted_take_by_take(lengths: list[int], steps: list[tuple[int, int]]):
+    offsets = np.cumsum([0, *lengths])
+    edges = np.minimum(np.cumsum([0, *(step for pair in steps for step in pair)])[1:], offsets[-1]).reshape(-1, 2)
+    inside = [sum(start <= frame < stop for start, stop in edges) for frame in range(offsets[-1])]
+    expected = [sum(inside[start:stop]) for start, stop in pairwise(offsets)]
+    assert annotating._frames_within(edges, offsets).tolist() == expected
+
+
+@settings(max_examples=40)
+@given(words_of_takes, st.booleans(), st.sampled_from([0.02, 0.13, 0.5]))
+def test_modified_curves_are_those_of_whole_curves(takes: list[np.ndarray], with_keyframes: bool, tau: float):
+    queries = (KICK,) if with_keyframes else ()
+    templates = [template("kick", 3), template("walk", 3), template("rest", 1)]
+    one = make_annotator(BODY, templates, load_classes("own", [one.subclass for one in templates]), 0.05, tau, queries)
+    words = laid_out(takes)
+    ranges = annotating._ranges(one, words)
+    found = annotating._modified(one, words, ranges)
+    for row, quantised, stretches in zip(found, one.templates, ranges, strict=True):
+        (curve,) = distance_curves([quantised], words.words, stretches)
+        minima = [
+            local_minima(curve[start:stop], tau) + start
+            for start, stop in zip(words.offsets[:-1], words.offsets[1:], strict=True)
+        ]
+        ends = np.concatenate(minima)
+        starts = start_frames(quantised, words.words, ends, stretches)
+        np.testing.assert_allclose(row, spread_minima(curve, starts, ends), rtol=0, atol=1e-12)
