@@ -26,8 +26,8 @@ _LOWER, _SPREAD, _SPREAD_TOO = np.uint64(0xFFFF_FFFF), np.uint64(0x9E37_79B9), n
 _ODD = np.uint64(0x5555_5555_5555_5555)
 _PAIRS = np.uint64(0x3333_3333_3333_3333)
 _NIBBLES = np.uint64(0x0F0F_0F0F_0F0F_0F0F)
-_COUNT = np.uint64(0x7F)
-_1, _2, _4, _8, _16, _32 = (np.uint64(shift) for shift in (1, 2, 4, 8, 16, 32))
+_ONES = np.uint64(0x0101_0101_0101_0101)
+_1, _2, _4, _32, _56 = (np.uint64(shift) for shift in (1, 2, 4, 32, 56))
 
 
 @dataclass(frozen=True)
@@ -154,14 +154,17 @@ def number_words(words: U64, slots: I32, vocabulary: U64, codes: I32) -> int:
 
 @nb.njit(cache=True, nogil=True)
 def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.uint64:
-    """Count the bits of a column that a word contradicts; in plain arithmetic, which vectorises (kernel)."""
-    bits = (word ^ value) & mask
+    """Count the bits of a column that a word contradicts (kernel)."""
+    return count_bits((word ^ value) & mask)
+
+
+@nb.njit(cache=True, nogil=True)
+def count_bits(bits: np.uint64) -> np.uint64:
+    """Count bits; in the very arithmetic that compilers know, and turn into one instruction for many words (kernel)."""
     bits = bits - ((bits >> _1) & _ODD)
     bits = (bits & _PAIRS) + ((bits >> _2) & _PAIRS)
     bits = (bits + (bits >> _4)) & _NIBBLES
-    bits = bits + (bits >> _8)
-    bits = bits + (bits >> _16)
-    return (bits + (bits >> _32)) & _COUNT
+    return (bits * _ONES) >> _56
 
 
 @nb.njit(cache=True, nogil=True)

@@ -9,17 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.annotation import TOLERANCE
-from ops.costs import F64, I32, I64, CodedWords, encode, fill_bounds, lay_out
+from ops.costs import F64, I32, I64, CodedWords, Layout, count_bits, encode, fill_bounds, lay_out
 from ops.dtw import best_paths, check_ranges
 from ops.errors import ParameterError
 from ops.sweep import CAP, U16, pieces_of, sweep_bounds
 from ops.templates import QuantisedTemplate
 from ops.words import U64
 
+U32 = npt.NDArray[np.uint32]
+
 _PIECE = 4096  # frames of a stretch that are computed apart from the rest of it
-_BLOCK = 16  # frames that are ruled out together
-_LANES = 32  # parts of the words in which blocks are looked at side by side
-_WORTH_A_LOOK = 0.6  # share of blocks left, above which ruling them out costs more than it saves
+_BLOCK = 8  # frames that are ruled out together
+_LANES = 256  # most parts of the words in which blocks are looked at side by side
+_FEWEST_LANES = 32
+_WORTH_A_LOOK = 0.45  # share of blocks left, above which ruling them out costs more than it saves
 _SHAVE = 1 - 1e-9  # units are counted a little low, so that rounding never makes a bound too high
 
 
@@ -78,7 +81,9 @@ def minima_below(
        least whole units, in 16 bits, is a lower bound within N units of the true one (for paths below τ), and
        a frame can be a minimum only if it is not more than N units above a neighbour. Distances in float64 are
        computed for these frames and their neighbours alone, and decide.
-    2. *Blocks.* Let m_n be the least units of column n over a block of 16 frames. Of all paths whose last frame
+    2. *Blocks.* A bit that all words of a block of 8 frames have on contradicts a column that wants it off in every
+       one of them, and likewise the other way round. Let m_n be the whole units of the contradictions of column n
+       that the block forces so: no frame of it costs less. Of all paths whose last frame
        lies in block B and whose last column is n, none has fewer units than
        F(B, n) = min(min(F(B, n−1), F(B−1, n−1)) + m_n, min(F(B, n−2), F(B−1, n−2)) + 2 m_n), F(B, 0) = m_0:
        a step goes back two frames at most, so the cell before lies in the same block or the one before it; by
@@ -130,30 +135,45 @@ def bounds_below(
         table[:, columns:] = CAP
         reach = 2 * (columns - 1)
         pieces = pieces_of(stretches, _PIECE, reach)
-        if prune and _worthwhile(table, coded.codes, columns):
-            pieces = surviving(blocks_alive(table, coded.codes, columns), stretches, reach)
+        if prune and _worthwhile(layout, worth, coded):
+            pieces = surviving(blocks_alive(layout, worth, coded.vocabulary, coded.codes), stretches, reach)
         sweep_bounds(table, coded.codes, pieces, columns - 1, units)
     computed = int((pieces[:, 2] - pieces[:, 0]).sum())
     slack = columns + 1 + int(TOLERANCE * columns / unit)
     return Bounds(units[0], unit / columns, slack, frames, computed)
 
 
-def _worthwhile(table: U16, codes: I32, columns: int) -> bool:
+def _worthwhile(layout: Layout, worth: F64, coded: CodedWords) -> bool:
     """Whether looking at blocks is likely to pay: it does where a sample of the frames can be skipped in good part."""
-    few = _LANES * (2 * columns + _BLOCK)
-    if len(codes) < 8 * few:
+    few = _FEWEST_LANES * (2 * int(layout.lengths[0]) + 2 * _BLOCK)
+    if len(coded) < 8 * few:
         return False
-    middle = len(codes) // 2
-    return float(blocks_alive(table, codes[middle : middle + few], columns).mean()) < _WORTH_A_LOOK
+    middle = len(coded) // 2
+    return (
+        float(blocks_alive(layout, worth, coded.vocabulary, coded.codes[middle : middle + few]).mean()) < _WORTH_A_LOOK
+    )
 
 
-def blocks_alive(table: U16, codes: I32, columns: int) -> npt.NDArray[np.bool_]:
-    """Tell of every block of frames whether a path below the threshold may end in it (bound 2 of `minima_below`)."""
+def blocks_alive(layout: Layout, worth: F64, vocabulary: U64, codes: I32) -> npt.NDArray[np.bool_]:
+    """Tell of every block of frames whether a path below the threshold may end in it (bound 2 of `minima_below`).
+
+    Parameters
+    ----------
+    layout: of one template. worth: float64 (S,), the units of one contradiction of a column. vocabulary, codes: words.
+    """
+    columns = int(layout.lengths[0])
     count = -(-len(codes) // _BLOCK)
-    rows = -(-count // _LANES)
-    alive = np.empty((_LANES, rows), np.bool_)
-    # A path reaches back over so many blocks besides its own.
-    block_bounds(table, codes, columns, -(-2 * (columns - 1) // _BLOCK), alive)
+    before = -(-2 * (columns - 1) // _BLOCK)  # a path reaches back over so many blocks besides its own
+    lanes = _FEWEST_LANES
+    while lanes < _LANES and count > 16 * lanes * before:
+        lanes *= 2
+    rows = -(-count // lanes)
+    always, never = np.empty((before + rows, lanes), np.uint64), np.empty((before + rows, lanes), np.uint64)
+    block_words(vocabulary, codes, before, always, never)
+    masks, values = layout.masks[:columns], layout.values[:columns]
+    whole = np.minimum(worth[:columns], CAP).astype(np.uint32)
+    alive = np.empty((lanes, rows), np.bool_)
+    block_bounds(masks & ~values, masks & values, whole, always, never, alive)
     return alive.ravel()[:count]
 
 
@@ -190,48 +210,68 @@ def _true_minima(candidates: I64, costs: F64, stretches: I64, threshold: float) 
 
 
 @nb.njit(cache=True, nogil=True)
-def block_least(table: U16, codes: I32, begin: int, least: U16) -> None:
-    """Fill the least units of every column over the block that begins at this frame (kernel)."""
-    least[:] = CAP
-    final = len(codes) - 1
-    for frame in range(begin, begin + _BLOCK, 4):
-        a, b = table[codes[min(frame, final)]], table[codes[min(frame + 1, final)]]
-        c, d = table[codes[min(frame + 2, final)]], table[codes[min(frame + 3, final)]]
-        for n in range(len(least)):
-            one = a[n] if a[n] < b[n] else b[n]
-            two = c[n] if c[n] < d[n] else d[n]
-            both = one if one < two else two
-            least[n] = both if both < least[n] else least[n]
+def block_words(vocabulary: U64, codes: I32, before: int, always: U64, never: U64) -> None:
+    """Fill the bits that all words of a block have on, and those that all have off; frames without a word have both.
+
+    always, never: uint64 (before + R, lanes); lane l has the blocks from l·R, and so many blocks before them first.
+    Beyond the words all bits are on and off at once, as dear as can be: paths from there are no better than others.
+    (kernel)
+    """
+    rows = len(always) - before
+    every = ~np.uint64(0)
+    for lane in range(always.shape[1]):
+        for row in range(len(always)):
+            begin = (lane * rows + row - before) * _BLOCK
+            on, off = every, every
+            if begin >= 0 and begin + _BLOCK <= len(codes):
+                for frame in range(_BLOCK):  # of known length, so that it is unrolled
+                    word = vocabulary[codes[begin + frame]]
+                    on &= word
+                    off &= ~word if word != every else every
+            elif begin >= 0:
+                for frame in range(begin, len(codes)):
+                    word = vocabulary[codes[frame]]
+                    on &= word
+                    off &= ~word if word != every else every
+            always[row, lane], never[row, lane] = on, off
 
 
 @nb.njit(cache=True, nogil=True)
-def block_bounds(table: U16, codes: I32, columns: int, before: int, alive: npt.NDArray[np.bool_]) -> None:
+def block_bounds(
+    wants_off: U64, wants_on: U64, worth: U32, always: U64, never: U64, alive: npt.NDArray[np.bool_]
+) -> None:
     """Carry the bound F over the blocks, all lanes side by side (kernel).
 
-    alive: bool (lanes, R); lane l has the blocks from l·R, and looks at so many blocks before them first.
+    wants_off, wants_on: uint64 (N,), bits of the columns. worth: uint32 (N,), units of a contradiction.
     """
-    lanes, rows = alive.shape
+    columns, (lanes, rows) = len(worth), alive.shape
+    before = len(always) - rows
     cap = np.uint16(CAP)
-    least = np.full((lanes, table.shape[1]), cap, np.uint16)
-    units = np.full((columns, lanes), cap, np.uint16)
+    bits, units = np.empty(lanes, np.uint32), np.empty(lanes, np.uint16)
     last = np.full((columns, lanes), cap, np.uint16)  # F of the block before
     either = np.full((columns, lanes), cap, np.uint16)  # the lower F of this block and of the one before
-    for row in range(-before, rows):
-        for lane in range(lanes):
-            begin = (lane * rows + row) * _BLOCK
-            if 0 <= begin < len(codes):
-                block_least(table, codes, begin, least[lane])
-            else:
-                least[lane, :] = cap
-        for n in range(columns):
-            for lane in range(lanes):
-                units[n, lane] = least[lane, n]
-        lower(last[0], units[0], either[0])
+    for row in range(before + rows):
+        forced(wants_off[0], wants_on[0], worth[0], always[row], never[row], bits, units)
+        lower(last[0], units, either[0])
         for n in range(1, columns):
-            step(either[max(n - 2, 0)], either[n - 1], units[n], last[n], either[n], n > 1)
-        if row >= 0:
+            forced(wants_off[n], wants_on[n], worth[n], always[row], never[row], bits, units)
+            step(either[max(n - 2, 0)], either[n - 1], units, last[n], either[n], n > 1)
+        if row >= before:
             for lane in range(lanes):
-                alive[lane, row] = last[columns - 1, lane] < cap
+                alive[lane, row - before] = last[columns - 1, lane] < cap
+
+
+@nb.njit(cache=True, nogil=True)
+def forced(
+    wants_off: np.uint64, wants_on: np.uint64, worth: np.uint32, always: U64, never: U64, bits: U32, units: U16
+) -> None:
+    """Fill the units that a column costs at least in each lane's block (kernel)."""
+    cap = np.uint32(CAP)
+    for lane in range(len(bits)):
+        bits[lane] = np.uint32(count_bits((always[lane] & wants_off) | (never[lane] & wants_on)))
+    for lane in range(len(bits)):
+        least = np.uint32(bits[lane] * worth)
+        units[lane] = np.uint16(least if least < cap else cap)
 
 
 @nb.njit(cache=True, nogil=True)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ops import pruning
 from ops.annotation import local_minima
 from ops.dtw import distance_curves, start_frames
 from ops.errors import ParameterError
@@ -54,7 +55,10 @@ def spoiled(rng: np.random.Generator, words: np.ndarray, bits: int) -> Quantised
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("threshold", [0.02, 0.1, 0.25])
-def test_pruning_loses_no_minimum_and_says_what_it_skipped(seed: int, threshold: float):
+def test_pruning_loses_no_minimum_and_says_what_it_skipped(
+    seed: int, threshold: float, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(pruning, "_WORTH_A_LOOK", 2.0)  # blocks are looked at in any case
     rng = np.random.default_rng(seed)
     words = walk(rng, 60_000, 16)
     words[rng.integers(0, len(words), 20)] = NO_WORD
