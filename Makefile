@@ -58,7 +58,7 @@ fuzz: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck \
 	    $(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ)
 
-# The readers of other people that benchmarks stand beside; nothing else needs them.
+# The packages of other people that benchmarks stand beside; nothing else needs them.
 $(VENV)/bench.stamp: requirements-bench.lock $(VENV)/run.stamp
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock
 	@touch $@
