@@ -154,9 +154,15 @@ class Mappings:
         )
 
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        """The mapping that finds the most joints in a skeleton, and of these the one that lacks the least."""
+        """The mapping that finds the most joints in a skeleton, knows the most of its nodes, and lacks the least."""
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
-        return min(fits, key=lambda fit: (-fit.named, len(fit.missing) + len(fit.unknown)), default=None)
+        return min(fits, key=lambda fit: (-fit.named, -_known(fit), len(fit.missing) + len(fit.unknown)), default=None)
+
+
+def _known(fit: Fit) -> int:
+    """How many of a skeleton's nodes a mapping speaks of."""
+    mixes = [mix for choices in fit.mapping.joints.values() for mix in choices if mix and not mix.of_joints]
+    return len({name for mix in mixes for name in mix.names} & fit.places.keys())
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:

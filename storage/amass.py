@@ -14,7 +14,7 @@ from ops import axisangle
 from ops.errors import SourceError
 from storage.arrays import array_names, load_arrays
 from storage.body import NOTHING_GIVEN, Body, Given, built, orientation, refuse_far
-from storage.bodymodel import BODY, FACE, HANDS, load_body_model
+from storage.bodymodel import BODY, FACE, HANDS, LARGEST, load_body_model
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
 from storage.positions import ARRAYS
 
@@ -161,8 +161,8 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str) -> F64:
     if array.dtype.kind not in "fiu":
         raise SourceError(path, f"`{key}` must be numbers, got {array.dtype}")
     numbers: F64 = array.astype(np.float64)
-    if not np.isfinite(numbers).all():
-        raise SourceError(path, f"`{key}` has numbers that are none, or infinite")
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise SourceError(path, f"`{key}` has numbers that are none, infinite, or beyond {LARGEST:g}")
     return numbers
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -81,4 +82,12 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
             path, f"{what} takes {numbers * 8 / 1e9:.1f} GB in memory; write shorter takes, of {most} at most"
         )
     file.seek(0)
-    return np.lib.format.read_array(file, allow_pickle=False)
+    array: npt.NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+    if dtype.kind == "U" and array.size and _letters(array).max(initial=0) > sys.maxunicode:
+        raise SourceError(path, f"{what} has letters that are none: its texts are damaged")
+    return array
+
+
+def _letters(texts: npt.NDArray[np.str_]) -> npt.NDArray[np.uint32]:
+    """The numbers of the letters of texts, which Python does not look at before it fails on them."""
+    return np.ascontiguousarray(texts.astype(texts.dtype.newbyteorder("="))).view(np.uint32)

@@ -45,6 +45,9 @@ _PARENTS = dict(
 _NAMED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
 _MODEL = ("v_template", "J_regressor", "shapedirs")
 _TABLE = ("joints", "names", "shapes")
+LARGEST = 1e9
+"""No angle, place, or number of a body model is larger; what is computed of such numbers would overflow."""
+
 _MOST_SHAPES = 16  # AMASS has as many; models have up to 400
 
 
@@ -179,7 +182,10 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str, axes: int) -> F64:
     array = arrays[key]
     if array.dtype.kind not in "fiu" or array.ndim != axes:
         raise SourceError(path, f"`{key}` must be numbers in {axes} dimensions, got {array.shape} of {array.dtype}")
-    return np.asarray(array, dtype=np.float64)
+    numbers = np.asarray(array, dtype=np.float64)
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise SourceError(path, f"`{key}` has numbers that are none, infinite, or beyond {LARGEST:g}")
+    return numbers
 
 
 def _model(path: Path, names: tuple[str, ...], joints: F64, shapes: F64) -> BodyModel:
@@ -193,8 +199,8 @@ def _model(path: Path, names: tuple[str, ...], joints: F64, shapes: F64) -> Body
         raise SourceError(
             path, f"{len(names)} names, joints of shape {joints.shape} and shapes of {shapes.shape} do not go together"
         )
-    if not (np.isfinite(joints).all() and np.isfinite(shapes).all()):
-        raise SourceError(path, "has places that are no numbers")
+    if not (np.abs(joints) <= LARGEST).all():
+        raise SourceError(path, f"has places that are no numbers, or beyond {LARGEST:g}")
     for name in BODY:
         if name not in names:
             raise SourceError(path, f"lacks the joint '{name}'{did_you_mean(name, names)}")

@@ -242,11 +242,11 @@ def _fit(
 ) -> tuple[int, int, tuple[str, ...]]:
     """Analog samples a frame and frames, as they fit the bytes from start to end; with a warning where they do not."""
     room = end - start
-    # The frames fill their last block, or end where they end.
+    # The frames fill their last block, or end where they end; some programs add a block to those that fill it exactly.
     sizes = {analog: number * (4 * points + analog) for analog in sorted(samples)}
     for analog, size in sizes.items():
         for count in counts:
-            if count * size <= room < count * size + BLOCK:
+            if count * size <= room <= count * size + BLOCK:
                 return analog, count, ()
     if len(sizes) > 1:
         raise SourceError(path, "its header and its parameters contradict each other in how large a frame is")

@@ -83,10 +83,18 @@ def _write_bvh(store: Store, take: str, path: Path) -> None:
     track = {
         joint: p.T.astype(np.float64) for joint, p in zip(joints, _positions(store, store.frames(take)), strict=True)
     }
-    unknown = [joint for joint in TREE if joint not in track or not np.isfinite(track[joint]).all()]
+    unknown = [joint for joint in TREE if joint not in track or not np.isfinite(track[joint]).any()]
     if unknown:
         raise KinedexError(
             f"take '{take}' has no {', '.join(unknown)}; a BVH needs every joint (csv and parquet do not)"
+        )
+    lost = [joint for joint in TREE if not np.isfinite(track[joint]).all()]
+    if lost:
+        gone = np.isnan(np.array([track[joint] for joint in lost])).any(axis=(0, 2))
+        raise KinedexError(
+            f"take '{take}' is invalid in {np.count_nonzero(gone)} of its {len(gone)} frames, where {', '.join(lost)} "
+            "have no place; a BVH needs every joint in every frame. Export csv or parquet, or ingest the take again "
+            "with a larger fill_gap_frames, which closes longer gaps"
         )
     turns = {joint: _turns(track, joint) for joint in TREE}
     lines = ["HIERARCHY"]

@@ -70,7 +70,8 @@ def _body(
     if closed:
         warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed, called)}")
     if not valid.all():
-        warnings.append(_invalid(path, fit, valid, left, longest, called))
+        lost = [joints[i] for i in known if np.isnan(positions[i]).any()]
+        warnings.append(_invalid(path, fit, valid, left, longest, called, lost))
     first = int(np.argmax(valid))
     unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, first)
     refuse_far(path, positions, joints, fit.unknown, valid)
@@ -110,9 +111,20 @@ def _filled(points: Points, taken: list[int], longest: int) -> tuple[F64, list[G
     return filled, closed, left
 
 
-def _invalid(path: Path, fit: Fit, valid: Mask, left: list[Gap], longest: int, names: list[str]) -> str:
+def _invalid(
+    path: Path, fit: Fit, valid: Mask, left: list[Gap], longest: int, names: list[str], lost: list[str]
+) -> str:
     """What is said of invalid frames: how many, for want of which points; an error where all are."""
     blamed = [gap for gap in left if not valid[gap.start : gap.stop].all()]
+    unplaced = ~valid
+    for gap in blamed:
+        unplaced[gap.start : gap.stop] = False
+    if unplaced.any():
+        raise SourceError(
+            path,
+            f"{', '.join(lost)} cannot be placed in source frame {int(np.argmax(unplaced))}, though all points are "
+            "there: one of them is too far away",
+        )
     said = (
         f"points that the mapping '{fit.mapping.name}' takes are missing for more than {longest} frames: "
         f"{_gaps_in_words(blamed, names)}"

@@ -291,6 +291,30 @@ def test_a_long_occlusion_makes_its_frames_invalid_and_says_whose(tmp_path: Path
     assert np.count_nonzero(~none.valid) == 40
 
 
+@pytest.mark.parametrize("label", ["LHEE", "LKNE", "LFWT", "CLAV"])
+@pytest.mark.parametrize("far", [3e38, 1e20, 1e9])
+def test_a_marker_that_is_too_far_away_is_a_fault_and_no_gap(tmp_path: Path, label: str, far: float) -> None:
+    points = 1000 * z_up(standing_markers(6))
+    points[LABELS.index(label), :, 2] = [far, -far, far]
+    with pytest.raises(SourceError, match=r"(far|km) away"), np.errstate(all="ignore"):
+        read(write_c3d(tmp_path / "a.c3d", points))
+
+
+def test_frames_that_fill_their_last_block_and_one_more_are_whole(tmp_path: Path) -> None:
+    path = walking(tmp_path / "a.c3d", 16)
+    data = path.read_bytes()
+    assert not read(path).warnings
+    start = (int.from_bytes(data[16:18], "little") - 1) * 512
+    path.write_bytes(data[: start + 16 * 16 * len(LABELS)].ljust((len(data) // 512 + 1) * 512, b"\0"))
+    assert read(path).frames == 16
+
+
+def test_the_nearest_mapping_is_the_one_that_knows_the_markers(tmp_path: Path) -> None:
+    points = 1000 * standing_markers(3)[:3]
+    with pytest.raises(SourceError, match="the nearest, 'hdm05-c3d', finds 0 joints"):
+        read(write_c3d(tmp_path / "a.c3d", points, LABELS[:3]))
+
+
 def test_a_take_without_a_whole_frame_does_not_come_in(tmp_path: Path) -> None:
     points = standing_markers(60)
     points[LABELS.index("LKNE"), :, :30] = np.nan
