@@ -29,7 +29,7 @@ TAKES_A_PART = 2000
 def figures(store: Store) -> list[Figure]:
     """Time the index of the store's words, tiled to twenty hours of motion."""
     words = store.words()
-    large = _store(_tile(words, math.ceil(HOURS * 3600 * 30 / len(words.words))), store.feature_set)
+    large = store_of_words(_tile(words, math.ceil(HOURS * 3600 * 30 / len(words.words))), store.feature_set)
     frames = float(large.takes()["frames"].sum()) / 1e6
     whole = seconds(lambda: _build_anew(large), 3)
     return [
@@ -105,7 +105,7 @@ def _by_sql(store: Store) -> None:
     file.unlink()
 
 
-def _store(words: TakeWords, feature_set: FeatureSet) -> Store:
+def store_of_words(words: TakeWords, feature_set: FeatureSet) -> Store:
     path = BUILD / f"index-store-{len(words.words)}"
     if not (path / "manifest").is_dir():
         _add(path, feature_set, words, "take")
@@ -139,7 +139,7 @@ def _row(take_id: int, name: str, frames: int, schema: pa.Schema) -> dict[str, o
     return row | known | {"groups": "{}"}
 
 
-def _own_peak_mb() -> float:
+def own_peak_mb() -> float:
     """The peak memory of this process; what `getrusage` says would be that of the process that has started it, too."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next(float(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM"))
@@ -147,4 +147,4 @@ def _own_peak_mb() -> float:
 
 if __name__ == "__main__":
     index.build(open_store(sys.argv[1]), threads=1)
-    print(_own_peak_mb())
+    print(own_peak_mb())
