@@ -25,7 +25,7 @@ class Method(BaseModel):
     method: Literal["thesis", "best"] = "thesis"
     templates: Kind = "soft"
     delta: float = Field(0.05, ge=0, lt=0.5)
-    tau: float = Field(0.13, gt=0, le=1)
+    tau: Annotated[float, Field(gt=0, le=1)] | Literal["calibrated"] = 0.13
     tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = {}
     min_seconds: float = Field(0, ge=0, allow_inf_nan=False)
     queries: list[str] | str | None = Field(

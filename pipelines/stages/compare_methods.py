@@ -120,7 +120,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     remarks += _remarks(params, known)
     variants = [*params.methods, *_swept(params)]
     cells = {
-        (fold.split, fold.name, method.name): _cell(known, fold, method)
+        (fold.split, fold.name, method.name): _cell(context, known, fold, method)
         for some in folds.values()
         for fold in some
         for method in variants
@@ -221,7 +221,7 @@ def _params(method: Method) -> annotate.Params:
     return annotate.Params.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
 
 
-def _cell(known: Known, fold: Fold, method: Method) -> Cell:
+def _cell(context: StageContext, known: Known, fold: Fold, method: Method) -> Cell:
     own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
     feature_set = known.store.feature_set
     templates = learning.completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
@@ -233,8 +233,10 @@ def _cell(known: Known, fold: Fold, method: Method) -> Cell:
     usual = None
     if method.method == "best":
         usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
-    annotator = make_annotator(feature_set, templates, known.classes, method.delta, method.tau, queries, usual)
-    annotator = annotate.refined(annotator, _params(method), known.store.rate_hz)
+    params = _params(method)
+    annotator = make_annotator(feature_set, templates, known.classes, method.delta, params.common_tau, queries, usual)
+    calibration = annotate.calibrated(context, known.store, params, known.classes, fold.clips)
+    annotator = annotate.refined(annotator, params, known.store.rate_hz, calibration.taus)
     return Cell(cell_key(fold, annotator, known.store), fold, method, annotator)
 
 
@@ -275,7 +277,9 @@ def _result(
         name: judge(one, exams, classes.names, params.draws) for name, one in outcomes.items()
     }
     sweep = [
-        Threshold(method.curve_name, method.tau, pooled(counts_of(outcome(method), exams, classes.names).values()))
+        Threshold(
+            method.curve_name, float(method.tau), pooled(counts_of(outcome(method), exams, classes.names).values())
+        )
         for method in _swept(params)
     ]
     used = [cells[split.name, fold.name, method.name].annotator for fold in folds for method in params.methods]

@@ -222,6 +222,14 @@ def test_methods_take_what_the_stage_annotate_takes(line: Comparing) -> None:
         line.compare([{**BEST, "tau_by_class": {"wlak": 0.1}}], [LEFT_OUT])
 
 
+def test_thresholds_are_calibrated_on_the_clips_of_the_fold(line: Comparing) -> None:
+    method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
+    found = line.compare([method], [{"name": "eve"}])["splits"][0]["methods"]["calibrated"]
+    assert found["pooled"]["r2"] == 1.0
+    with pytest.raises(KinedexError, match="all training clips are of bob"):
+        line.compare([method], [LEFT_OUT])
+
+
 def test_methods_and_splits_have_names_of_their_own(line: Comparing) -> None:
     with pytest.raises(ValueError, match="methods: two are named 'best'"):
         line.compare([BEST, BEST], [{"name": "eve"}])
