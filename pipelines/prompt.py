@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
+from catalog.views import MACROS, VIEWS, Macro, View
 from ops.errors import KinedexError, did_you_mean
 from pipelines.tables import rich_table
+from storage.duck import statements
 from storage.store import Store
 
-HELP = """.tables          the views there are
-.schema [VIEW]   the columns of a view, or of all of them
-.help            this list
-.quit            leave (so does Ctrl-D)
+HELP = """.tables          the views there are, and the macros
+.schema [NAME]   the columns of a view, the arguments of a macro; without a name, the columns of all views
+.help [NAME]     this list; what a view or a macro is for, with an example
+.quit            leave (so does Ctrl-D); Ctrl-C stops what runs, or drops what was typed
 Anything else is SQL and ends with a semicolon; SELECT * FROM help; lists views and macros with examples."""
+
+COMMANDS = (".tables", ".schema", ".help", ".quit")
 
 ROWS = 200
 """Most rows that the prompt prints; it says when there are more."""
+
+_ENTRIES: dict[str, View | Macro] = {entry.name: entry for entry in (*VIEWS, *MACROS)}
 
 
 def history_file() -> Path:
@@ -35,74 +42,111 @@ def run_prompt(store: Store, console: Console, read: Callable[[str], str] = inpu
 
     Parameters
     ----------
-    read: asks for one line; raises EOFError at the end.
+    read: asks for one line; raises EOFError at the end, KeyboardInterrupt at Ctrl-C.
     """
     if read is input:
         _remember()
     console.print(f"{store!r}; .help for help", markup=False)
-    lines: list[str] = []
+    typed = ""
     while True:
         try:
-            line = read("kinedex> " if not lines else "    ...> ")
+            line = read("kinedex> " if not typed else "    ...> ")
         except EOFError:
+            console.print()
             return
         except KeyboardInterrupt:
             console.print()
-            lines = []
+            typed = ""
             continue
-        if not lines and line.strip().startswith("."):
-            if line.split()[0] in (".quit", ".exit"):
+        if not typed and line.strip().startswith("."):
+            # the shell takes a semicolon after a command, so people type it
+            words = line.strip().rstrip(";").split() or ["."]
+            if words[0] in (".quit", ".exit"):
                 return
-            _answer(console, partial(_dot, store, console, line.split()))
+            _answer(console, partial(_dot, store, console, words))
             continue
-        lines.append(line)
-        if line.rstrip().endswith(";"):
-            statement = "\n".join(lines)
-            lines = []
-            _answer(console, partial(_select, store, console, statement))
-        elif not "".join(lines).strip():
-            lines = []
+        whole, typed = statements(f"{typed}\n{line}" if typed else line)
+        for statement in whole:
+            if not _answer(console, partial(_select, store, console, statement)):
+                break
 
 
-def _answer(console: Console, work: Callable[[], None]) -> None:
+def _answer(console: Console, work: Callable[[], None]) -> bool:
+    """Do what was asked; whether it could be done."""
     try:
         work()
     except KinedexError as fault:
         console.print(str(fault), markup=False, style="red")
+    except KeyboardInterrupt:
+        console.print("stopped", style="red")
+    else:
+        return True
+    return False
 
 
 def _select(store: Store, console: Console, statement: str) -> None:
     table = store.sql(statement)
     console.print(rich_table(table.slice(0, ROWS)))
-    rows = f"{table.num_rows:,} rows"
+    rows = f"{table.num_rows:,} row{'' if table.num_rows == 1 else 's'}"
     console.print(rows if table.num_rows <= ROWS else f"{rows}, of which the first {ROWS} are shown", markup=False)
 
 
 def _dot(store: Store, console: Console, words: list[str]) -> None:
-    columns = "SELECT table_name AS view, column_name AS column, data_type AS type FROM information_schema.columns"
-    match words[0]:
-        case ".help":
+    match words:
+        case [".help"]:
             console.print(HELP, markup=False)
-        case ".tables":
-            names = store.sql("SELECT DISTINCT table_name FROM information_schema.columns ORDER BY 1")
-            console.print("  ".join(names.column(0).to_pylist()), markup=False)
-        case ".schema" if len(words) == 1:
-            console.print(rich_table(store.sql(f"{columns} ORDER BY table_name, ordinal_position")))
-        case ".schema":
-            found = store.sql(f"{columns} WHERE table_name = $1 ORDER BY ordinal_position", [words[1]])
-            if not found.num_rows:
-                raise KinedexError(f"no view '{words[1]}'; .tables lists them")
-            console.print(rich_table(found))
-        case other:
-            raise KinedexError(f"no command '{other}'{did_you_mean(other, ['.tables', '.schema', '.help', '.quit'])}")
+        case [".tables"]:
+            console.print("  ".join(sorted(_views(store))), markup=False)
+            console.print(f"macros: {'  '.join(sorted(macro.name for macro in MACROS))}", markup=False)
+        case [".schema"]:
+            query = (
+                "SELECT table_name AS view, column_name AS column, data_type AS type FROM information_schema.columns"
+            )
+            console.print(rich_table(store.sql(f"{query} ORDER BY table_name, ordinal_position")))
+        case [".schema" | ".help", name]:
+            known = _views(store) | {macro.name for macro in MACROS}
+            if name not in known:
+                # a view that has no index to stand on is known all the same
+                without = f"; {name} needs an index, see `SELECT * FROM {name}`" if name in _ENTRIES else ""
+                near = without or did_you_mean(name, known | set(_ENTRIES))
+                raise KinedexError(f"no view or macro '{name}'; .tables lists them{near}")
+            _describe(store, console, words[0], name)
+        case [(".tables" | ".schema" | ".help") as command, *_]:
+            raise KinedexError(f"{command} takes {'no name' if command == '.tables' else 'one name at most'}")
+        case [other, *_]:
+            raise KinedexError(f"no command '{other}'{did_you_mean(other, COMMANDS)}")
+
+
+def _views(store: Store) -> set[str]:
+    """The views of this store, without the tables that lie under them."""
+    found = store.sql("SELECT DISTINCT table_name FROM information_schema.columns").column(0).to_pylist()
+    return {name for name in found if not name.startswith("stored_")}
+
+
+def _describe(store: Store, console: Console, command: str, name: str) -> None:
+    entry = _ENTRIES.get(name)
+    if command == ".help" and entry is not None:
+        call = entry.signature if isinstance(entry, Macro) else entry.name
+        console.print(f"{call}\n  {entry.summary}\n  {entry.example};", markup=False)
+    elif isinstance(entry, Macro):
+        console.print(entry.signature, markup=False)
+        for argument, default, meaning in entry.arguments:
+            said = meaning if default is None else f"{meaning} (default {default})"
+            console.print(f"  {argument}: {said}", markup=False)
+    else:
+        query = "SELECT column_name AS column, data_type AS type FROM information_schema.columns WHERE table_name = $1"
+        console.print(rich_table(store.sql(f"{query} ORDER BY ordinal_position", [name])))
 
 
 def _remember() -> None:
-    """Line editing and history where Python has readline; without it the prompt works all the same."""
+    """Line editing, history and completion where Python has readline; without it the prompt works all the same."""
     try:
         import readline
     except ImportError:
         return
+    readline.set_completer(completer([*COMMANDS, *_ENTRIES, *(c.name for view in VIEWS for c in view.columns)]))
+    readline.set_completer_delims(" \t\n,;()='\"")
+    readline.parse_and_bind("tab: complete")
     path = history_file()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,4 +155,21 @@ def _remember() -> None:
     except OSError:
         return
     readline.set_history_length(2000)
-    atexit.register(readline.write_history_file, path)
+
+    def keep() -> None:
+        # a history that cannot be written is no reason to end with an error
+        with suppress(OSError):
+            readline.write_history_file(path)
+
+    atexit.register(keep)
+
+
+def completer(names: Iterable[str]) -> Callable[[str, int], str | None]:
+    """What readline asks for the n-th name that begins as what was typed."""
+    known = sorted(set(names))
+
+    def complete(text: str, n: int) -> str | None:
+        fitting = [name for name in known if name.startswith(text)]
+        return fitting[n] if n < len(fitting) else None
+
+    return complete

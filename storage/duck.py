@@ -5,7 +5,9 @@ from __future__ import annotations
 import glob
 import re
 import tempfile
+import threading
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -193,6 +195,21 @@ def query(connection: Connection, text: str, parameters: Parameters = None) -> p
         raise (UnknownName(missing[1], explain(fault)) if missing else KinedexError(explain(fault))) from None
 
 
+def interruptible_query(connection: Connection, text: str, parameters: Parameters = None) -> pa.Table:
+    """Run a query as `query` does, so that Ctrl-C stops it: DuckDB by itself would hear of that when it is done."""
+    if threading.current_thread() is not threading.main_thread():
+        return query(connection, text, parameters)
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(query, connection, text, parameters)
+        try:
+            return done.result()
+        except KeyboardInterrupt:
+            while not done.done():
+                connection.interrupt()
+                wait([done], timeout=0.05)
+            raise
+
+
 def _refuse_writing(connection: Connection, text: str) -> None:
     try:
         statements = connection.extract_statements(text)
@@ -229,12 +246,28 @@ def _tokens(text: str) -> list[tuple[int, str]]:
     """The tokens of a statement without its comments, each with the byte where it begins."""
     raw = text.encode()
     found = [(start, kind) for start, kind in duckdb.tokenize(text)]
-    stops = [start for start, _ in found[1:]] + [len(raw)]
+    stops = [start for start, _ in found[1:]] + [len(raw)] * bool(found)
     return [
         (start, raw[start:stop].decode(errors="replace").strip())
         for (start, kind), stop in zip(found, stops, strict=True)
         if kind != duckdb.token_type.comment
     ]
+
+
+def statements(text: str) -> tuple[list[str], str]:
+    """Split what is being typed into whole statements, each ended by a semicolon, and the rest.
+
+    A semicolon in a text, a quoted name, or a comment ends nothing. A rest of finished comments is no rest.
+    """
+    raw = text.encode()
+    whole, begin = [], 0
+    for start, word in _tokens(text):
+        if word == ";":
+            whole.append(raw[begin : start + 1].decode().strip())
+            begin = start + 1
+    rest = raw[begin:].decode()
+    open_comment = rest.rfind("/*") > rest.rfind("*/")
+    return [one for one in whole if _tokens(one)[0][1] != ";"], rest if _tokens(rest) or open_comment else ""
 
 
 def _explained(text: str) -> str:

@@ -82,7 +82,7 @@ def _attach_index(connection: duck.Connection, store: Store) -> bool:
 def query(store: Store, connection: duck.Connection, text: str, parameters: duck.Parameters) -> pa.Table:
     """Run one reading query on a connection of `connect`; errors say what of the store is missing or damaged."""
     try:
-        return duck.query(connection, text, parameters)
+        return duck.interruptible_query(connection, text, parameters)
     except duck.UnknownName as fault:
         raise explain_unknown(store, fault) from None
     except duck.Unreadable as fault:

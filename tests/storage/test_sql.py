@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import shutil
+import signal
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import duckdb
@@ -12,6 +16,7 @@ import pytest
 
 from ops.errors import KinedexError, StoreError
 from storage import index
+from storage.duck import statements
 from storage.manifest import Manifest
 from storage.schemas import RESULT_KINDS, result_schema
 from storage.store import Store, open_store
@@ -282,6 +287,40 @@ def test_a_broken_part_is_named(tmp_path: Path) -> None:
     part.write_bytes(part.read_bytes()[:-9])
     with pytest.raises(KinedexError, match=f"parts of frames cannot be read: .*{part.name}.* see `kinedex verify`"):
         store.sql("FROM takes")
+
+
+def test_ctrl_c_stops_a_query_and_the_store_goes_on(store: Store) -> None:
+    # a shell that runs the tests in the background has it ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        store.sql("SELECT count(*) FROM range(1000000) AS a, range(40000) AS b WHERE a.range % 7 = b.range % 5")
+    timer.join()
+    signal.signal(signal.SIGINT, before)
+    assert store.sql("SELECT 1 AS one").to_pylist() == [{"one": 1}]
+
+
+def test_a_thread_asks_as_well(store: Store) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(store.sql, "SELECT 1 AS one").result().to_pylist() == [{"one": 1}]
+
+
+@pytest.mark.parametrize(
+    ("typed", "whole", "rest"),
+    [
+        ("", [], ""),
+        ("SELECT 1", [], "SELECT 1"),
+        ("SELECT ';' ; SELECT 2;", ["SELECT ';' ;", "SELECT 2;"], ""),
+        ('SELECT "a;b", $$;$$; -- done;', ['SELECT "a;b", $$;$$;'], ""),
+        ("SELECT 'ü; -- open", [], "SELECT 'ü; -- open"),
+        ("SELECT 'ü'; FROM", ["SELECT 'ü';"], " FROM"),
+        ("/* open ;", [], "/* open ;"),
+        ("; /* closed */ ;", [], ""),
+    ],
+)
+def test_statements_end_at_semicolons_outside_of_texts(typed: str, whole: list[str], rest: str) -> None:
+    assert statements(typed) == (whole, rest)
 
 
 def test_a_closed_store_opens_again(store: Store) -> None:
