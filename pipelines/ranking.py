@@ -28,6 +28,13 @@ BATCH_FRAMES = 200_000
 """Analysis frames (under two hours) that a thread reads and ranks at a time; a longer take makes a batch of its own."""
 
 
+KEYS = 1e9
+"""Costs are compared as whole billionths, as in `ops.ranking`."""
+
+Item = tuple[tuple[int, ...], tuple[float, ...]]
+"""Takes, by id, and the threshold of every template."""
+
+
 @dataclass(frozen=True)
 class Searched:
     """A template to rank with, by a name for the results, and the keyframe queries that preselect frames for it."""
@@ -125,15 +132,20 @@ def rank_store(
     best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
     counts = np.zeros((len(templates), 3), np.int64)
 
-    def work(ids: tuple[int, ...]) -> list[tuple[I64, Hits]]:
-        return list(_rank_batch(store, templates, ids, tau, top))
+    # Where enough hits are known, one that is no better than the last of them is of no interest any more. The others
+    # stay as they are: what is taken rules out what is dearer, never the other way round.
+    bars = [tau] * len(templates)
 
-    for found in _in_threads(work, batches, cores() if workers is None else workers):
+    def work(item: Item) -> list[tuple[I64, Hits]]:
+        return list(_rank_batch(store, templates, *item, top))
+
+    items = ((batch, tuple(bars)) for batch in batches)
+    for found in _in_threads(work, items, cores() if workers is None else workers):
         for place, (ids, hits) in enumerate(found):
             total = int(ids[-1])
             counts[place] += (total, hits.frames, hits.computed)
             entries = [
-                (round(cost * 1e9), names[take_id], stop, Hit(take_id, names[take_id], start, stop, cost))
+                (round(cost * KEYS), names[take_id], stop, Hit(take_id, names[take_id], start, stop, cost))
                 for take_id, start, stop, cost in zip(
                     ids[:-1][hits.takes].tolist(), hits.starts.tolist(), hits.stops.tolist(), hits.costs.tolist(),
                     strict=True,
@@ -141,6 +153,9 @@ def rank_store(
             ]  # fmt: skip
             merged = best[place] + entries
             best[place] = sorted(merged, key=_order) if top is None else heapq.nsmallest(top, merged, key=_order)
+            if len(best[place]) == top:
+                # equal costs (keys that are the same, and the tolerance below a threshold) are still let in
+                bars[place] = min(tau, (best[place][-1][0] + 2) / KEYS)
     return [
         Ranking(one.name, tuple(entry[3] for entry in kept), *(int(number) for number in count))
         for one, kept, count in zip(templates, best, counts, strict=True)
@@ -165,7 +180,7 @@ def _batches(take_ids: Sequence[int], frames: Sequence[int]) -> list[tuple[int, 
 
 
 def _rank_batch(
-    store: Store, templates: Sequence[Searched], take_ids: tuple[int, ...], tau: float, top: int | None
+    store: Store, templates: Sequence[Searched], take_ids: tuple[int, ...], taus: tuple[float, ...], top: int | None
 ) -> Iterator[tuple[I64, Hits]]:
     """The hits of each template in some takes, with the takes' ids and, last, how many frames they have."""
     words = store.words(take_ids)
@@ -173,7 +188,7 @@ def _rank_batch(
     queries = {query.name: query for one in templates for query in one.queries}
     hits = preselect(words, store.feature_set, list(queries.values())) if queries else {}
     ids = np.concatenate((words.take_ids, [len(words.words)])).astype(np.int64)
-    for one in templates:
+    for one, tau in zip(templates, taus, strict=True):
         ranges = None
         if one.queries:
             columns = one.template.values(len(store.feature_set.features))
@@ -184,9 +199,11 @@ def _rank_batch(
 
 
 def _in_threads(
-    work: Callable[[tuple[int, ...]], list[tuple[I64, Hits]]], items: Iterable[tuple[int, ...]], workers: int
+    work: Callable[[Item], list[tuple[I64, Hits]]], items: Iterable[Item], workers: int
 ) -> Iterator[list[tuple[I64, Hits]]]:
     """Apply the work to every item in threads, two a thread in flight; results come in the items' order.
+
+    An item is asked for only when there is room, after the results before it have been looked at.
 
     The kernels let go of the interpreter, so that threads share the cores as processes would, without a copy.
     """

@@ -65,6 +65,12 @@ def test_threads_and_batches_change_nothing(store: Store, monkeypatch: pytest.Mo
     for one in few:
         all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
         assert [hit.take for hit in one.hits] == [row["take"] for row in all_hits[:2]]
+    for top in range(1, 12):  # whatever the last hit costs that is kept, equal costs included
+        for one in rank_store(store, searched, 0.4, top=top, workers=1):
+            all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
+            assert [(hit.take, hit.start, hit.cost) for hit in one.hits] == [
+                (row["take"], row["start"], row["cost"]) for row in all_hits[:top]
+            ]
 
 
 def test_a_filter_that_selects_nothing_is_said(store: Store):
