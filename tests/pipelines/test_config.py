@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from catalog.configs import config_names, load_yaml
+from catalog.configs import config_names, config_path, load_yaml
 from ops.errors import ConfigError, KinedexError
 from pipelines.config import STAGES, load_pipeline, stage_module
 
@@ -114,7 +114,8 @@ def test_an_unknown_pipeline_names_the_nearest() -> None:
 
 @pytest.mark.parametrize("name", config_names("pipelines"))
 def test_every_shipped_pipeline_loads(name: str) -> None:
-    assert load_pipeline(name, {"source": "/data"}).stages
+    settings = load_yaml(config_path("pipelines", name)).mapping()["settings"]
+    assert load_pipeline(name, {key: "/data" for key, value in settings.items() if value is None}).stages
 
 
 @pytest.mark.parametrize("name", STAGES)
