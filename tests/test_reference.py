@@ -1,0 +1,41 @@
+"""docs/reference.md is what the code says, and names everything that users can name."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from catalog.configs import KINDS, config_names
+from pipelines.config import STAGES, stage_module
+from pipelines.reference import PARTS, reference
+
+PAGE = (Path(__file__).resolve().parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")
+
+
+def test_the_reference_is_up_to_date() -> None:
+    assert reference() == PAGE, "python -m pipelines.reference"
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_every_parameter_of_a_stage_says_what_it_is(stage: str) -> None:
+    fields = stage_module(stage).Params.model_fields
+    assert f"\n### {stage}\n" in PAGE
+    assert not [name for name, field in fields.items() if not field.description]
+
+
+def test_every_command_has_its_options_and_a_summary() -> None:
+    commands = PAGE.split("## Commands")[1].split("## Stages")[0].split("### ")[1:]
+    assert len(commands) >= 25
+    for text in commands:
+        lines = text.splitlines()
+        assert lines[2].endswith((".", "best")) or ":" in lines[2], lines[0]
+        assert not re.findall(r"^\| [^|]+ \| [^|]* \|  \|$", text, re.MULTILINE), f"{lines[0]}: an option without help"
+
+
+def test_every_kind_of_configuration_file_has_its_keys_and_names() -> None:
+    assert set(PARTS) == set(KINDS)
+    for kind in KINDS:
+        for name in config_names(kind):
+            assert f"[`{name}`](../configs/{kind}/{name}.yaml)" in PAGE
