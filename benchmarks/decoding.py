@@ -34,6 +34,7 @@ GRID = [
     *(Decoding(entry=entry) for entry in (0.3, 0.5)),
     *(Decoding(smoothing=smoothing) for smoothing in (0.03, 0.1)),
     *(Decoding(skip=skip) for skip in (0.0, 0.1)),
+    *(Decoding(stay=stay) for stay in (0.0, 0.03, 0.06, 0.2, np.inf)),
 ]
 
 
@@ -112,13 +113,13 @@ def main() -> None:
     few = min(OPEN_CLASSES, len(study.labels))
     open_sets = [sorted(random.permutation(study.labels)[:few].tolist()) for _ in range(OPEN_SETS)]
     table = Table(box=box.SIMPLE_HEAD, title=f"left out in turn: {', '.join(study.actors)}", title_justify="left")
-    for name in ("smoothing", "entry", "skip", "gain", "closed F1", "F2", "open F1", "F2", "mean of the four"):
+    for name in ("smoothing", "entry", "skip", "stay", "gain", "closed F1", "F2", "open F1", "F2", "mean of the four"):
         table.add_column(name, justify="right")
     for decoding in [Decoding(), *(one for one in GRID if one != Decoding())]:
         closed = study.counts(decoding, study.labels)
         opened = pooled(study.counts(decoding, labels) for labels in open_sets)
         measures = [closed.f1, closed.f2, opened.f1, opened.f2]
-        values = [decoding.smoothing, decoding.entry, decoding.skip, decoding.gain]
+        values = [decoding.smoothing, decoding.entry, decoding.skip, decoding.stay, decoding.gain]
         table.add_row(
             *(f"{value:g}" for value in values), *(f"{value:.3f}" for value in [*measures, float(np.mean(measures))]),
             style="bold" if decoding == Decoding() else None,

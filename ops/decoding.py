@@ -38,18 +38,21 @@ class Decoding:
     smoothing: likelihoods lie between this and 1 − this, however sure a template is.
     entry: what each segment costs: short-lived gains are not worth a label.
     skip: what leaving out a column costs (two may be left out at once), so that haste is possible but not free.
-    gain: added to every labelled frame. A greater one labels more, a lower one (below 0) leaves more to the background.
+    stay: what a frame costs in which a segment stays in its first or its last column, so that it does not grow for
+    nothing. gain: added to every labelled frame. A greater one labels more, a lower one (below 0) leaves more to the
+    background.
     """
 
     smoothing: float = 0.05
     entry: float = 1.0
     skip: float = 0.05
+    stay: float = 0.1
     gain: float = -0.06
 
     def __post_init__(self) -> None:
         if not 0.0 < self.smoothing < 0.5:
             raise ParameterError("smoothing", "above 0 and below 0.5", self.smoothing)
-        for name in ("entry", "skip"):
+        for name in ("entry", "skip", "stay"):
             if not getattr(self, name) >= 0.0:
                 raise ParameterError(name, "0 or more", getattr(self, name))
         if not np.isfinite(self.gain):
@@ -158,7 +161,7 @@ def explain(
         table = _table(slopes, intercepts, vocabulary)
         advance(
             table, codes, start, start - early, firsts, lengths, allowed, decoding.entry, decoding.skip,
-            scores, value, winner,
+            decoding.stay, scores, value, winner,
         )  # fmt: skip
     found = []
     at = len(words)
@@ -219,7 +222,9 @@ def _begin(template: Template, usual: F64, words: U64, decoding: Decoding, allow
         vocabulary, codes = np.unique(words[first:stop], return_inverse=True)
         table = log_ratios([template], usual, vocabulary, decoding)
         limit = allowed[first:stop] if len(allowed) else allowed
-        score, begun = trace_begin(table, codes, limit, decoding.entry, decoding.skip, value[first : stop + 1])
+        score, begun = trace_begin(
+            table, codes, limit, decoding.entry, decoding.skip, decoding.stay, value[first : stop + 1]
+        )
         if begun >= 0 and (first == 0 or score >= value[stop] - TOLERANCE):
             return first + int(begun)
         window *= 2
@@ -259,6 +264,7 @@ def advance(
     allowed: Bool,
     entry: float,
     skip: float,
+    stay: float,
     scores: F64,
     value: F64,
     winner: I64,
@@ -282,8 +288,8 @@ def advance(
             if allowed.shape[1] > 0 and not allowed[template, frame]:
                 here[first : end + 1] = -np.inf
                 continue
-            here[first] = max(last[first], value[frame] - entry) + now[first]
-            here[end] = max(here[end], last[end] + now[end])
+            here[first] = max(last[first] - stay, value[frame] - entry) + now[first]
+            here[end] = max(here[end], last[end] - stay + now[end])
             if here[end] > greatest:
                 greatest, ends = here[end], template
         value[frame + 1] = greatest
@@ -312,7 +318,9 @@ def step_on(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, 
 
 
 @nb.njit(cache=True, nogil=True)
-def trace_begin(table: F64, codes: I64, allowed: Bool, entry: float, skip: float, value: F64) -> tuple[float, int]:
+def trace_begin(
+    table: F64, codes: I64, allowed: Bool, entry: float, skip: float, stay: float, value: F64
+) -> tuple[float, int]:
     """The value of the best segment of one template that ends with the last frame, and the frame it begins in (kernel).
 
     codes: rows of the table, of L frames. value (L + 1,): the greatest value of all that is before each frame.
@@ -327,8 +335,8 @@ def trace_begin(table: F64, codes: I64, allowed: Bool, entry: float, skip: float
             now = table[codes[frame], n]
             if n == 0:
                 best, begun = value[frame] - entry, frame
-            if (n in (0, columns - 1)) and scores[last, n] > best:
-                best, begun = scores[last, n], origins[last, n]
+            if (n in (0, columns - 1)) and scores[last, n] - stay > best:
+                best, begun = scores[last, n] - stay, origins[last, n]
             for left_out in range(min(n, 3)):
                 score = scores[last, n - 1 - left_out] - skip * left_out
                 if score > best:

@@ -35,6 +35,7 @@ def as_bits(words: list[int]) -> list[list[int] | None]:
     WORDS,
     st.sampled_from([0.0, 0.1, 0.5]),
     st.sampled_from([0.0, 0.05, 0.3]),
+    st.sampled_from([0.0, 0.1]),
     st.sampled_from([-0.2, 0.0, 0.3]),
     st.booleans(),
     st.integers(1, 5),
@@ -44,11 +45,12 @@ def test_no_explanation_has_a_greater_value(
     words: list[int],
     entry: float,
     skip: float,
+    stay: float,
     gain: float,
     limited: bool,
     block: int,
 ) -> None:
-    decoding = Decoding(0.05, entry, skip, gain)
+    decoding = Decoding(0.05, entry, skip, stay, gain)
     ranges = [np.array([[index, len(words) - index]]) for index in range(len(columns))] if limited else None
     allowed = None
     if ranges is not None:
@@ -60,7 +62,7 @@ def test_no_explanation_has_a_greater_value(
         found = explain([template(one) for one in columns], USUAL, np.array(words, np.uint64), decoding, ranges)
     finally:
         ops.decoding._TABLE_CELLS = whole
-    expected = oracle.best_value(columns, tuple(USUAL), as_bits(words), 0.05, entry, skip, gain, allowed)
+    expected = oracle.best_value(columns, tuple(USUAL), as_bits(words), 0.05, entry, skip, gain, stay, allowed)
     assert sum(one.value for one in found) == pytest.approx(expected, abs=1e-9)
     edges = [edge for one in found for edge in (one.start, one.stop)]
     assert edges == sorted(edges)
@@ -68,7 +70,7 @@ def test_no_explanation_has_a_greater_value(
     # each segment alone is an explanation of its frames, of the value it is said to have
     for one in found:
         alone = oracle.best_value(
-            [columns[one.template]], tuple(USUAL), as_bits(words[one.start : one.stop]), 0.05, entry, skip, gain
+            [columns[one.template]], tuple(USUAL), as_bits(words[one.start : one.stop]), 0.05, entry, skip, gain, stay
         )
         assert alone >= one.value - 1e-9
 
@@ -79,7 +81,7 @@ def test_a_motion_is_found_between_frames_of_background() -> None:
     rest = np.zeros(4, np.uint64)
     words = np.concatenate([rest, motion, rest])
     usual = background([words], FEATURES)
-    (found,) = explain([rising], usual, words, Decoding(entry=0.1, gain=0.0))
+    (found,) = explain([rising], usual, words, Decoding(entry=0.1, stay=0.0, gain=0.0))
     assert (found.start, found.stop, found.template) == (4, 8, 0)
 
 
@@ -93,7 +95,7 @@ def test_nothing_is_explained_by_what_fits_no_better_than_the_background() -> No
 
 def test_an_invalid_frame_is_in_no_segment() -> None:
     words = np.array([0b001] * 4 + [NO_WORD] + [0b001] * 4, np.uint64)
-    found = explain([template([(1.0, 0.0, 0.0)])], np.full(FEATURES, 0.5), words, Decoding(gain=0.0))
+    found = explain([template([(1.0, 0.0, 0.0)])], np.full(FEATURES, 0.5), words, Decoding(stay=0.0, gain=0.0))
     assert [(one.start, one.stop) for one in found] == [(0, 4), (5, 9)]
 
 
@@ -107,7 +109,7 @@ def test_of_templates_that_fit_equally_the_first_is_taken() -> None:
     same = template([(0.9, 0.5, 0.5)])
     words = np.array([1, 1], np.uint64)
     usual = np.full(FEATURES, 0.5)
-    decoding = Decoding(entry=0.05, gain=0.0)
+    decoding = Decoding(entry=0.05, stay=0.0, gain=0.0)
     (found,) = explain([same, same], usual, words, decoding)
     value = 2 * log_ratios([same], usual, words[:1], decoding)[0, 0] - 0.05
     assert found == Explained(0, 2, 0, pytest.approx(value))
@@ -118,7 +120,7 @@ def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> 
     templates = [template([one]) for one in columns]
     words = np.array([0b011] * 6, np.uint64)
     usual = np.full(FEATURES, 0.5)
-    decoding = Decoding(entry=0.1, gain=0.0)
+    decoding = Decoding(entry=0.1, stay=0.0, gain=0.0)
     found = explain(templates, usual, words, decoding)
     assert [one.template for one in found] == [1]
     values = 6 * log_ratios(templates, usual, words[:1], decoding)[0] - 0.1

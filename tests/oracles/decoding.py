@@ -27,6 +27,7 @@ def best_value(
     entry: float,
     skip: float,
     gain: float,
+    stay: float = 0.0,
     allowed: list[list[bool]] | None = None,
 ) -> float:
     """The greatest value of any explanation; a word that is None stands for an invalid frame."""
@@ -45,7 +46,7 @@ def best_value(
         after = frame + 1
         if after < len(words):
             if column in (0, end):
-                best = max(best, gained(template, column, after) + within(template, column, after))
+                best = max(best, gained(template, column, after) - stay + within(template, column, after))
             for left_out in range(3):
                 to = column + 1 + left_out
                 if to <= end:
