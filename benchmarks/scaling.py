@@ -77,7 +77,7 @@ def ingest(source: Path, store: Path, workers: int) -> Ingest:
     """Bring the archive into a fresh store, in this process; with one worker, on one core."""
     shutil.rmtree(store, ignore_errors=True)
     pools: list[Watched] = []
-    with _on_cores(workers), _executor(pools):
+    with _on_cores(workers), watched(pools):
         begin = time.perf_counter()
         run_pipeline(
             "ingest", store, assignments={"source": str(source)}, executor="processes", workers=workers,
@@ -108,7 +108,7 @@ def _on_cores(count: int) -> Iterator[None]:
 
 
 @contextmanager
-def _executor(pools: list[Watched]) -> Iterator[None]:
+def watched(pools: list[Watched]) -> Iterator[None]:
     """Let a run of more than one worker use `Watched` ones."""
     from pipelines import runner
 

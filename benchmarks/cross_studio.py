@@ -1,0 +1,168 @@
+"""`python -m benchmarks.cross_studio STORE TRUTH`: why takes of another studio were labelled as they were, in features.
+
+The store is that of `kinedex run hdm05-cmu`, TRUTH its ground truth. For each manual segment: what both methods label
+it with, the template of its own class that fits best there (if its class has one), and the template that fits best of
+all others; each with its distance, and the features that the distance is made of.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from catalog.classes import Classes, load_classes
+from ops.dtw import best_paths, distance_curves
+from ops.templates import QuantisedTemplate
+from ops.words import U64, TakeWords, bits
+from pipelines.annotating import Annotator, annotate_words, make_annotator
+from pipelines.evaluating import Manual, place_ground_truth
+from pipelines.learning import read_templates
+from pipelines.stages.annotate import usual_features
+from storage.ground_truth import read_ground_truth
+from storage.store import Store, open_store
+
+F64 = npt.NDArray[np.float64]
+
+STAGE = "hdm05-cmu/learn_templates"
+DELTA, TAU = 0.05, 0.13
+"""As `configs/pipelines/hdm05-cmu.yaml` has them."""
+
+MOST_FEATURES = 4
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a template fits best within a stretch: distance, its frames [start, stop), and what each feature adds."""
+
+    subclass: str
+    cost: float
+    start: int
+    stop: int
+    shares: F64
+
+
+def contributions(template: QuantisedTemplate, words: U64, features: int) -> F64:
+    """What each feature adds to the distance of the best path over all of some words, from the first to the last.
+
+    Plain, for a single stretch: the steps and the weights are those of `ops.dtw.distance_curves`.
+
+    Returns
+    -------
+    float64 (f,), whose sum is the distance.
+
+    Raises
+    ------
+    ValueError: no path leads through: the words are more than twice as many as the columns, or less than half.
+    """
+    wrong = bits((words[None, :] ^ template.value[:, None]).ravel() & np.repeat(template.mask, len(words)), features)
+    counted = np.maximum(np.bitwise_count(template.mask), 1).astype(float)
+    parts = wrong.reshape(len(template), len(words), features) / counted[:, None, None]
+    local = parts.sum(axis=2)
+    total = np.full(local.shape, np.inf)
+    total[0, 0] = local[0, 0]
+    steps = ((1, 1, 1), (1, 2, 1), (2, 1, 2))  # template, take, how often the local cost counts
+    came = np.zeros(local.shape, np.int64)
+    for n in range(1, local.shape[0]):
+        for m in range(1, local.shape[1]):
+            ways = [
+                total[n - a, m - b] + weight * local[n, m] if n >= a and m >= b else np.inf for a, b, weight in steps
+            ]
+            came[n, m] = int(np.argmin(ways))
+            total[n, m] = ways[came[n, m]]
+    n, m = len(template) - 1, len(words) - 1
+    if not np.isfinite(total[n, m]):
+        raise ValueError(f"no path leads from the first to the last of {len(words)} words in {len(template)} columns")
+    found = np.zeros(features)
+    while (n, m) != (0, 0):
+        a, b, weight = steps[came[n, m]]
+        found += weight * parts[n, m]
+        n, m = n - a, m - b
+    shares: F64 = (found + parts[0, 0]) / len(template)
+    return shares
+
+
+def best_fit(annotator: Annotator, words: U64, start: int, stop: int, chosen: Sequence[int]) -> Fit | None:
+    """The template of some that fits best with an end in a stretch of a take; None where no path ends there."""
+    curves = distance_curves([annotator.templates[index] for index in chosen], words)[:, start:stop]
+    if not curves.size or not np.isfinite(curves.min()):
+        return None
+    row, place = divmod(int(np.argmin(curves)), curves.shape[1])
+    template, end = annotator.templates[chosen[row]], start + place
+    begin = int(best_paths(template, words, np.array([end]))[0][0])
+    shares = contributions(template, words[begin : end + 1], len(annotator.feature_set.features))
+    return Fit(annotator.subclasses[chosen[row]], float(curves[row, place]), begin, end + 1, shares)
+
+
+def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str:
+    """What labels how much of a manual segment, the most first; in per cent of its frames."""
+    counts: Counter[str] = Counter()
+    for one in annotate_words(annotator, words)[0].segments:
+        counts[annotator.classes[one.class_index]] += max(0, min(one.stop, manual.stop) - max(one.start, manual.start))
+    length = manual.stop - manual.start
+    said = [f"{name} {100 * count / length:.0f} %" for name, count in counts.most_common(3) if 20 * count >= length]
+    return ", ".join(said) or "nothing"
+
+
+def said(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
+    """A fit in words."""
+    if fit is None:
+        return "–"
+    order = np.argsort(-fit.shares, kind="stable")[:MOST_FEATURES]
+    names = annotator.feature_set.features
+    parts = [f"{names[index].name} {fit.shares[index]:.3f}" for index in order if fit.shares[index] > 0.002]
+    where = f"{fit.start / rate_hz:.1f}–{fit.stop / rate_hz:.1f} s"
+    return f"{fit.subclass} {fit.cost:.3f} ({where}): {', '.join(parts) or 'nothing'}"
+
+
+def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
+    """The lines of the table, one for each manual segment."""
+    templates = read_templates(store, STAGE, "soft")
+    usual = usual_features(store, templates)
+    thesis, best = (
+        make_annotator(store.feature_set, templates, classes, DELTA, TAU, usual=one) for one in (None, usual)
+    )
+    takes = store.takes("class IS NULL")
+    placed = place_ground_truth(read_ground_truth(truth), takes, store.takes()["name"], classes, "miss")
+    found = []
+    for manual in sorted(placed.segments, key=lambda one: (one.take, one.start)):
+        words = store.words([manual.take_id])
+        own = [index for index, at in enumerate(thesis.class_index) if thesis.classes[at] == manual.label]
+        others = [index for index in range(len(thesis.templates)) if index not in own]
+        fits = [best_fit(thesis, words.words, manual.start, manual.stop, chosen) for chosen in (own, others) if chosen]
+        mine = said(fits[0], thesis, store.rate_hz) if own else "no template"
+        other = said(fits[-1], thesis, store.rate_hz)
+        seconds = f"{manual.start / store.rate_hz:.1f}–{manual.stop / store.rate_hz:.1f}"
+        by = [labels_within(annotator, words, manual) for annotator in (thesis, best)]
+        found.append(f"| {manual.take} | {seconds} | {manual.label} | {by[0]} | {by[1]} | {mine} | {other} |")
+    return found
+
+
+def main() -> None:
+    """Print which classes correspond, and the table as Markdown."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.cross_studio", description=__doc__)
+    parser.add_argument("store", type=Path)
+    parser.add_argument("truth", type=Path)
+    given = parser.parse_args()
+    store = open_store(given.store)
+    templates = read_templates(store, STAGE, "soft")
+    labelled = set(store.takes()["class"].drop_nulls())
+    classes = load_classes("thesis-15", {one.subclass for one in templates} | labelled)
+    known = [(one.name, set(one.subclasses) & {template.subclass for template in templates}) for one in classes.classes]
+    print("templates: " + "; ".join(f"{name}: {', '.join(sorted(own))}" for name, own in known if own) + "\n")
+    print(
+        "| take | seconds | manual | thesis | best | nearest of its class | nearest of the others |\n"
+        + "|---" * 7
+        + "|"
+    )
+    for line in rows(store, given.truth, classes):
+        print(line)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""The studies of docs/studies.md: drawing examples, counting labels, explaining distances by features."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+import yaml
+
+from benchmarks.bandai import NONE, confusions, draw, summary
+from benchmarks.cross_studio import contributions
+from benchmarks.long_archive import METHODS, stages
+from ops.dtw import best_paths
+from ops.templates import QuantisedTemplate
+from pipelines.config import load_pipeline
+
+
+def _takes(**counts: int) -> pl.DataFrame:
+    rows = [{"name": f"{label}{index:02d}", "class": label} for label, n in counts.items() for index in range(n)]
+    return pl.DataFrame(rows)
+
+
+def test_examples_are_drawn_by_seed_and_are_no_takes_to_label() -> None:
+    takes = _takes(walk=9, run=12, bow=7)
+    drawn = draw(takes, 1, 5, 8)
+    assert len(drawn.examples) == 10
+    assert not set(drawn.examples) & set(drawn.rest["name"])
+    assert sorted(drawn.rest["class"].unique()) == ["run", "walk"]  # bow has too few
+    assert drawn.rest.height == 4 + 7
+    assert draw(takes.sample(fraction=1, shuffle=True, seed=3), 1, 5, 8).examples == drawn.examples
+    assert draw(takes, 2, 5, 8).examples != drawn.examples
+
+
+def test_accuracy_is_averaged_over_draws() -> None:
+    def row(seed: int, label: str, right: int, wrong: int) -> dict[str, object]:
+        one = {"method": "thesis", "seed": seed, "content": "walk", "label": label}
+        return {**one, "frames": 10, "right": right, "wrong": wrong}
+
+    rows = pl.DataFrame([row(0, "walk", 10, 0), row(0, "run", 2, 8), row(1, "walk", 6, 0), row(1, "walk", 10, 0)])
+    (found,) = summary(rows, "method").iter_rows(named=True)
+    assert found["takes"] == 2
+    assert found["accuracy"] == pytest.approx(75)
+    assert found["sd"] == pytest.approx(np.std([50, 100], ddof=1))
+    assert (found["frames"], found["wrong"], found["none"]) == pytest.approx((70, 20, 10))
+    assert confusions(rows, "thesis", 5).rows() == [("walk", "run", 0.5, 2.0)]
+    assert NONE not in confusions(rows, "thesis", 5)["label"].to_list()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_features_add_is_the_distance(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    mask = generator.integers(0, 1 << 40, 9, dtype=np.uint64)
+    mask[4] = 0  # a column of wildcards alone
+    template = QuantisedTemplate(mask, generator.integers(0, 1 << 40, 9, dtype=np.uint64) & mask)
+    words = generator.integers(0, 1 << 40, 40, dtype=np.uint64)
+    ends = np.array([16, 25, 39])
+    starts, distances = best_paths(template, words, ends)
+    for start, end, distance in zip(starts, ends, distances, strict=True):
+        assert contributions(template, words[start : end + 1], 40).sum() == pytest.approx(distance)
+
+
+def test_words_that_no_path_fits_are_refused() -> None:
+    template = QuantisedTemplate(np.ones(3, np.uint64), np.ones(3, np.uint64))
+    with pytest.raises(ValueError, match="no path leads"):
+        contributions(template, np.ones(20, np.uint64), 40)
+
+
+@pytest.mark.parametrize("method", [None, *METHODS])
+def test_every_method_of_the_long_archive_is_a_pipeline(method: str | None, tmp_path: Path) -> None:
+    file = tmp_path / "long.yaml"
+    file.write_text(yaml.safe_dump(stages(tmp_path, method)), encoding="utf-8")
+    names = [stage.name for stage in load_pipeline(file).stages]
+    assert names[0] == "ingest"
+    assert "learn_templates" in names
+    assert ("learn_keyframes" in names) == (method is not None and "queries" in method)
+    assert (names[-1] == "evaluate") == (method is not None)
