@@ -7,11 +7,28 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from catalog.features import FeatureSet
+from catalog.features import FeatureSet, load_feature_set
 from pipelines.executors import Executor
 from pipelines.terminal import Progress, Terminal
 from storage.store import Store, open_store
 from storage.writer import StoreWriter
+
+SHIPPED_FEATURES = "body40"
+
+
+def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:
+    """The features that a stage speaks of: those given, else those of a store, else the shipped ones.
+
+    A store that was made with the shipped set is held against today's text of it, so that a set that has changed since
+    is noticed; of a set of the user's own the store knows all that is needed.
+
+    Raises
+    ------
+    ConfigError: a file of features is wrong.
+    """
+    if given is None and store is not None and store.feature_set.name != SHIPPED_FEATURES:
+        return store.feature_set
+    return load_feature_set(given or SHIPPED_FEATURES)
 
 
 @dataclass(frozen=True)

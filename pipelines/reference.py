@@ -1,4 +1,4 @@
-"""docs/reference.md, made from the code (`python -m pipelines.reference`): commands, stages, pipelines, configuration."""
+"""docs/reference.md, made from the code (`python -m pipelines.reference`)."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ PARTS = {
 
 WHERE = {
     "skeletons": "`ingest.skeleton`. [How to read files with a skeleton of your own](howto/own-skeleton.md).",
-    "features": "Not yet chosen by a parameter: see [features of your own](howto/own-features.md).",
+    "features": "`ingest.features`. [Features of your own](howto/own-features.md).",
     "classes": "`annotate.classes`. [Classes of your own](howto/own-classes.md).",
     "queries": "`kinedex search`, `annotate.queries`, `rank.queries`. Every key is explained in "
     "[`example.yaml`](../configs/queries/example.yaml).",

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from catalog.features import load_feature_set
 from ops.errors import KinedexError
 from pipelines.config import Pipeline, load_pipeline
-from pipelines.context import StageContext
+from pipelines.context import StageContext, feature_set_for
 from pipelines.executors import Executor, make_executor
 from pipelines.plan import FORCED, Planner, Step, make_plan
 from pipelines.terminal import Terminal
-from storage.manifest import StageRecord, now
+from storage.manifest import StageRecord, now, versions
 from storage.store import open_store
 
 
@@ -108,7 +107,9 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     stage = step.stage
     context = StageContext(
         store_path=run.store_path,
-        feature_set=load_feature_set("body40"),
+        feature_set=feature_set_for(
+            open_store(run.store_path) if versions(run.store_path) else None, getattr(stage.params, "features", None)
+        ),
         pipeline=run.pipeline.name,
         stage=stage.name,
         uses=stage.uses,

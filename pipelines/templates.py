@@ -108,6 +108,24 @@ def parse_place(text: str, rate_hz: float, what: str) -> int:
         raise KinedexError(f"{what} must be a frame (45) or seconds (1.5s), got '{text}'") from None
 
 
+def stretch(store: Store, take: str, start: str | None, stop: str | None) -> tuple[int, int]:
+    """The frames [start, stop) of a take, said as frames (45) or seconds (1.5s); where one is missing, the take's end.
+
+    Raises
+    ------
+    KinedexError: no such take, no such place, or a stretch outside the take.
+    """
+    frames = len(store.words([store.take_id(take)]).words)
+    first = parse_place(start, store.rate_hz, "START") if start is not None else 0
+    last = parse_place(stop, store.rate_hz, "STOP") if stop is not None else frames
+    if not 0 <= first < last <= frames:
+        raise KinedexError(
+            f"{take} has {frames} frames ({frames / store.rate_hz:g} s): expected 0 <= START < STOP <= "
+            f"{frames}, got {first} and {last}"
+        )
+    return first, last
+
+
 def template_from_clip(store: Store, take: str, start: str | None, stop: str | None, name: str) -> NamedTemplate:
     """The template of one example: the frames [start, stop) of a take, invalid ones at its ends cut off.
 
@@ -115,14 +133,8 @@ def template_from_clip(store: Store, take: str, start: str | None, stop: str | N
     ------
     KinedexError: no such take, a stretch outside it, or invalid frames within.
     """
+    first, last = stretch(store, take, start, stop)
     words = store.words([store.take_id(take)]).take(0)
-    first = parse_place(start, store.rate_hz, "START") if start is not None else 0
-    last = parse_place(stop, store.rate_hz, "STOP") if stop is not None else len(words)
-    if not 0 <= first < last <= len(words):
-        raise KinedexError(
-            f"{take} has {len(words)} frames ({len(words) / store.rate_hz:g} s): expected 0 <= START < STOP <= "
-            f"{len(words)}, got {first} and {last}"
-        )
     valid = np.flatnonzero(words[first:last] != NO_WORD)
     if not len(valid):
         raise KinedexError(f"{take}: all frames from {first} to {last} are invalid")

@@ -63,8 +63,10 @@ def search(
 def from_clip(
     store: StorePath,
     take: Annotated[str, typer.Argument(help="name of the take that holds the example")],
-    start: Annotated[int, typer.Argument(help="first frame of the example, from 0")],
-    stop: Annotated[int, typer.Argument(help="frame after its last")],
+    start: Annotated[
+        str | None, typer.Argument(help="first frame of the example (45), or seconds (1.5s); the take's first")
+    ] = None,
+    stop: Annotated[str | None, typer.Argument(help="the frame after its last, or seconds; the take's end")] = None,
     name: Annotated[str, typer.Option(help="name of the query")] = "proposed",
     keyframes: Annotated[int, typer.Option(min=1, max=20, help="at most so many keyframes")] = 3,
     output: Annotated[
@@ -73,10 +75,14 @@ def from_clip(
 ) -> None:
     """Propose a keyframe query from an example: YAML with comments, to be edited."""
     from pipelines.proposing import propose_query
+    from pipelines.templates import stretch
     from storage.store import open_store
 
-    text = propose_query(open_store(store), take, start, stop, name=name, keyframes=keyframes)
+    opened = open_store(store)
+    first, last = stretch(opened, take, start, stop)
+    text = propose_query(opened, take, first, last, name=name, keyframes=keyframes)
     if output is None:
         print(text, end="")
     else:
         output.write_text(text, encoding="utf-8")
+        print(output)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 def rank(
     store: StorePath,
     template: Annotated[
-        str | None, typer.Argument(metavar="[TEMPLATE]", help="class of a learned template; or --take instead")
+        str | None,
+        typer.Argument(metavar="[TEMPLATE]", help="class of a learned template, or a template file (.yaml, .csv)"),
     ] = None,
     take: Annotated[str | None, typer.Option(help="query by example: a take, or the stretch of it to look for")] = None,
     start: Annotated[str | None, typer.Option(help="first frame of the example, or seconds (1.5s)")] = None,
@@ -42,7 +44,7 @@ def rank(
     """Rank the places of an archive by how well a template fits them, the best first."""
     from catalog.queryfiles import read_queries
     from ops.templates import quantise
-    from pipelines.commands.templates import kind_of
+    from pipelines.commands.templates import kind_of, template_of_file
     from pipelines.ranking import Searched, rank_store, ranking_table
     from pipelines.templates import choose_template, template_from_clip
     from storage.store import open_store
@@ -56,7 +58,11 @@ def rank(
         learned, name = template_from_clip(opened, take, start, stop, take).template, take
     else:
         assert template is not None
-        learned, name = choose_template(opened, template, kind_of(kind)).learned.template, template
+        if template.endswith((".yaml", ".yml", ".csv")):
+            made = template_of_file(Path(template), opened.feature_set)
+            learned, name = made.template, made.name
+        else:
+            learned, name = choose_template(opened, template, kind_of(kind)).learned.template, template
     quantised = quantise(learned, delta)
     if not quantised.fixed:
         raise KinedexError(f"at --delta {delta:g} the template is wildcards alone and would fit anything")

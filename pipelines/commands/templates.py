@@ -163,6 +163,16 @@ def kind_of(text: str) -> Kind:
     return cast("Kind", text)
 
 
+def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
+    """The one template that a template file holds."""
+    from catalog.templatefiles import read_templates
+
+    found = read_templates(path, features)
+    if len(found) > 1:
+        raise KinedexError(f"{path} holds {len(found)} templates; leave one in it: {', '.join(t.name for t in found)}")
+    return found[0]
+
+
 def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:
     """Write a template file, as the path's ending says."""
     from catalog.templatefiles import write_csv, write_yaml

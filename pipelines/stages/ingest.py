@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from catalog.features import FeatureSet, load_feature_set
+from catalog.features import FeatureSet
 from catalog.skeletons import Mappings, load_mappings
 from ops import features, kinematics, textnumbers
 from ops.errors import KinedexError
 from pipelines.batches import run_batches
 from pipelines.changes import Naming, compare, digest
-from pipelines.context import StageContext
+from pipelines.context import StageContext, feature_set_for
 from pipelines.executors import WorkerDied
 from pipelines.failures import Failure, failure, killer, log_table
 from pipelines.reading import Batch, Task, Written, read_batch
@@ -43,6 +43,11 @@ class Params(BaseModel):
         "auto",
         description="skeleton mapping: `auto` tells a skeleton by its names; a shipped name or a path to a .yaml file "
         "counts for all files of its format (other formats stay automatic)",
+    )
+    features: str | None = Field(
+        None,
+        description="feature set: a shipped name, or a path to a .yaml file; unless given that of the store, and "
+        "`body40` in a new one; a store has one for good",
     )
     patterns: list[str] = Field(
         default_factory=list,
@@ -99,7 +104,7 @@ class Params(BaseModel):
 
 def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: source files by path, size and time, mappings, and features."""
-    feature_set = load_feature_set()
+    feature_set = feature_set_for(store, params.features)
     mappings = load_mappings(params.skeleton, feature_set.joints)
     forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
     return digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])

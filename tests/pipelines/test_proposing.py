@@ -107,6 +107,19 @@ def test_the_command_writes_a_file_that_search_reads(store: Store, tmp_path: Pat
     assert refused.exit_code == 1
 
 
+def test_the_example_can_be_said_in_seconds_or_be_the_whole_take(store: Store) -> None:
+    def proposed(*place: str) -> str:
+        made = CliRunner().invoke(app, ["query", "from-clip", str(store.path), "dull", *place])
+        assert made.exit_code == 0, made.output
+        return made.output
+
+    assert proposed("0.1s", "1s") == proposed("3", "30")
+    assert proposed() == proposed("0", "200")
+    refused = CliRunner().invoke(app, ["query", "from-clip", str(store.path), "dull", "0", "201"])
+    assert refused.exit_code == 1
+    assert "expected 0 <= START < STOP <= 200" in refused.stderr
+
+
 @pytest.mark.shared
 def test_a_proposal_from_real_motion_finds_its_example_and_keeps_few_frames(shared: Path) -> None:
     names, words = real_words(shared)

@@ -91,6 +91,25 @@ def test_query_by_example_on_the_command_line(store: Store):
     assert neither.exit_code == 1
 
 
+def test_a_template_file_ranks_like_the_example_that_it_was_made_of(store: Store, tmp_path: Path):
+    file = tmp_path / "mine.yaml"
+    stretch = ["x_c", "10", "40"]
+    made = CliRunner().invoke(
+        app, ["template", "from-clip", str(store.path), *stretch, "--name", "mine", "-o", str(file)]
+    )
+    assert made.exit_code == 0, made.output
+    by_file = CliRunner().invoke(app, ["rank", str(store.path), str(file), "--format", "csv"])
+    by_take = CliRunner().invoke(
+        app, ["rank", str(store.path), "--take", "x_c", "--start", "10", "--stop", "40", "--format", "csv"]
+    )
+    assert by_file.exit_code == 0, by_file.output
+    assert by_file.output.replace(",mine,", ",x_c,") == by_take.output
+    file.write_text(file.read_text() + file.read_text().replace("mine:", "other:"))
+    several = CliRunner().invoke(app, ["rank", str(store.path), str(file)])
+    assert several.exit_code == 1
+    assert "2 templates; leave one in it: mine, other" in several.stderr
+
+
 def manual(take: str, label: str, start: int, stop: int) -> Manual:
     return Manual(0, take, label, start, stop, start, stop, "test")
 
