@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 
 from benchmarks.archive import BUILD
@@ -27,6 +28,9 @@ from pipelines.runner import run_pipeline
 from storage.store import Store, open_store
 
 PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."  # the style stands in `actor`
+Bool = npt.NDArray[np.bool_]
+F64 = npt.NDArray[np.float64]
+
 METHODS = ("thesis", "best")
 DELTA, TAU = 0.05, 0.13
 NONE = "(none)"
@@ -94,19 +98,33 @@ def labelled(store: Store, drawn: Draw, seed: int, executor: Executor) -> Iterat
             for one in batch:
                 row = rows[one.take_id]
                 covered = np.zeros((len(annotator.classes), row["frames"]), bool)
+                costs = np.full(len(annotator.classes), np.inf)
                 for segment in one.segments:
                     covered[segment.class_index, segment.start : segment.stop] = True
-                yield _row(method, seed, row, dict(zip(annotator.classes, covered, strict=True)))
+                    costs[segment.class_index] = np.fmin(costs[segment.class_index], segment.cost)
+                yield _row(method, seed, row, annotator.classes, covered, costs)
 
 
-def _row(method: str, seed: int, take: dict[str, object], covered: dict[str, np.ndarray]) -> dict[str, object]:
-    counts = {name: int(mask.sum()) for name, mask in covered.items()}
-    most = max(counts, key=lambda name: counts[name])
-    right = covered[str(take["class"])]
-    wrong = np.any(list(covered.values()), axis=0) & ~right
+def winner(covered: Bool, costs: F64) -> int | None:
+    """The class that labels most frames; of those that label as many, the one of the least cost; None: no label.
+
+    Segments of the thesis's method overlap, and often several classes label all of a take.
+    """
+    counts = covered.sum(axis=1)
+    if not counts.any():
+        return None
+    return int(np.lexsort((costs, -counts))[0])
+
+
+def _row(
+    method: str, seed: int, take: dict[str, object], classes: Sequence[str], covered: Bool, costs: F64
+) -> dict[str, object]:
+    most = winner(covered, costs)
+    right = covered[classes.index(str(take["class"]))]
+    wrong = covered.any(axis=0) & ~right
     return {
         "method": method, "seed": seed, "take": take["name"], "set": take["set"], "content": take["class"],
-        "style": take["actor"], "label": most if counts[most] else NONE, "frames": take["frames"],
+        "style": take["actor"], "label": NONE if most is None else classes[most], "frames": take["frames"],
         "right": int(right.sum()), "wrong": int(wrong.sum()),
     }  # fmt: skip
 

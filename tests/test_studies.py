@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 import yaml
 
-from benchmarks.bandai import NONE, confusions, draw, summary
+from benchmarks.bandai import NONE, confusions, draw, summary, winner
 from benchmarks.cross_studio import contributions
 from benchmarks.long_archive import METHODS, stages
 from ops.dtw import best_paths
@@ -46,6 +46,13 @@ def test_accuracy_is_averaged_over_draws() -> None:
     assert (found["frames"], found["wrong"], found["none"]) == pytest.approx((70, 20, 10))
     assert confusions(rows, "thesis", 5).rows() == [("walk", "run", 0.5, 2.0)]
     assert NONE not in confusions(rows, "thesis", 5)["label"].to_list()
+
+
+def test_of_classes_that_label_as_many_frames_the_cheapest_wins() -> None:
+    covered = np.array([[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 1]], bool)
+    assert winner(covered, np.array([0.0, 0.05, 0.02])) == 2
+    assert winner(covered[:2], np.array([0.0, 0.05])) == 1
+    assert winner(np.zeros((2, 4), bool), np.full(2, np.inf)) is None
 
 
 @pytest.mark.parametrize("seed", range(20))
