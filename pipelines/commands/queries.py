@@ -44,7 +44,13 @@ def search(
         show_table(explain_search(opened, loaded, where), form, output)
         return
     if save is None:
-        show_table(search_store(opened, loaded, where), form, output)
+        hits = search_store(opened, loaded, where)
+        plain = form == "table" and output is None
+        show_table(hits.drop_columns(["run", "take_id"]) if plain else hits, form, output)
+        if plain:
+            takes = len(set(hits.column("take_id").to_pylist()))
+            hint = "" if hits.num_rows else "; --explain shows at which keyframe it ends"
+            make_console().print(f"{hits.num_rows} ranges in {takes} takes{hint}", markup=False)
         return
     from pipelines.runner import new_run_id
 

@@ -103,6 +103,10 @@ def test_the_command_writes_a_file_that_search_reads(store: Store, tmp_path: Pat
     assert found.exit_code == 0, found.output
     kept = open_store(store.path).sql("SELECT DISTINCT query, take FROM hits").to_pylist()
     assert {"query": "proposed", "take": "dull"} in kept
+    shown = CliRunner().invoke(app, ["search", str(store.path), str(file)])
+    assert "ranges in" in shown.output.splitlines()[-1]
+    nothing = CliRunner().invoke(app, ["search", str(store.path), str(file), "--where", "name = 'x'"])
+    assert "0 ranges in 0 takes; --explain" in nothing.output
     refused = CliRunner().invoke(app, ["search", str(store.path), str(file), "--save", "x", "--explain"])
     assert refused.exit_code == 1
 
