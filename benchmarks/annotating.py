@@ -16,11 +16,11 @@ from benchmarks.harness import Figure, seconds
 from catalog.classes import load_classes
 from catalog.features import FeatureSet
 from catalog.queries import Gap, Keyframe, KeyframeQuery
-from ops.decoding import background
-from ops.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
+from ops.distances.decoding import background
+from ops.templates.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
 from ops.words import TakeWords
-from pipelines.annotating import BATCH_FRAMES, Annotator, annotate_words, make_annotator
-from pipelines.learning import SubclassTemplate
+from pipelines.annotation.annotating import BATCH_FRAMES, Annotator, annotate_words, make_annotator
+from pipelines.templates.learning import SubclassTemplate
 from storage.store import Store
 
 FRAMES, SUBCLASSES, COLUMNS = 133_019, 69, 50

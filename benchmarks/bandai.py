@@ -20,11 +20,11 @@ import polars as pl
 from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from catalog.classes import load_classes
-from ops.decoding import background
-from pipelines.annotating import Annotator, annotate_takes, make_annotator
+from ops.distances.decoding import background
+from pipelines.annotation.annotating import Annotator, annotate_takes, make_annotator
 from pipelines.executors import Executor, make_executor
-from pipelines.learning import learn_templates, training_clips
 from pipelines.runner import run_pipeline
+from pipelines.templates.learning import learn_templates, training_clips
 from storage.store import Store, open_store
 
 PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."  # the style stands in `actor`

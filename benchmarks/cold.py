@@ -6,7 +6,7 @@ import sys
 import time
 
 from catalog.queryfiles import read_queries
-from pipelines.search import search_store
+from pipelines.searching.search import search_store
 from storage.store import open_store
 
 

@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from catalog.classes import Classes, load_classes
-from ops.dtw import best_paths, distance_curves
-from ops.templates import QuantisedTemplate
+from ops.distances.dtw import best_paths, distance_curves
+from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords, bits
-from pipelines.annotating import Annotator, annotate_words, make_annotator
-from pipelines.evaluating import Manual, place_ground_truth
-from pipelines.learning import read_templates
+from pipelines.annotation.annotating import Annotator, annotate_words, make_annotator
+from pipelines.evaluation.evaluating import Manual, place_ground_truth
 from pipelines.stages.annotate import usual_features
+from pipelines.templates.learning import read_templates
 from storage.ground_truth import read_ground_truth
 from storage.store import Store, open_store
 
@@ -50,7 +50,7 @@ class Fit:
 def contributions(template: QuantisedTemplate, words: U64, features: int) -> F64:
     """What each feature adds to the distance of the best path over all of some words, from the first to the last.
 
-    Plain, for a single stretch: the steps and the weights are those of `ops.dtw.distance_curves`.
+    Plain, for a single stretch: the steps and the weights are those of `ops.distances.dtw.distance_curves`.
 
     Returns
     -------

@@ -18,9 +18,9 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from ops.decoding import Decoding, background, explain
-from ops.metrics import Counts, compare, pooled
-from ops.templates import Template, learn_soft
+from ops.distances.decoding import Decoding, background, explain
+from ops.measures.metrics import Counts, compare, pooled
+from ops.templates.templates import Template, learn_soft
 from ops.words import U64
 from pipelines.terminal import make_console
 from storage.store import Store, open_store

@@ -16,14 +16,14 @@ import numpy as np
 
 from catalog.classes import load_classes
 from ops.words import TakeWords
-from pipelines.background import mine
 from pipelines.config import load_pipeline
 from pipelines.executors import Executor, make_executor
-from pipelines.keyframe_learning import Lesson, Outcome, hit_ranges, lessons
-from pipelines.keyframe_runs import Rounds, learn
-from pipelines.learning import TrainingClips, training_clips
+from pipelines.keyframes.background import mine
+from pipelines.keyframes.learning import Lesson, Outcome, hit_ranges, lessons
+from pipelines.keyframes.runs import Rounds, learn
 from pipelines.stages.learn_keyframes import Params, setting_of
 from pipelines.stages.leave_one_out import without
+from pipelines.templates.learning import TrainingClips, training_clips
 from storage.store import Store, open_store
 
 CLIPS_A_TAKE = 9

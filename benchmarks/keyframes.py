@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Figure, seconds
-from ops import keyframes as k
-from ops.fitness import training_frames
-from ops.genetics import evolve
-from ops.lessons import Evolution, Material, make_material
-from ops.runs import word_runs
-from ops.templates import learn_soft, quantise
+from ops.learning.fitness import training_frames
+from ops.learning.genetics import evolve
+from ops.learning.lessons import Evolution, Material, make_material
+from ops.search import keyframes as k
+from ops.search.runs import word_runs
+from ops.templates.templates import learn_soft, quantise
 from ops.words import U64, TakeWords
 from storage.store import Store
 

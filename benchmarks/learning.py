@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Figure, seconds
-from ops.templates import learn
+from ops.templates.templates import learn
 from ops.words import U64, bits
 from storage.store import Store
 from tests.oracles import warping as naive

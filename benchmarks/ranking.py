@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.harness import Figure, seconds
-from ops.costs import cost_table, encode, lay_out
-from ops.dtw import distance_curves
-from ops.ranking import rank
-from ops.sweep import pieces_of, sweep
-from ops.templates import QuantisedTemplate, learn_soft, quantise
+from ops.distances.costs import cost_table, encode, lay_out
+from ops.distances.dtw import distance_curves
+from ops.distances.ranking import rank
+from ops.distances.sweep import pieces_of, sweep
+from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import TakeWords, bits
 from storage.store import Store
 

@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks.archive import store
 from benchmarks.indexing import own_peak_mb, store_of_words
-from ops.templates import learn_soft, quantise
+from ops.templates.templates import learn_soft, quantise
 from ops.words import TakeWords
-from pipelines.ranking import Searched, rank_store
+from pipelines.retrieval.ranking import Searched, rank_store
 from pipelines.terminal import make_console
 from storage.store import Store, open_store
 

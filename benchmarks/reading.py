@@ -13,7 +13,7 @@ from benchmarks.archive import BUILD, archive
 from benchmarks.harness import Figure, seconds, silent
 from catalog.features import load_feature_set
 from catalog.skeletons import load_skeleton
-from ops import features, kinematics
+from ops.body import features, kinematics
 from pipelines.runner import run_pipeline
 from storage.acclaim import Skeleton, read_amc, read_asf
 from storage.bvh import parse_bvh

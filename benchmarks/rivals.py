@@ -7,7 +7,7 @@ from numba import njit
 
 from catalog.queries import KeyframeQuery
 from ops.errors import ParameterError
-from ops.keyframes import UNBOUNDED, Segments, merge
+from ops.search.keyframes import UNBOUNDED, Segments, merge
 
 _ROOM = 4_000_000
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.harness import silent
 from catalog.features import load_feature_set
 from catalog.skeletons import load_mappings
-from ops import features
+from ops.body import features
 from pipelines.runner import run_pipeline
 from storage.bodies import Body, read_acclaim, read_bvh
 from storage.export import export_take

@@ -26,12 +26,12 @@ from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, word_pattern
 from catalog.queryfiles import read_queries
 from catalog.querywriting import write_queries
-from ops.keyframes import UNBOUNDED, Segments, search
-from ops.runs import word_runs
-from ops.slicesearch import search_slices
+from ops.search.keyframes import UNBOUNDED, Segments, search
+from ops.search.runs import word_runs
+from ops.search.slicesearch import search_slices
 from ops.words import TakeWords
-from pipelines.lists import RunLists, lists_of_words
-from pipelines.resident import ResidentWords, resident_words
+from pipelines.searching.lists import RunLists, lists_of_words
+from pipelines.searching.resident import ResidentWords, resident_words
 from storage import index
 from storage.store import Store, open_store
 from tests.oracles import runs as naive_runs

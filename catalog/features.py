@@ -15,9 +15,9 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.configs import Located, config_path, load_yaml
+from ops.body.features import COMPARISONS, JOINTS_OF, Rule, Term
 from ops.errors import KinedexError, did_you_mean
-from ops.features import COMPARISONS, JOINTS_OF, Rule, Term
-from ops.mirroring import rearrange
+from ops.templates.mirroring import rearrange
 from ops.words import MOST_FEATURES
 
 

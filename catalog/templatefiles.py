@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalog.configs import Located, load_yaml, parse_yaml
 from catalog.features import FeatureSet
 from ops.errors import ConfigError, KinedexError
-from ops.templates import Template
+from ops.templates.templates import Template
 
 F64 = npt.NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from rich.text import Text
 from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Format, Mappings, load_mappings
 from catalog.units import body_height
-from ops import kinematics
+from ops.body import kinematics
+from ops.body.gaps import find_gaps
 from ops.errors import KinedexError, SourceError
-from ops.gaps import find_gaps
 from ops.words import NO_WORD
-from pipelines.analysis import analyse, blind
+from pipelines.ingesting.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
 from storage.acclaim import INCH_M, read_asf
 from storage.amass import parse_amass

@@ -19,8 +19,8 @@ from pipelines.cli import PANELS
 from pipelines.commands.shell import app
 from pipelines.config import OPTIONAL, STAGES, load_pipeline, stage_module
 from pipelines.evaluation.scheme import Method, Split
-from pipelines.recipes import Combination
 from pipelines.stages.evaluate_ranking import Fold
+from pipelines.templates.recipes import Combination
 
 INTRODUCTION = """\
 # Reference

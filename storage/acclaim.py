@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ops import kinematics as k
 from ops import textnumbers as t
+from ops.body import kinematics as k
 from ops.errors import SourceError, did_you_mean
 
 INCH_M = 0.0254

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from catalog.skeletons import Mappings
-from ops import axisangle
+from ops.body import axisangle
 from ops.errors import SourceError
 from storage.arrays import array_names, load_arrays
 from storage.body import NOTHING_GIVEN, Body, Given, built, orientation, refuse_far

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from catalog.skeletons import Fit, Format, Mappings
-from ops import kinematics
+from ops.body import kinematics
 from ops.errors import SourceError
 from storage.acclaim import INCH_M, RATE_HZ, Skeleton, read_amc, read_asf
 from storage.amass import holds_poses, read_amass

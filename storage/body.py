@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from catalog.fitting import Fit
 from catalog.units import guess_unit
-from ops import kinematics
+from ops.body import kinematics
 from ops.errors import SourceError
 from storage.acclaim import RATE_HZ
 

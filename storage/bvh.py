@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ops import kinematics as k
 from ops import textnumbers as t
+from ops.body import kinematics as k
 from ops.errors import SourceError, did_you_mean
 from storage.acclaim import read_text
 

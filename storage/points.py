@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from catalog.fitting import Fit
 from catalog.skeletons import Mappings
-from ops import kinematics
+from ops.body import kinematics
+from ops.body.gaps import Gap, fill_gaps
 from ops.errors import SourceError
-from ops.gaps import Gap, fill_gaps
 from storage.body import NOTHING_GIVEN, Body, Given, built, refuse_far, to_metres
 from storage.c3d import parse_c3d
 from storage.positions import Points, parse_positions

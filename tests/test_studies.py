@@ -12,8 +12,8 @@ import yaml
 from benchmarks.bandai import NONE, confusions, draw, summary, winner
 from benchmarks.cross_studio import contributions
 from benchmarks.long_archive import METHODS, stages
-from ops.dtw import best_paths
-from ops.templates import QuantisedTemplate
+from ops.distances.dtw import best_paths
+from ops.templates.templates import QuantisedTemplate
 from pipelines.config import load_pipeline
 
 

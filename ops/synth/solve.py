@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ops.kinematics import euler
+from ops.body.kinematics import euler
 from ops.synth.body import BALL_HEIGHT, F64, FOOT_SLOPE, NECK, PARENTS, SPINE, Body
 from ops.synth.channels import INDEX
 from ops.synth.turning import about, apply, apply_inverse, unit, xyz_angles

@@ -26,7 +26,7 @@ from pipelines.commands.shell import (
 from pipelines.terminal import make_console
 
 if TYPE_CHECKING:
-    from pipelines.keyframe_learning import Outcome
+    from pipelines.keyframes.learning import Outcome
     from storage.store import Store
 
 keyframes = typer.Typer(name="keyframes", help="Learn keyframe queries from example clips.", no_args_is_help=True)
@@ -67,7 +67,7 @@ def learn(
 
 def show(store: StorePath, name: ClassOption = None, form: Format = "table", output: Output = None) -> None:
     """Show learned queries: how well they tell the training clips apart, and what they ask for."""
-    from pipelines.keyframe_tables import overview
+    from pipelines.keyframes.tables import overview
     from storage.store import open_store
 
     opened = open_store(store)
@@ -84,7 +84,7 @@ def export(
 ) -> None:
     """Write learned queries as a query file with named features, to read, to edit, and to search with."""
     from catalog.querywriting import write_queries
-    from pipelines.keyframe_learning import keyframe_queries
+    from pipelines.keyframes.learning import keyframe_queries
     from storage.disk import writing
     from storage.store import open_store
 
@@ -100,7 +100,7 @@ def export(
 
 
 def _outcomes(store: Store, names: list[str] | None) -> list[Outcome]:
-    from pipelines.keyframe_runs import outcomes_of
+    from pipelines.keyframes.runs import outcomes_of
 
     found = {one.subclass: one for one in outcomes_of(store.result("queries"))}
     if not found:

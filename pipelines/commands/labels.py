@@ -37,7 +37,7 @@ def export(
     force: Annotated[bool, typer.Option("--force", help="overwrite files that are there")] = False,
 ) -> None:
     """Write annotations as label files: a file per take into a folder, or one file."""
-    from pipelines.labels import annotate_stage, labels_of
+    from pipelines.annotation.labels import annotate_stage, labels_of
     from storage.labels.formats import write_labels
     from storage.store import open_store
 

@@ -32,8 +32,8 @@ def search(
     output: Output = None,
 ) -> None:
     """Search keyframe queries over the index; prints the ranges that hold hits."""
-    from pipelines.explaining import explain_search
-    from pipelines.search import load_query_file, save_hits, search_store
+    from pipelines.searching.explaining import explain_search
+    from pipelines.searching.search import load_query_file, save_hits, search_store
     from storage.store import open_store
 
     opened = open_store(store)
@@ -80,8 +80,8 @@ def from_clip(
     ] = None,
 ) -> None:
     """Propose a keyframe query from an example: YAML with comments, to be edited."""
-    from pipelines.proposing import propose_query
-    from pipelines.templates import stretch
+    from pipelines.searching.proposing import propose_query
+    from pipelines.templates.templates import stretch
     from storage.store import open_store
 
     opened = open_store(store)

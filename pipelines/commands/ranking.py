@@ -43,10 +43,10 @@ def rank(
 ) -> None:
     """Rank the places of an archive by how well a template fits them, the best first."""
     from catalog.queryfiles import read_queries
-    from ops.templates import quantise
+    from ops.templates.templates import quantise
     from pipelines.commands.templates import kind_of, template_of_file
-    from pipelines.ranking import Searched, rank_store, ranking_table
-    from pipelines.templates import choose_template, template_from_clip
+    from pipelines.retrieval.ranking import Searched, rank_store, ranking_table
+    from pipelines.templates.templates import choose_template, template_from_clip
     from storage.store import open_store
 
     opened = open_store(store)

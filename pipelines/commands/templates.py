@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from catalog.features import FeatureSet
     from catalog.templatefiles import NamedTemplate
-    from ops.templates import Kind
+    from ops.templates.templates import Kind
 
 template = typer.Typer(name="template", help="Look at motion templates, compare them, make them.", no_args_is_help=True)
 app.add_typer(template, rich_help_panel="Ask a store")
@@ -39,7 +39,7 @@ def list_(
     output: Output = None,
 ) -> None:
     """List the templates of a store."""
-    from pipelines.templates import stored_templates, templates_overview
+    from pipelines.templates.templates import stored_templates, templates_overview
     from storage.store import open_store
 
     opened = open_store(store)
@@ -72,8 +72,8 @@ def show(
     from catalog.templatefiles import NamedTemplate
     from pipelines.report.matrix import write_figure
     from pipelines.report.templatefigures import template_figure
-    from pipelines.templates import choose_template
-    from pipelines.templatetext import heading, template_lines
+    from pipelines.templates.templates import choose_template
+    from pipelines.templates.templatetext import heading, template_lines
     from storage.store import open_store
 
     opened = open_store(store)
@@ -106,11 +106,11 @@ def diff(
     ] = None,
 ) -> None:
     """Say what distinguishes two templates: features that contradict each other, and when."""
-    from ops.shaping import contrast
+    from ops.templates.shaping import contrast
     from pipelines.report.matrix import write_figure
     from pipelines.report.templatefigures import contrast_figure
-    from pipelines.templates import choose_template
-    from pipelines.templatetext import contrast_lines
+    from pipelines.templates.templates import choose_template
+    from pipelines.templates.templatetext import contrast_lines
     from storage.store import open_store
 
     opened = open_store(store)
@@ -139,7 +139,7 @@ def from_clip(
 ) -> None:
     """Make a template from one example: a take, or a stretch of it. `template_files` of learn_templates reads it."""
     from catalog.templatefiles import write_yaml
-    from pipelines.templates import template_from_clip
+    from pipelines.templates.templates import template_from_clip
     from storage.store import open_store
 
     opened = open_store(store)

@@ -14,11 +14,11 @@ import numpy as np
 import pyarrow as pa
 
 from ops.words import TakeWords
-from pipelines.annotating import BATCH_FRAMES, Annotator, annotate_words
+from pipelines.annotation.annotating import BATCH_FRAMES, Annotator, annotate_words
+from pipelines.annotation.kept import setting_digest
 from pipelines.evaluation.exams import Exam, Fold
 from pipelines.evaluation.scheme import Method
 from pipelines.executors import Executor
-from pipelines.kept import setting_digest
 from pipelines.plan import code_digest
 from storage.schemas import result_schema
 from storage.store import Store, open_store
@@ -26,7 +26,7 @@ from storage.store import Store, open_store
 SAVE_SECONDS = 20.0
 """Finished cells are kept at least so often."""
 
-CODE = "pipelines.annotating"
+CODE = "pipelines.annotation.annotating"
 """The module whose sources, with all that it imports, decide what a cell finds."""
 
 

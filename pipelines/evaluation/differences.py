@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ops.metrics import Counts, pooled
+from ops.measures.metrics import Counts, pooled
 from pipelines.evaluation.runs import Scored
 
 LEAST = 0.005

@@ -10,10 +10,10 @@ import polars as pl
 
 from catalog.classes import Classes
 from ops.errors import KinedexError, did_you_mean
-from pipelines.evaluating import GroundTruth
+from pipelines.evaluation.evaluating import GroundTruth
 from pipelines.evaluation.scheme import Split
-from pipelines.learning import TrainingClips
 from pipelines.stages.leave_one_out import without
+from pipelines.templates.learning import TrainingClips
 from pipelines.wording import few
 
 Truth = tuple[str, int, int]

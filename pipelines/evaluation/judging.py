@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.detection import THRESHOLDS, Found, Known, average_precision, bootstrap, boundary_errors, overlap
-from ops.metrics import Counts, compare, pooled
+from ops.measures.detection import THRESHOLDS, Found, Known, average_precision, bootstrap, boundary_errors, overlap
+from ops.measures.metrics import Counts, compare, pooled
 from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam
 

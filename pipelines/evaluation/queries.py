@@ -11,8 +11,8 @@ from catalog.queries import KeyframeQuery
 from ops.errors import KinedexError
 from pipelines.context import StageContext
 from pipelines.evaluation.exams import Fold
-from pipelines.keyframe_learning import Outcome, keyframe_queries, lessons
-from pipelines.keyframe_runs import Course, known_runs, learn, runs_table
+from pipelines.keyframes.learning import Outcome, keyframe_queries, lessons
+from pipelines.keyframes.runs import Course, known_runs, learn, runs_table
 from pipelines.stages import learn_keyframes
 
 

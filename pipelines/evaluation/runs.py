@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ops.errors import KinedexError, did_you_mean
-from ops.metrics import Counts
+from ops.measures.metrics import Counts
 
 MARK = "::"
 """Between a path and the method that is meant."""

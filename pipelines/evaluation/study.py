@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ops.metrics import Counts
-from pipelines.evaluating import measures
+from ops.measures.metrics import Counts
 from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.evaluating import measures
 from pipelines.evaluation.exams import Exam, Fold
 from pipelines.evaluation.judging import Fate, Judgement, Outcome, chosen_takes
 from pipelines.evaluation.scheme import Method, Metric, Split

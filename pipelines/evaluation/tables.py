@@ -11,7 +11,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ops.metrics import Counts
+from ops.measures.metrics import Counts
 from pipelines.evaluation.judging import NOTHING, Fate, Judgement
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 

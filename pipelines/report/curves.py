@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.annotation import local_minima
+from ops.distances.annotation import local_minima
 from pipelines.report.axes import Axis, percent, time_axis
 from pipelines.report.data import Curve, Segment, TakeRow
 from pipelines.report.timelines import Bar, bar

@@ -12,10 +12,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME
-from ops.consensus import agreement_matrix
-from ops.lessons import HISTORY, Run
-from pipelines.keyframe_learning import Outcome, keyframe_queries
-from pipelines.keyframe_tables import sentence
+from ops.learning.consensus import agreement_matrix
+from ops.learning.lessons import HISTORY, Run
+from pipelines.keyframes.learning import Outcome, keyframe_queries
+from pipelines.keyframes.tables import sentence
 from pipelines.report.pixels import Colour, png_uri
 
 F64 = npt.NDArray[np.float64]

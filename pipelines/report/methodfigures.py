@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.metrics import Counts
+from ops.measures.metrics import Counts
 from pipelines.evaluation.exams import Exam
 from pipelines.evaluation.judging import NOTHING, Confusion, Outcome
 from pipelines.evaluation.study import Threshold

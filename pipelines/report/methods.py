@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from ops.detection import THRESHOLDS
+from ops.measures.detection import THRESHOLDS
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 from pipelines.evaluation.tables import between, confusions, described, digits, fate, headings, row, sentence, six
 from pipelines.report.methodfigures import (

@@ -10,7 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from pipelines.stiffness import EVERYWHERE, WRITTEN
+from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN
 
 SIZE = 150
 """Side of a diagram in SVG units; both axes go from 0 to 1."""

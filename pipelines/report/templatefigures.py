@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from catalog.features import FeatureSet
-from ops.shaping import Contrast, consistency
-from ops.templates import QuantisedTemplate, Template, quantise
+from ops.templates.shaping import Contrast, consistency
+from ops.templates.templates import QuantisedTemplate, Template, quantise
 from pipelines.report.matrix import MatrixFigure, Panel
 from pipelines.report.pixels import BLACK, TOLERANCE, VARYING, WHITE, WILDCARD, Colour, ramp
 

@@ -19,9 +19,9 @@ from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
 from catalog.queryfiles import read_queries
-from ops.decoding import background
+from ops.distances.decoding import background
 from ops.errors import KinedexError, did_you_mean
-from pipelines.annotating import (
+from pipelines.annotation.annotating import (
     Annotator,
     annotate_takes,
     annotations_table,
@@ -30,15 +30,15 @@ from pipelines.annotating import (
     takes_table,
     targets_unknown,
 )
-from pipelines.calibrating import Calibration, calibrate
+from pipelines.annotation.calibrating import Calibration, calibrate
+from pipelines.annotation.kept import fingerprints, kept_annotations, setting_digest
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.kept import fingerprints, kept_annotations, setting_digest
-from pipelines.keyframe_learning import keyframe_queries
-from pipelines.keyframe_runs import outcomes_of
-from pipelines.learning import Kind, SubclassTemplate, TrainingClips, learn_templates, read_templates, run_of
-from pipelines.recipes import feature_weights
+from pipelines.keyframes.learning import keyframe_queries
+from pipelines.keyframes.runs import outcomes_of
 from pipelines.stages import learn_templates as learning
+from pipelines.templates.learning import Kind, SubclassTemplate, TrainingClips, learn_templates, read_templates, run_of
+from pipelines.templates.recipes import feature_weights
 from pipelines.wording import few
 from storage.store import Store
 from storage.writer import StoreWriter

@@ -14,28 +14,28 @@ from pydantic import ConfigDict, Field, model_validator
 from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
-from ops.decoding import background
+from ops.distances.decoding import background
 from ops.errors import KinedexError
-from ops.metrics import pooled
-from ops.templates import Kind
-from pipelines.annotating import make_annotator, targets_unknown
+from ops.measures.metrics import pooled
+from ops.templates.templates import Kind
+from pipelines.annotation.annotating import make_annotator, targets_unknown
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
+from pipelines.evaluation.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
 from pipelines.evaluation.exams import Fold, Material, make_folds
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from pipelines.evaluation.study import SplitResult, Study, Threshold, content
 from pipelines.evaluation.tables import markdown, overview
-from pipelines.learning import SubclassTemplate, learn_templates
-from pipelines.recipes import feature_weights
 from pipelines.report.methods import methods_page
 from pipelines.report.write import write_page
 from pipelines.stages import annotate
 from pipelines.stages import evaluate as evaluating
 from pipelines.stages import learn_templates as learning
+from pipelines.templates.learning import SubclassTemplate, learn_templates
+from pipelines.templates.recipes import feature_weights
 from pipelines.wording import few
 from storage.manifest import now
 from storage.store import Store

@@ -11,10 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import Classes
 from ops.errors import KinedexError
-from pipelines.annotating import annotated_takes
+from pipelines.annotation.annotating import annotated_takes
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.evaluating import (
+from pipelines.evaluation.evaluating import (
     SCOPES,
     GroundTruth,
     UnknownLabels,
@@ -27,8 +27,8 @@ from pipelines.evaluating import (
     place_ground_truth,
     write_metrics,
 )
-from pipelines.learning import read_templates, run_of
 from pipelines.stages import annotate
+from pipelines.templates.learning import read_templates, run_of
 from storage.ground_truth import ground_truth_files, read_ground_truth
 from storage.store import Store
 

@@ -8,12 +8,11 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from ops.errors import KinedexError
-from ops.templates import Kind, quantise
+from ops.templates.templates import Kind, quantise
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.learning import learn_templates, read_templates, training_clips
-from pipelines.ranking import Searched, rank_store
-from pipelines.retrieval import (
+from pipelines.retrieval.ranking import Searched, rank_store
+from pipelines.retrieval.retrieval import (
     Judged,
     clip_costs,
     judge_clips,
@@ -25,6 +24,7 @@ from pipelines.retrieval import (
     retrieval_rows,
     retrieval_table,
 )
+from pipelines.templates.learning import learn_templates, read_templates, training_clips
 from storage.ground_truth import ground_truth_files
 from storage.store import Store
 

@@ -13,14 +13,15 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from catalog.features import FeatureSet
 from catalog.skeletons import Mappings, load_mappings
-from ops import features, kinematics, textnumbers
+from ops import textnumbers
+from ops.body import features, kinematics
 from ops.errors import KinedexError
-from pipelines.batches import run_batches
-from pipelines.changes import Naming, compare, digest
 from pipelines.context import StageContext, feature_set_for
 from pipelines.executors import WorkerDied
-from pipelines.failures import Failure, failure, killer, log_table
-from pipelines.reading import Batch, Task, Written, read_batch
+from pipelines.ingesting.batches import run_batches
+from pipelines.ingesting.changes import Naming, compare, digest
+from pipelines.ingesting.failures import Failure, failure, killer, log_table
+from pipelines.ingesting.reading import Batch, Task, Written, read_batch
 from storage.bodies import Given
 from storage.bodymodel import model_digest
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ

@@ -10,15 +10,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalog.classes import OWN, load_classes
 from catalog.configs import config_path
 from ops.errors import KinedexError
-from ops.lessons import Evolution, InitialGaps
-from pipelines.background import mine
+from ops.learning.lessons import Evolution, InitialGaps
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.keyframe_learning import Learner, Lesson, Margins, Setting, allowed_features, lessons
-from pipelines.keyframe_runs import Course, Rounds, known_runs, learn, queries_table, runs_table
-from pipelines.learning import training_clips, training_takes
+from pipelines.keyframes.background import mine
+from pipelines.keyframes.learning import Learner, Lesson, Margins, Setting, allowed_features, lessons
+from pipelines.keyframes.runs import Course, Rounds, known_runs, learn, queries_table, runs_table
 from pipelines.report.keyframes import keyframes_page
 from pipelines.report.write import write_page
+from pipelines.templates.learning import training_clips, training_takes
 from pipelines.wording import few
 from storage.store import Store
 

@@ -11,10 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.features import FeatureSet
 from ops.errors import KinedexError
-from ops.templates import MOST_ROUNDS, Kind
+from ops.templates.templates import MOST_ROUNDS, Kind
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.learning import (
+from pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
     learn_templates,
@@ -22,7 +22,7 @@ from pipelines.learning import (
     training_clips,
     training_takes,
 )
-from pipelines.recipes import (
+from pipelines.templates.recipes import (
     Combination,
     combined,
     feature_weights,

@@ -11,11 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import Classes
 from catalog.queries import KeyframeQuery
-from ops.decoding import background
+from ops.distances.decoding import background
 from ops.errors import KinedexError, did_you_mean
-from pipelines.annotating import annotate_takes, annotated_takes, annotations_table, make_annotator
+from pipelines.annotation.annotating import annotate_takes, annotated_takes, annotations_table, make_annotator
 from pipelines.context import StageContext
-from pipelines.evaluating import (
+from pipelines.evaluation.evaluating import (
     SCOPES,
     Evaluation,
     GroundTruth,
@@ -26,16 +26,16 @@ from pipelines.evaluating import (
     pool_folds,
     write_metrics,
 )
-from pipelines.learning import (
+from pipelines.stages import annotate
+from pipelines.stages import evaluate as evaluating
+from pipelines.stages import learn_templates as learning
+from pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
     learn_templates,
     read_templates,
 )
-from pipelines.recipes import feature_weights
-from pipelines.stages import annotate
-from pipelines.stages import evaluate as evaluating
-from pipelines.stages import learn_templates as learning
+from pipelines.templates.recipes import feature_weights
 from storage.store import Store
 
 

@@ -12,14 +12,14 @@ from rich.table import Table
 
 from catalog.configs import config_path
 from catalog.queryfiles import read_queries
-from ops.templates import Kind
+from ops.templates.templates import Kind
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.explaining import explain_store
-from pipelines.learning import read_templates
-from pipelines.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
-from pipelines.search import search_store
-from pipelines.stiffness import mean_stiffness
+from pipelines.retrieval.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
+from pipelines.retrieval.stiffness import mean_stiffness
+from pipelines.searching.explaining import explain_store
+from pipelines.searching.search import search_store
+from pipelines.templates.learning import read_templates
 from pipelines.wording import few
 from storage.store import Store
 

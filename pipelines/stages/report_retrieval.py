@@ -8,9 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.learning import run_of
 from pipelines.report.retrieval import retrieval_page
 from pipelines.report.write import write_page
+from pipelines.templates.learning import run_of
 from storage.store import Store
 
 

@@ -13,13 +13,13 @@ from rich.table import Table
 from catalog.configs import config_path
 from catalog.queryfiles import read_queries
 from ops.errors import KinedexError
-from ops.templates import Kind
+from ops.templates.templates import Kind
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.learning import read_templates
-from pipelines.ranking import searched_templates
-from pipelines.retrieval import mean_average_precision, names_filter, read_truth
-from pipelines.stiffness import Trial, run_trials, trial_rows
+from pipelines.retrieval.ranking import searched_templates
+from pipelines.retrieval.retrieval import mean_average_precision, names_filter, read_truth
+from pipelines.retrieval.stiffness import Trial, run_trials, trial_rows
+from pipelines.templates.learning import read_templates
 from storage.ground_truth import ground_truth_files
 from storage.store import Store
 

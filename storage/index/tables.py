@@ -16,8 +16,8 @@ import pyarrow as pa
 
 from catalog.features import FeatureSet
 from catalog.views import MACROS, VIEWS, help_rows
-from ops.inverted import InvertedLists, inverted_lists
-from ops.runs import FeatureRuns, feature_runs
+from ops.search.inverted import InvertedLists, inverted_lists
+from ops.search.runs import FeatureRuns, feature_runs
 from ops.words import I64, TakeWords
 from storage import duck
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from catalog.configs import config_path
 from catalog.features import FeatureSet, load_feature_set
-from ops import features
+from ops.body import features
 from ops.errors import ConfigError
 from ops.words import NO_WORD, bits
 from tests.bodies import index, standing

@@ -24,9 +24,9 @@ from catalog.queries import (
 )
 from catalog.queryfiles import parse_queries, read_queries
 from catalog.querywriting import write_queries
+from ops.body.features import words as feature_words
 from ops.errors import ConfigError, KinedexError, ParameterError
-from ops.features import words as feature_words
-from ops.keyframes import UNBOUNDED
+from ops.search.keyframes import UNBOUNDED
 from ops.words import bits
 
 BODY = load_feature_set("body40")

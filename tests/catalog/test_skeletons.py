@@ -15,7 +15,7 @@ from catalog.configs import config_names
 from catalog.features import load_feature_set
 from catalog.skeletons import Mappings, load_mappings, load_skeleton
 from catalog.units import HUMAN_M, UNITS_M, guess_unit
-from ops import features
+from ops.body import features
 from ops.errors import ConfigError, SourceError
 from tests.bodies import standing, upright
 from tests.oracles import features as oracle

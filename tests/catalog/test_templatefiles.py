@@ -20,7 +20,7 @@ from catalog.templatefiles import (
     write_yaml,
 )
 from ops.errors import ConfigError
-from ops.templates import Template
+from ops.templates.templates import Template
 
 BODY = load_feature_set()
 SQUAT = """

@@ -20,8 +20,8 @@ from catalog.queryfiles import parse_queries, read_queries
 from catalog.querywriting import write_queries
 from catalog.skeletons import load_skeleton
 from ops.errors import KinedexError, SourceError
-from pipelines.analysis import analyse, blind
 from pipelines.config import load_pipeline
+from pipelines.ingesting.analysis import analyse, blind
 from storage.bodies import FARTHEST_M, Given, read_body
 from storage.bodymodel import load_body_model
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh

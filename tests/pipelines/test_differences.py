@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from ops.errors import KinedexError
-from ops.metrics import Counts
+from ops.measures.metrics import Counts
 from pipelines.cli import app
-from pipelines.evaluating import Evaluation, Row, write_metrics
 from pipelines.evaluation.differences import compared, content, difference_interval
 from pipelines.evaluation.differencetables import markdown, page
+from pipelines.evaluation.evaluating import Evaluation, Row, write_metrics
 from pipelines.evaluation.runs import Scored, pairs, read_run
 from tests.pipelines.study import Reading
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from catalog.skeletons import load_skeleton
-from ops import features, kinematics
+from ops.body import features, kinematics
 from ops.errors import ConfigError, KinedexError
 from pipelines.stages import ingest
 from storage import index

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from ops.errors import KinedexError, StoreError
-from pipelines import reading
 from pipelines.executors import SerialExecutor, WorkerDied
+from pipelines.ingesting import reading
 from pipelines.stages import ingest
 from storage import index
 from storage.bodies import Body, read_body

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ops.consensus import Consensus
-from ops.fitness import Query
-from ops.lessons import Run
-from pipelines.keyframe_learning import Chosen, Outcome
+from ops.learning.consensus import Consensus
+from ops.learning.fitness import Query
+from ops.learning.lessons import Run
+from pipelines.keyframes.learning import Chosen, Outcome
 from pipelines.report.keyframes import agreement_image, bars, courses, keyframes_page, stiffnesses
 from tests.pipelines.labelled import BODY
 from tests.pipelines.study import Reading

@@ -13,15 +13,15 @@ from catalog.queryfiles import parse_queries
 from catalog.querywriting import write_queries
 from ops.errors import KinedexError
 from ops.words import TakeWords
-from pipelines import keyframe_runs
-from pipelines.background import mine
 from pipelines.cli import app
-from pipelines.keyframe_learning import allowed_features, hit_ranges, keyframe_queries
-from pipelines.keyframe_runs import known_runs, outcomes_of
-from pipelines.search import preselect
+from pipelines.keyframes import runs as keyframe_runs
+from pipelines.keyframes.background import mine
+from pipelines.keyframes.learning import allowed_features, hit_ranges, keyframe_queries
+from pipelines.keyframes.runs import known_runs, outcomes_of
+from pipelines.searching.search import preselect
+from pipelines.searching.windows import template_window
 from pipelines.stages import learn_keyframes
 from pipelines.stages.learn_keyframes import Params
-from pipelines.windows import template_window
 from storage.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
 

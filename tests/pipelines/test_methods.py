@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from ops.errors import KinedexError
-from ops.metrics import Counts
+from ops.measures.metrics import Counts
 from pipelines.config import load_pipeline
 from pipelines.evaluation import cells as grid
 from pipelines.evaluation.cells import Segment

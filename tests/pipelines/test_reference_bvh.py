@@ -11,7 +11,7 @@ import pytest
 
 from catalog.features import load_feature_set
 from catalog.skeletons import load_mappings
-from ops import features
+from ops.body import features
 from pipelines.stages import ingest
 from storage.bodies import Body, read_acclaim, read_bvh
 from storage.store import Store, open_store

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
-from ops.keyframes import UNBOUNDED
+from ops.search.keyframes import UNBOUNDED
 from pipelines.report.retrieval import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
-from pipelines.retrieval import Judged
+from pipelines.retrieval.retrieval import Judged
+from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
 from pipelines.runner import run_pipeline
-from pipelines.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
 from storage.store import open_store
 from tests.pipelines.study import Reading
 

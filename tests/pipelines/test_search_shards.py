@@ -9,7 +9,7 @@ import pytest
 
 from catalog.queries import KeyframeQuery
 from catalog.queryfiles import parse_queries
-from pipelines.search import search_store
+from pipelines.searching.search import search_store
 from storage import index
 from storage.parts import FramesWriter
 from storage.store import Store, open_store

@@ -74,7 +74,9 @@ def test_figures_are_svg_or_png(store: Path, tmp_path: Path, what: tuple[str, ..
     svg, png = tmp_path / "figure.svg", tmp_path / "figure.png"
     for path in (svg, png):
         assert str(path) in run(what[0], store, *what[1:], "--output", path).replace("\n", "")
-    texts = ["".join(each.itertext()) for each in ET.fromstring(svg.read_text()).iter("{http://www.w3.org/2000/svg}text")]
+    texts = [
+        "".join(each.itertext()) for each in ET.fromstring(svg.read_text()).iter("{http://www.w3.org/2000/svg}text")
+    ]
     assert set(texts) >= {f"{feature.name} {feature.number}" for feature in BODY.features}
     with Image.open(io.BytesIO(png.read_bytes())) as image:
         colours = {colour for _, colour in image.convert("RGB").getcolors(1 << 20)}

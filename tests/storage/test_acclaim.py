@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops import kinematics, textnumbers
+from ops import textnumbers
+from ops.body import kinematics
 from ops.errors import SourceError
 from storage.acclaim import read_amc, read_asf
 from tests.acclaim_files import SKELETON, amc_text, asf_text, rest

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops import kinematics
+from ops.body import kinematics
 from ops.errors import ParameterError
 from ops.synth.actors import cast
 from ops.synth.performance import perform_clip

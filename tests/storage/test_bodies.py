@@ -9,7 +9,7 @@ import pytest
 
 from catalog.features import load_feature_set
 from catalog.skeletons import load_mappings, load_skeleton
-from ops import features
+from ops.body import features
 from ops.errors import SourceError
 from storage import bodies
 from storage.bodies import Body, Given, read_body, read_bvh

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops import kinematics
+from ops.body import kinematics
 from ops.errors import SourceError
 from storage.bvh import Bvh, frame_rate, parse_bvh
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, small, still

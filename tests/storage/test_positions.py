@@ -11,7 +11,7 @@ import pytest
 
 from catalog.features import load_feature_set
 from catalog.skeletons import load_mappings, load_skeleton
-from ops import features, kinematics
+from ops.body import features, kinematics
 from ops.errors import SourceError
 from storage import arrays as stored
 from storage.bodies import Body, Given, read_body

@@ -1,0 +1,1 @@
+"""Bodies: from channels and positions to trajectories, features and words."""

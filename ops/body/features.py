@@ -1,0 +1,224 @@
+"""Relational features of a take: rules over joint trajectories in, words out (thesis, 2.2; features.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.body import primitives as p
+from ops.errors import ParameterError
+from ops.words import MOST_FEATURES, NO_WORD
+
+F64 = npt.NDArray[np.float64]
+
+COMPARISONS = {">": p.ABOVE, ">=": p.AT_LEAST, "<": p.BELOW, "<=": p.AT_MOST, "within": p.WITHIN}
+
+JOINTS_OF = {
+    "plane": 4,
+    "nplane": 4,
+    "vplane": 4,
+    "vnplane": 4,
+    "speed": None,
+    "angle": 3,
+    "segments": 4,
+    "tilt": 2,
+    "height": 1,
+    "extent_y": 0,
+    "extent_xz": None,
+    "turn_rate": 1,
+}
+"""The primitives by name, with the number of joints they take (None: any number, at least one)."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One primitive over joints (indices), with its factor in a sum."""
+
+    primitive: str
+    joints: tuple[int, ...]
+    factor: float = 1.0
+    window_ms: float = 0.0
+    without: tuple[int, ...] = ()
+    absolute: bool = False
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One feature: a sum of terms against a weak and a strong threshold.
+
+    length: pairs of joints whose distances in frame 0, added up, scale the thresholds; empty for plain numbers.
+    weak, strong: (low, high); one-sided comparisons use the first only.
+    """
+
+    terms: tuple[Term, ...]
+    comparison: int
+    weak: tuple[float, float]
+    strong: tuple[float, float]
+    length: tuple[tuple[int, int], ...] = ()
+
+    def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
+        """The joints without which the rule is off, and those that it takes where they are known (of all of `body`)."""
+        fixed = {joint for pair in self.length for joint in pair}
+        several: set[int] = set()
+        for term in self.terms:
+            if term.primitive == "extent_xz":
+                several |= set(term.joints)
+            else:
+                fixed |= set(term.joints)
+            if term.primitive in ("height", "extent_y"):
+                several |= set(body) - set(term.without)
+        return fixed, several - fixed
+
+
+def window_samples(window_ms: float, rate_hz: float) -> int:
+    """Samples in a velocity window: max(1, ceil(w/1000 · rate)), free of float noise (features.md, `vel`)."""
+    return max(1, math.ceil(round(window_ms / 1000.0 * rate_hz, 9)))
+
+
+def words(
+    positions: F64,
+    orientation: F64,
+    rate_hz: float,
+    rules: Sequence[Rule],
+    valid: npt.NDArray[np.bool_] | None = None,
+) -> npt.NDArray[np.uint64]:
+    """Compute the word of every frame.
+
+    Invalid frames cut the take: what lies between them is a stretch of its own, where velocities and hysteresis begin
+    anew. Limb lengths are those of the first valid frame for the whole take.
+
+    Parameters
+    ----------
+    positions: float64 (J, 3, T) in metres, Y up; NaN where a joint is unknown.
+    orientation: float64 (4, T), the root's unit quaternion w, x, y, z.
+    rate_hz: frames per second.
+    rules: one per feature, the first is bit 0; at most 63.
+    valid: bool (T,), the frames of which everything is known that is ever known; None: all.
+
+    Returns
+    -------
+    uint64 (T,): bit i − 1 is F_i; `NO_WORD` in an invalid frame. A feature that meets a NaN, or a vector without
+    length, is off there.
+
+    Raises
+    ------
+    ParameterError: an array has another shape, or the rate is not positive.
+    """
+    positions = np.ascontiguousarray(positions, dtype=np.float64)
+    orientation = np.ascontiguousarray(orientation, dtype=np.float64)
+    if positions.ndim != 3 or positions.shape[1] != 3:
+        raise ParameterError("positions", "of shape (joints, 3, frames)", positions.shape)
+    frames = positions.shape[2]
+    if orientation.shape != (4, frames):
+        raise ParameterError("orientation", f"of shape (4, {frames})", orientation.shape)
+    if not (math.isfinite(rate_hz) and rate_hz > 0):
+        raise ParameterError("rate_hz", "positive and finite", rate_hz)
+    if len(rules) > MOST_FEATURES:
+        raise ParameterError("rules", f"at most {MOST_FEATURES}", len(rules))
+    if valid is None or valid.all():
+        return _stretch(positions, orientation, rate_hz, rules, positions[:, :, :1])
+    if valid.shape != (frames,):
+        raise ParameterError("valid", f"of shape ({frames},)", valid.shape)
+    out = np.full(frames, NO_WORD)
+    first = positions[:, :, valid.argmax() :][:, :, :1]
+    edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        part = np.ascontiguousarray(positions[:, :, start:stop]), np.ascontiguousarray(orientation[:, start:stop])
+        out[start:stop] = _stretch(*part, rate_hz, rules, first)
+    return out
+
+
+def _stretch(
+    positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule], measured: F64
+) -> npt.NDArray[np.uint64]:
+    """The words of frames of which everything is known; limb lengths are measured in one frame, (J, 3, 1)."""
+    out = np.zeros(positions.shape[2], dtype=np.uint64)
+    if not len(out):
+        return out
+    body = _Body(positions, orientation, rate_hz, measured[:, :, 0])
+    for bit, rule in enumerate(rules):
+        scale = body.length(rule.length) if rule.length else 1.0
+        weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
+        strong = p.bounds(rule.comparison, rule.strong[0] * scale, rule.strong[1] * scale)
+        p.hysteresis(body.quantity(rule.terms), *weak, *strong, bit, out)
+    return out
+
+
+class _Body:
+    """The trajectories of one stretch, with the quantities that several features share computed once."""
+
+    def __init__(self, positions: F64, orientation: F64, rate_hz: float, measured: F64) -> None:
+        self.positions = positions
+        self.measured = measured
+        self.orientation = orientation
+        self.rate_hz = rate_hz
+        self._lengths: dict[tuple[tuple[int, int], ...], float] = {}
+        self._terms: dict[Term, F64] = {}
+        self._velocities: dict[tuple[int, int, float], F64] = {}
+
+    def length(self, pairs: tuple[tuple[int, int], ...]) -> float:
+        if pairs not in self._lengths:
+            self._lengths[pairs] = float(sum(np.linalg.norm(self.measured[a] - self.measured[b]) for a, b in pairs))
+        return self._lengths[pairs]
+
+    def quantity(self, terms: tuple[Term, ...]) -> F64:
+        total = self._term(terms[0])
+        for term in terms[1:]:
+            total = total + self._term(term)
+        return total
+
+    def _term(self, term: Term) -> F64:
+        if term not in self._terms:
+            value = self._primitive(term)
+            if term.absolute:
+                value = np.abs(value)
+            self._terms[term] = value if term.factor == 1.0 else value * term.factor
+        return self._terms[term]
+
+    def _velocity(self, q: int, c: int, window_ms: float) -> F64:
+        """Velocity of joint q relative to joint c (c = −1: to the room)."""
+        key = (q, c, window_ms)
+        if key not in self._velocities:
+            x = self.positions[q] if c < 0 else p.difference(self.positions[q], self.positions[c])
+            self._velocities[key] = p.velocity(x, window_samples(window_ms, self.rate_hz), self.rate_hz)
+        return self._velocities[key]
+
+    def _primitive(self, term: Term) -> F64:
+        x, j, w = self.positions, term.joints, term.window_ms
+        match term.primitive:
+            case "plane":
+                return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], p.difference(x[j[3]], x[j[2]]))
+            case "vplane":
+                return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], self._velocity(j[3], j[2], w))
+            case "nplane":
+                return p.along_direction(x[j[0]], x[j[1]], p.difference(x[j[3]], x[j[2]]))
+            case "vnplane":
+                return p.along_direction(x[j[0]], x[j[1]], self._velocity(j[3], j[2], w))
+            case "speed":
+                speeds = [p.norm(self._velocity(joint, -1, w)) for joint in j]
+                return speeds[0] if len(speeds) == 1 else np.minimum.reduce(speeds)
+            case "angle":
+                return p.angle_between(p.difference(x[j[0]], x[j[2]]), p.difference(x[j[1]], x[j[2]]))
+            case "segments":
+                return p.angle_between(p.difference(x[j[0]], x[j[1]]), p.difference(x[j[2]], x[j[3]]))
+            case "tilt":
+                up = np.zeros((3, x.shape[2]))
+                up[1] = 1.0
+                return p.angle_between(p.difference(x[j[1]], x[j[0]]), up)
+            case "height":
+                return x[j[0], 1] - p.lowest(x, self._joints(without=term.without))
+            case "extent_y":
+                everything = self._joints()
+                return -p.lowest(-x, everything) - p.lowest(x, everything)
+            case "extent_xz":
+                return p.widest_xz(x, np.array(j, dtype=np.int64))
+            case "turn_rate":
+                return p.turn_rate(self.orientation, self.rate_hz)
+        raise ParameterError("primitive", f"one of {', '.join(JOINTS_OF)}", term.primitive)
+
+    def _joints(self, without: tuple[int, ...] = ()) -> npt.NDArray[np.int64]:
+        return np.array([i for i in range(len(self.positions)) if i not in without], dtype=np.int64)

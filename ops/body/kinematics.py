@@ -1,0 +1,324 @@
+"""Forward kinematics: joint angles of a chain of nodes to positions in space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from ops.body.angles import LARGEST, sincos, sincos_far
+from ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+
+ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
+"""What a channel does to its node: turn about an axis, move along one, or lengthen the bone."""
+
+BLOCK = 128  # frames worked on together: the matrices of a whole body then stay in the second-level cache
+
+
+@dataclass(frozen=True)
+class Step:
+    """One channel of a node: what it does, and its column in the channel matrix."""
+
+    kind: int
+    column: int
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One node of a chain; two are the same only where they are one object.
+
+    parent: index of the node before it, −1 for the root. frame: (3, 3) the node's axes in its parent's.
+    before, after: (3,) offsets in metres, before (in the parent's axes) and after the node's own rotation.
+    direction: (3,) unit vector that a STRETCH channel lengthens `after` along.
+    steps: in the order in which the rotation matrices are multiplied, leftmost first.
+    """
+
+    name: str
+    parent: int
+    frame: F64
+    before: F64
+    after: F64
+    direction: F64
+    steps: tuple[Step, ...]
+
+
+def rotation(axis: int, degrees: float) -> F64:
+    """The (3, 3) matrix of a turn about X (0), Y (1) or Z (2)."""
+    angle = np.deg2rad(degrees)
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+def euler(degrees: tuple[float, float, float], order: str) -> F64:
+    """The matrix of three turns, the first listed axis first: order "XYZ" is Rz · Ry · Rx (features.md)."""
+    matrix = np.eye(3)
+    for axis, angle in zip(order, degrees, strict=True):
+        matrix = rotation("XYZ".index(axis), angle) @ matrix
+    return matrix
+
+
+def forward(
+    nodes: tuple[Node, ...], channels: F64, oriented: int = 0, wanted: Iterable[int] | None = None
+) -> tuple[F64, F64]:
+    """Positions of nodes and the orientation of one of them, the root's where nothing else is said.
+
+    Parameters
+    ----------
+    nodes: parents before children.
+    channels: float64 (T, C); rotations in radians, moves and stretches in metres.
+    oriented: index of the node whose orientation is wanted.
+    wanted: indices of the nodes whose positions are wanted, None: all. What none of these hangs on is not computed.
+
+    Returns
+    -------
+    positions: float64 (nodes, 3, T), metres; NaN for nodes that are not computed.
+    orientation: float64 (9, T), the node's rotation matrix, row by row.
+
+    Raises
+    ------
+    ParameterError: a parent stands after its child, or a step, `oriented` or `wanted` names what is not there.
+    """
+    chain = _chain(nodes)
+    if not 0 <= oriented < len(nodes):
+        raise ParameterError("oriented", f"the index of one of {len(nodes)} nodes", oriented)
+    for node in nodes if chain.columns.max(initial=-1) >= channels.shape[1] else ():
+        for step in node.steps:
+            if step.column >= channels.shape[1]:
+                raise ParameterError(f"channel of '{node.name}'", f"below {channels.shape[1]}", step.column)
+    channels = np.ascontiguousarray(channels, dtype=np.float64)
+    needed = _needed(nodes, range(len(nodes)) if wanted is None else (*wanted, oriented))
+    near = channels.size == 0 or bool(channels.min() >= -LARGEST and channels.max() <= LARGEST)
+    positions = np.empty((len(nodes), 3, channels.shape[0]))
+    positions[~needed] = np.nan
+    orientation = np.empty((9, channels.shape[0]))
+    _forward(channels, near, needed, *chain, oriented, positions, orientation)
+    return positions, orientation
+
+
+class _Chain(NamedTuple):
+    """Nodes as arrays: parents, where the steps of each begin and end, these, and the fixed turns and offsets."""
+
+    parents: I32
+    counts: I32
+    kinds: I32
+    columns: I32
+    frames: F64
+    plain: npt.NDArray[np.bool_]
+    offsets: F64
+
+
+@lru_cache(maxsize=16)  # the takes of an archive share a few skeletons
+def _chain(nodes: tuple[Node, ...]) -> _Chain:
+    for i, node in enumerate(nodes):
+        if not -1 <= node.parent < i:
+            raise ParameterError(f"parent of '{node.name}'", "a node before it", node.parent)
+        for step in node.steps:
+            if step.column < 0:
+                raise ParameterError(f"channel of '{node.name}'", "0 or above", step.column)
+    frames = np.array([node.frame for node in nodes], dtype=np.float64).reshape(-1, 9)
+    return _Chain(
+        parents=np.array([node.parent for node in nodes], dtype=np.int32),
+        counts=np.cumsum([0, *(len(node.steps) for node in nodes)], dtype=np.int32),
+        kinds=np.array([step.kind for node in nodes for step in node.steps], dtype=np.int32),
+        columns=np.array([step.column for node in nodes for step in node.steps], dtype=np.int32),
+        frames=frames,
+        plain=np.all(frames == np.eye(3).ravel(), axis=1),
+        offsets=np.array([(node.before, node.after, node.direction) for node in nodes], dtype=np.float64),
+    )
+
+
+def _needed(nodes: tuple[Node, ...], wanted: Iterable[int]) -> npt.NDArray[np.bool_]:
+    """Which nodes are wanted, or stand between one that is and the root."""
+    needed = np.zeros(len(nodes), dtype=np.bool_)
+    for index in wanted:
+        if not 0 <= index < len(nodes):
+            raise ParameterError("wanted", f"indices of {len(nodes)} nodes", index)
+        while index >= 0 and not needed[index]:
+            needed[index] = True
+            index = nodes[index].parent
+    return needed
+
+
+@njit(cache=True, nogil=True)
+def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
+    """Turn a row of a matrix about an axis, a and b being its other two numbers, in every frame."""
+    for t in range(a.shape[0]):
+        p, q = a[t], b[t]
+        a[t] = p * cosines[t] + q * sines[t]
+        b[t] = q * cosines[t] - p * sines[t]
+
+
+@njit(cache=True, nogil=True)
+def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
+    """A row (a, b, c) of a matrix times a fixed one, in every frame, into x, y, z."""
+    f0, f1, f2, f3, f4, f5, f6, f7, f8 = matrix
+    for t in range(a.shape[0]):
+        p, q, r = a[t], b[t], c[t]
+        x[t] = p * f0 + q * f3 + r * f6
+        y[t] = p * f1 + q * f4 + r * f7
+        z[t] = p * f2 + q * f5 + r * f8
+
+
+@njit(cache=True, nogil=True)
+def _shift(out: F64, turns: F64, offset: F64) -> None:
+    """Move positions (3, T) by a fixed offset, turned by matrices (9, T)."""
+    x, y, z = offset
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        return
+    for axis in range(3):
+        place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
+        for t in range(place.shape[0]):
+            place[t] += a[t] * x + b[t] * y + c[t] * z
+
+
+@njit(cache=True, nogil=True)
+def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> None:
+    """Move positions (3, T) along a fixed direction by as much as a channel says, turned by matrices (9, T)."""
+    for axis in range(3):
+        place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
+        for t in range(place.shape[0]):
+            place[t] += (a[t] * x + b[t] * y + c[t] * z) * lengths[t]
+
+
+@njit(cache=True, nogil=True)
+def _forward(
+    channels: F64, near: bool, needed: npt.NDArray[np.bool_], parents: I32, counts: I32, kinds: I32, columns: I32,
+    frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
+) -> None:  # fmt: skip
+    total, width = channels.shape
+    nodes = len(parents)
+    h = np.empty((nodes, 9, BLOCK))  # rotation of every node, row by row
+    of_channel = np.empty((width, BLOCK))
+    sine, cosine = np.empty(BLOCK), np.empty(BLOCK)
+    axes = np.eye(3)
+    for start in range(0, total, BLOCK):
+        size = min(BLOCK, total - start)
+        stop = start + size
+        for t in range(size):
+            for column in range(width):
+                of_channel[column, t] = channels[start + t, column]
+        s, c = sine[:size], cosine[:size]
+        for node in range(nodes):
+            if not needed[node]:
+                continue
+            parent = parents[node]
+            own, out = h[node, :, :size], positions[node, :, start:stop]
+            # Where the node starts: the parent's end and the fixed offset, then what its own channels move it by.
+            if parent < 0:
+                for k in range(9):
+                    own[k] = frames[node, k]
+                for axis in range(3):
+                    out[axis] = offsets[node, 0, axis]
+            else:
+                up = h[parent, :, :size]
+                if plain[node]:
+                    own[:] = up
+                else:
+                    for k in (0, 3, 6):
+                        _times(up[k], up[k + 1], up[k + 2], frames[node], own[k], own[k + 1], own[k + 2])
+                out[:] = positions[parent, :, start:stop]
+                _shift(out, up, offsets[node, 0])
+            for step in range(counts[node], counts[node + 1]):
+                kind, along = kinds[step], of_channel[columns[step], :size]
+                if MOVE_X <= kind <= MOVE_Z:
+                    axis = kind - MOVE_X
+                    if parent < 0:
+                        out[axis] += along
+                    else:
+                        _move(out, own, axes[axis, 0], axes[axis, 1], axes[axis, 2], along)
+            for step in range(counts[node], counts[node + 1]):
+                kind, angles = kinds[step], of_channel[columns[step], :size]
+                if kind <= ROTATE_Z:
+                    if near:
+                        sincos(angles, s, c)
+                    else:
+                        sincos_far(angles, s, c)
+                    i, j = (kind + 1) % 3, (kind + 2) % 3
+                    for k in (0, 3, 6):
+                        _turn(own[k + i], own[k + j], s, c)
+            _shift(out, own, offsets[node, 1])
+            for step in range(counts[node], counts[node + 1]):
+                if kinds[step] == STRETCH:
+                    x, y, z = offsets[node, 2]
+                    _move(out, own, x, y, z, of_channel[columns[step], :size])
+        orientation[:, start:stop] = h[oriented, :, :size]
+
+
+def frames_along(across: F64, up: F64) -> F64:
+    """Rotation matrices (9, T), row by row, whose X axis lies along `across` and whose Y axis is nearest to `up`.
+
+    Parameters
+    ----------
+    across, up: float64 (3, T), of any length. Where one is zero or both lie on one line, the matrix is NaN.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = across / np.linalg.norm(across, axis=0)
+        z = np.cross(x, up / np.linalg.norm(up, axis=0), axis=0)
+        length = np.linalg.norm(z, axis=0)
+        z = z / np.where(length > 1e-9, length, 0.0)
+        matrices: F64 = np.stack([x, np.cross(z, x, axis=0), z], axis=1)  # columns are the axes
+    return np.ascontiguousarray(matrices.reshape(9, -1))
+
+
+def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = None) -> F64:
+    """Unit quaternions (4, T) w x y z of rotation matrices (9, T), without jumps of sign.
+
+    Parameters
+    ----------
+    matrices: float64 (9, T), row by row.
+    before, after: (3, 3) fixed rotations that stand left and right of every matrix; None: none.
+    """
+    q = np.empty((4, matrices.shape[1]))
+    left = np.eye(3) if before is None else np.ascontiguousarray(before, dtype=np.float64)
+    right = np.eye(3) if after is None else np.ascontiguousarray(after, dtype=np.float64)
+    _quaternions(np.ascontiguousarray(matrices, dtype=np.float64), left, right, q)
+    return q
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _quaternions(matrices: F64, left: F64, right: F64, out: F64) -> None:
+    """The largest component is found first, so that no division comes near zero."""
+    m, half = np.empty((3, 3)), np.empty((3, 3))
+    last = np.array([1.0, 0.0, 0.0, 0.0])  # the first one has w ≥ 0
+    for t in range(out.shape[1]):
+        for i in range(3):
+            for j in range(3):
+                half[i, j] = (
+                    matrices[3 * i, t] * right[0, j]
+                    + matrices[3 * i + 1, t] * right[1, j]
+                    + matrices[3 * i + 2, t] * right[2, j]
+                )
+        for i in range(3):
+            for j in range(3):
+                m[i, j] = left[i, 0] * half[0, j] + left[i, 1] * half[1, j] + left[i, 2] * half[2, j]
+        xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
+        sw, sx, sy, sz = 1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz
+        wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+        xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+        if sw >= sx and sw >= sy and sw >= sz:
+            w, x, y, z = sw, wx, wy, wz
+        elif sx >= sy and sx >= sz:
+            w, x, y, z = wx, sx, xy, xz
+        elif sy >= sz:
+            w, x, y, z = wy, xy, sy, yz
+        else:
+            w, x, y, z = wz, xz, yz, sz
+        length = np.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / length, x / length, y / length, z / length
+        if w * last[0] + x * last[1] + y * last[2] + z * last[3] < 0.0:
+            w, x, y, z = -w, -x, -y, -z
+        out[0, t], out[1, t], out[2, t], out[3, t] = w, x, y, z
+        if not np.isnan(w):
+            last[0], last[1], last[2], last[3] = w, x, y, z

@@ -1,0 +1,1 @@
+"""Distance curves, and what is read off them: hits, labels, explanations."""

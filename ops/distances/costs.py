@@ -1,0 +1,200 @@
+"""Local costs of templates (thesis, Eq. 5.2): words as places in a vocabulary, and a table of costs for each word."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from ops.templates.templates import QuantisedTemplate
+from ops.words import NO_WORD, U64
+
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+Table = npt.NDArray[Any]  # float32, float64, or uint16 of lower bounds
+
+PADDING = 32
+"""Tables are a multiple of this many columns wide, so that the loops over columns leave no rest behind."""
+
+_NO_WORD = np.uint64(NO_WORD)
+_LOWER, _SPREAD, _SPREAD_TOO = np.uint64(0xFFFF_FFFF), np.uint64(0x9E37_79B9), np.uint64(0x85EB_CA6B)
+_ODD = np.uint64(0x5555_5555_5555_5555)
+_PAIRS = np.uint64(0x3333_3333_3333_3333)
+_NIBBLES = np.uint64(0x0F0F_0F0F_0F0F_0F0F)
+_ONES = np.uint64(0x0101_0101_0101_0101)
+_1, _2, _4, _32, _56 = (np.uint64(shift) for shift in (1, 2, 4, 32, 56))
+
+
+@dataclass(frozen=True)
+class CodedWords:
+    """Words as places in their vocabulary, so that what depends on the word only is computed once.
+
+    vocabulary: uint64 (W,), the different words in the order in which they first occur. codes: int32 (L,).
+    """
+
+    vocabulary: U64
+    codes: I32
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The columns of several templates side by side, one column of infinite cost between two, padded at the end.
+
+    masks, values: uint64 (S,), S a multiple of `PADDING`. firsts, lasts: int64 (T,), the first and the last column of
+    each template. padding: int64, the columns that belong to none.
+    """
+
+    masks: U64
+    values: U64
+    firsts: I64
+    lasts: I64
+    padding: I64
+
+    @property
+    def lengths(self) -> I64:
+        """Columns of each template, int64 (T,)."""
+        return self.lasts - self.firsts + 1
+
+
+def encode(words: U64) -> CodedWords:
+    """Number the different words of a sequence of frames.
+
+    Parameters
+    ----------
+    words: uint64 (L,), `NO_WORD` for an invalid frame.
+    """
+    codes = np.empty(len(words), np.int32)
+    vocabulary = np.empty(len(words), np.uint64)
+    slots = np.full(1 << max(4, (2 * len(words)).bit_length()), -1, np.int32)
+    count = number_words(np.ascontiguousarray(words, np.uint64), slots, vocabulary, codes)
+    return CodedWords(vocabulary[:count].copy(), codes)
+
+
+def lay_out(templates: Sequence[QuantisedTemplate]) -> Layout:
+    """Put the columns of templates side by side, see `Layout`."""
+    lengths = np.array([len(template) for template in templates], np.int64)
+    firsts = np.concatenate(([0], np.cumsum(lengths + 1)[:-1])).astype(np.int64)
+    lasts = firsts + lengths - 1
+    width = -(-(int(lasts[-1]) + 1) // PADDING) * PADDING
+    masks, values, own = np.zeros(width, np.uint64), np.zeros(width, np.uint64), np.zeros(width, np.bool_)
+    for template, first, last in zip(templates, firsts.tolist(), lasts.tolist(), strict=True):
+        masks[first : last + 1], values[first : last + 1] = template.mask, template.value
+        own[first : last + 1] = True
+    return Layout(masks, values, firsts, lasts, np.flatnonzero(~own))
+
+
+def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = np.float64) -> Table:
+    """Tabulate the local cost of every word against every column, word-major.
+
+    A cost is the share of a column's bits that the word contradicts, 0 for a column of wildcards alone, ∞ for `NO_WORD`
+    and in columns that belong to no template. In float32 costs are rounded to the grid of `grid_step`.
+
+    Returns
+    -------
+    dtype (W, S).
+    """
+    counted = np.maximum(np.bitwise_count(layout.masks), 1).astype(np.float64)
+    step = grid_step(int(layout.lengths.max())) if dtype is np.float32 else 0.0
+    table = np.empty((len(vocabulary), len(layout.masks)), dtype)
+    fill_costs(vocabulary, layout.masks, layout.values, counted, step, table)
+    table[:, layout.padding] = np.inf
+    return table
+
+
+def grid_step(columns: int) -> float:
+    """The grid that float32 costs lie on, a power of two: 2^−24 times the least power of two ≥ the columns.
+
+    A complete path of a template of N columns has N units of weight (a (2,1) step counts twice) and costs of at most 1
+    a unit. Costs that are multiples of this step therefore add up to at most 2^24 steps, and float32 holds every such
+    sum exactly: on the grid nothing is rounded, in whatever order the costs are added.
+    """
+    return float(2.0 ** (max(columns - 1, 0).bit_length() - 24))
+
+
+def error_bound(columns: int) -> float:
+    """How far a float32 distance can be from the exact one, for templates of so many columns at most.
+
+    Proof. Rounding to the grid moves a local cost by half a step at most, and so a path of N units of weight by N/2
+    steps; sums on the grid are exact (`grid_step`). The least cost over all paths moves by no more than the path that
+    moves most: |min a − min b| ≤ max |a − b|. Divided by N that is half a step, and the division itself rounds a number
+    of at most 1 by 2^−25 at most. Another 2^−25 is room for float64, which errs by far less.
+    """
+    return grid_step(columns) / 2 + 2.0**-24
+
+
+@nb.njit(cache=True, nogil=True)
+def number_words(words: U64, slots: I32, vocabulary: U64, codes: I32) -> int:
+    """Number words in the order of their first occurrence, with open addressing; return how many there are (kernel)."""
+    last = len(slots) - 1
+    count = 0
+    for frame in range(len(words)):
+        word = words[frame]
+        if frame > 0 and word == words[frame - 1]:
+            codes[frame] = codes[frame - 1]
+            continue
+        mixed = (word & _LOWER) * _SPREAD ^ (word >> _32) * _SPREAD_TOO
+        place = np.int64((mixed ^ (mixed >> _32)) & _LOWER) & last
+        while slots[place] >= 0 and vocabulary[slots[place]] != word:
+            place = (place + 1) & last
+        if slots[place] < 0:
+            slots[place] = count
+            vocabulary[count] = word
+            count += 1
+        codes[frame] = slots[place]
+    return count
+
+
+@nb.njit(cache=True, nogil=True)
+def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.uint64:
+    """Count the bits of a column that a word contradicts (kernel)."""
+    return count_bits((word ^ value) & mask)
+
+
+@nb.njit(cache=True, nogil=True)
+def count_bits(bits: np.uint64) -> np.uint64:
+    """Count bits; in the very arithmetic that compilers know, and turn into one instruction for many words (kernel)."""
+    bits = bits - ((bits >> _1) & _ODD)
+    bits = (bits & _PAIRS) + ((bits >> _2) & _PAIRS)
+    bits = (bits + (bits >> _4)) & _NIBBLES
+    return (bits * _ONES) >> _56
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_costs(vocabulary: U64, masks: U64, values: U64, counted: F64, step: float, table: Table) -> None:
+    """Fill a table with costs, rounded to multiples of a step where that is not 0 (kernel)."""
+    for w in range(len(vocabulary)):
+        word = vocabulary[w]
+        if word == _NO_WORD:
+            table[w, :] = np.inf
+        elif step == 0.0:
+            for n in range(len(masks)):
+                table[w, n] = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+        else:
+            for n in range(len(masks)):
+                cost = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+                table[w, n] = np.rint(cost / step) * step
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_bounds(vocabulary: U64, masks: U64, values: U64, units: F64, cap: int, table: npt.NDArray[np.uint16]) -> None:
+    """Fill a table with whole units that a cost holds at least, `cap` where it is more (kernel).
+
+    units: float64 (S,), the units that one contradiction of a column is worth.
+    """
+    most = np.float64(cap)
+    for w in range(len(vocabulary)):
+        word = vocabulary[w]
+        if word == _NO_WORD:
+            table[w, :] = cap
+            continue
+        for n in range(len(masks)):
+            whole = np.float64(np.int64(contradictions(word, masks[n], values[n]))) * units[n]
+            table[w, n] = np.uint16(whole if whole < most else most)

@@ -1,0 +1,190 @@
+"""Ranking: where in an archive a template fits best, each place once (thesis, Chapter 3.4)."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from ops.distances.annotation import TOLERANCE
+from ops.distances.costs import F64, I64, CodedWords, encode
+from ops.distances.dtw import check_ranges
+from ops.distances.pruning import bounds_below, possible_minima
+from ops.distances.sweep import CAP, U16, trace_group, workspace
+from ops.errors import ParameterError
+from ops.templates.templates import QuantisedTemplate
+from ops.words import U64, TakeWords
+
+_KEYS = 1e9
+"""Costs are compared as whole billionths: those that are closer are equal, and the earlier frame comes first."""
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The best places for a template, the best first.
+
+    takes: int64 (H,), which of the takes. starts, stops: int64 (H,), frames of the take, half-open. costs: float64
+    (H,), the distance at the last frame. frames: how many frames the takes (or ranges) have; computed: in how many of
+    them a bound was computed column by column (see `ops.distances.pruning.Minima`).
+    """
+
+    takes: I64
+    starts: I64
+    stops: I64
+    costs: F64
+    frames: int
+    computed: int
+
+    def __len__(self) -> int:
+        return len(self.costs)
+
+
+def rank(
+    template: QuantisedTemplate,
+    words: TakeWords,
+    threshold: float,
+    most: int | None = None,
+    ranges: I64 | None = None,
+    coded: CodedWords | None = None,
+) -> Hits:
+    """Rank the hits of a template: local minima of its distance curve below a threshold, the best first.
+
+    A hit that is taken, of m frames, rules out those in its take that end within 0.5 m before to 0.1 m after its end or
+    start within 0.1 m before to 0.5 m after its start. Costs closer than 1e-9 are equal; of equal hits that of
+    the first take comes first, and within it the one that ends first.
+
+    The hits are those of the whole curve in float64 (`tests/oracles/ranking.py` does it that way). Here minima come
+    with a lower bound (`ops.distances.pruning`); the most promising is taken up, computed, and put back with its
+    true cost; when it comes up again, nothing better is left. Those that a taken hit rules out are never computed.
+
+    Parameters
+    ----------
+    template: N columns. words: the takes.
+    threshold: τ > 0. most: how many hits at most; None for all.
+    ranges: int64 (R, 2), half-open stretches of the words laid end to end, ascending, apart, and each within a take,
+        that paths must not leave; None: the takes.
+    coded: `encode(words.words)`, where several templates share it.
+
+    Raises
+    ------
+    ParameterError: a threshold or a number of hits that is not above 0, or wrong ranges.
+    """
+    if most is not None and most < 1:
+        raise ParameterError("most", "at least 1, or None", most)
+    whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+    stretches = check_ranges(whole if ranges is None else ranges, len(words.words))
+    homes = np.searchsorted(words.offsets, stretches[:, 0], side="right") - 1
+    if len(stretches) and np.any(stretches[:, 1] > words.offsets[homes + 1]):
+        raise ParameterError("ranges", "each within a take", stretches[stretches[:, 1] > words.offsets[homes + 1]][:4])
+    coded = encode(words.words) if coded is None else coded
+    bounds = bounds_below(template, coded, threshold, stretches)
+    candidates, possible = possible_minima(bounds.units, stretches, bounds.slack)
+    place = np.searchsorted(stretches[:, 0], candidates, side="right") - 1
+    apart = (np.diff(candidates) > len(template) // 8 + 1) | (np.diff(place) > 0)
+    apart |= np.diff(candidates // (len(template) + 8)) > 0
+    # A plateau is cut where a window grows long, but never between neighbours, which decide about each other.
+    apart &= (np.diff(candidates) > 1) | (np.diff(place) > 0)
+    groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)
+    counted = np.maximum(np.bitwise_count(template.mask), 1).astype(np.float64)
+    limit = len(candidates) if most is None else min(most, len(candidates))
+    starts, ends, costs = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit)
+    found = take_best(
+        words.words, template.mask, template.value, counted, threshold, bounds.units, bounds.unit, candidates, possible,
+        groups if len(candidates) else groups[:1], stretches[place, 0], homes[place], len(words), starts, ends, costs,
+    )  # fmt: skip
+    starts, ends, costs = starts[:found], ends[:found], costs[:found]
+    takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
+    shift = words.offsets[takes]
+    return Hits(takes, starts - shift, ends + 1 - shift, costs, bounds.frames, bounds.computed)
+
+
+@nb.njit(cache=True, nogil=True)
+def take_best(
+    words: U64, masks: U64, values: U64, counted: F64, threshold: float, units: U16, unit: float, candidates: I64,
+    possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int, starts: I64, ends: I64,
+    costs: F64,
+) -> int:  # fmt: skip
+    """Take hits, the best first, until there are enough or none is left; return how many (kernel).
+
+    candidates, possible: see `ops.distances.pruning.possible_minima`. groups: int64 (G + 1,), those from groups[g] on
+    are computed together. begins, homes: int64 (C,), where the stretch of each begins, and its take. starts, ends,
+    costs: what is found; their length is how many are enough.
+    """
+    columns = len(masks)
+    longest = 0
+    for g in range(len(groups) - 1):
+        longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
+    grid, local = workspace(longest + 2 * columns, columns)
+    newest = np.full(takes, -1, np.int64)  # the last hit taken in each take, and the one before each hit
+    older = np.empty(len(costs), np.int64)
+    exact, paths = np.empty(len(candidates)), np.empty(len(candidates), np.int64)
+    heap = first_bounds(units, unit, candidates, possible, groups)
+    count = 0
+    while len(heap) > 0 and count < len(costs):
+        _, known, c = heapq.heappop(heap)
+        if known == 1:
+            home = homes[c]
+            if not ruled_out(paths[c], candidates[c], newest[home], older, starts, ends, True):
+                starts[count], ends[count], costs[count] = paths[c], candidates[c], exact[c]
+                older[count] = newest[home]
+                newest[home] = count
+                count += 1
+            continue
+        first, stop = groups[c], groups[c + 1]
+        home = homes[first]
+        left = False
+        for i in range(first, stop):
+            left |= possible[i] and not ruled_out(0, candidates[i], newest[home], older, starts, ends, False)
+        if not left:
+            continue
+        begin = max(candidates[first] - 2 * (columns - 1), begins[first])
+        inside = candidates[first:stop]
+        trace_group(words, masks, values, counted, inside, begin, grid, local, paths[first:stop], exact[first:stop])
+        exact[first:stop] /= columns
+        for i in range(first, stop):
+            low = possible[i] and exact[i] < threshold - TOLERANCE
+            if i > first and candidates[i - 1] == candidates[i] - 1:
+                low &= exact[i] <= exact[i - 1] + TOLERANCE
+            if i + 1 < stop and candidates[i + 1] == candidates[i] + 1:
+                low &= exact[i] <= exact[i + 1] + TOLERANCE
+            if low:
+                heapq.heappush(heap, (np.int64(np.rint(exact[i] * _KEYS)), np.int64(1), np.int64(i)))
+    return count
+
+
+@nb.njit(cache=True, nogil=True)
+def first_bounds(
+    units: U16, unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64
+) -> list[tuple[np.int64, np.int64, np.int64]]:
+    """Make a heap of groups by the least bound in each (kernel).
+
+    Of equal keys a bound (0) comes before a cost (1): what it stands for may have to go first.
+    """
+    heap = [(np.int64(0), np.int64(0), np.int64(0))]
+    heap.pop()
+    for g in range(len(groups) - 1):
+        least = CAP
+        for i in range(groups[g], groups[g + 1]):
+            if possible[i]:
+                least = min(least, int(units[candidates[i]]))
+        heap.append((np.int64(np.floor(least * unit * _KEYS)), np.int64(0), np.int64(g)))
+    heapq.heapify(heap)
+    return heap
+
+
+@nb.njit(cache=True, nogil=True)
+def ruled_out(start: int, end: int, hit: int, older: I64, starts: I64, ends: I64, started: bool) -> bool:
+    """Whether a hit of a take, or one before it, rules a place out: by its end, or by its start if known (kernel)."""
+    while hit >= 0:
+        length = ends[hit] + 1 - starts[hit]
+        later = end - ends[hit]
+        if -length <= 2 * later and 10 * later <= length:
+            return True
+        later = start - starts[hit]
+        if started and -length <= 10 * later and 2 * later <= length:
+            return True
+        hit = older[hit]
+    return False

@@ -1,0 +1,1 @@
+"""Keyframe queries that are learned: fitness, evolution, consensus."""

@@ -1,0 +1,1 @@
+"""How good it is: precision and recall of labels, of overlaps, of rankings."""

@@ -1,0 +1,1 @@
+"""Keyframe search: runs, inverted lists, bitmaps, and what is done with hits."""

@@ -1,0 +1,211 @@
+"""From the hits of a keyframe query to the frames in which a template is matched: margins, and where keyframes sit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+from ops.search.keyframes import UNBOUNDED, Segments, from_axis, merge, to_axis
+from ops.words import I64
+
+_COST_UNIT = 2**40
+"""Costs are compared as whole numbers of this unit, so that ties are ties and not a matter of rounding."""
+
+
+@dataclass(frozen=True)
+class TakeRanges:
+    """Ranges of frames of T takes, one take after the other.
+
+    offsets: int64 (T + 1,), take i has the ranges offsets[i] .. offsets[i + 1] - 1. starts, stops: int64, frames of
+    the take, half-open, ascending, neither overlapping nor touching.
+    """
+
+    offsets: I64
+    starts: I64
+    stops: I64
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def take(self, index: int) -> tuple[I64, I64]:
+        """The starts and stops of the ranges of the take at this position, without a copy."""
+        piece = slice(self.offsets[index], self.offsets[index + 1])
+        return self.starts[piece], self.stops[piece]
+
+    @property
+    def frames(self) -> int:
+        """How many frames the ranges hold together."""
+        return int((self.stops - self.starts).sum())
+
+
+@dataclass(frozen=True)
+class KeyframeFit:
+    """Where the keyframes of a query fit a template best.
+
+    positions: template columns, one for each keyframe. cost: mean share of mismatching fixed entries. admissible: False
+    where no placement keeps the query's gaps inside the template; the keyframes are then only in order.
+    """
+
+    positions: tuple[int, ...]
+    cost: float
+    admissible: bool
+
+
+def ranges_of_takes(segments: Segments, takes: int) -> TakeRanges:
+    """Sort segments on the axis of positions by take.
+
+    Parameters
+    ----------
+    segments: ranges, for instance those that `search` returns.
+    takes: number of takes T.
+
+    Raises
+    ------
+    ParameterError: a segment of a take beyond the last.
+    """
+    index, starts, stops = from_axis(segments)
+    if len(index) and index[-1] >= takes:
+        raise ParameterError("takes", f"at least {int(index[-1]) + 1}, as the segments tell", takes)
+    return TakeRanges(np.searchsorted(index, np.arange(takes + 1)).astype(np.int64), starts, stops)
+
+
+def margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
+    """Return how far a template may reach out of a hit of its keyframe query.
+
+    A query covers the motion from its first to its last keyframe; before and after it lie the template's columns, as
+    slow as the query's softest gap allows, but no slower than a warping path can be (two frames a column).
+
+    Parameters
+    ----------
+    first, last: template columns of the first and the last keyframe, from 0.
+    columns: number of columns N of the template.
+    stiffness: the query's smallest stiffness.
+
+    Returns
+    -------
+    (left, right) in frames: ceil(first / s) + 2 and ceil((N - last) / s) + 2 with s = max(stiffness, 0.5).
+
+    Raises
+    ------
+    ParameterError: positions outside the template or out of order, or a stiffness out of its domain.
+    """
+    if not 0 <= first <= last < columns:
+        raise ParameterError("positions", f"in order and within 0 to {columns - 1}", (first, last))
+    if not 0.0 <= stiffness <= 1.0:
+        raise ParameterError("stiffness", "between 0 and 1", stiffness)
+    slowest = max(stiffness, 0.5)
+    return math.ceil(round(first / slowest, 9)) + 2, math.ceil(round((columns - last) / slowest, 9)) + 2
+
+
+def extend(ranges: TakeRanges, left: int, right: int, frames: I64) -> TakeRanges:
+    """Extend ranges by their margins, within their takes, and unite those that then overlap or touch.
+
+    Parameters
+    ----------
+    ranges: ranges of T takes.
+    left, right: frames to add before and after each range, see `margins`.
+    frames: int64 (T,), the length of each take.
+
+    Raises
+    ------
+    ParameterError: a negative margin, or lengths for another number of takes.
+    """
+    if left < 0 or right < 0:
+        raise ParameterError("margins", "0 or more frames", (left, right))
+    if len(frames) != len(ranges):
+        raise ParameterError("frames", f"the lengths of {len(ranges)} takes", len(frames))
+    index = np.repeat(np.arange(len(ranges), dtype=np.int64), np.diff(ranges.offsets))
+    starts = np.maximum(ranges.starts - left, 0)
+    stops = np.minimum(ranges.stops + right, frames[index])
+    return ranges_of_takes(merge(to_axis(index, starts), to_axis(index, stops)), len(ranges))
+
+
+def unite(several: Sequence[TakeRanges]) -> TakeRanges:
+    """Unite ranges of the same takes; those that overlap or touch become one.
+
+    Parameters
+    ----------
+    several: one or more sets of ranges, each of the same T takes.
+
+    Raises
+    ------
+    ParameterError: none, or ranges of different numbers of takes.
+    """
+    if not several or len({len(ranges) for ranges in several}) != 1:
+        raise ParameterError("ranges", "one or more, all of the same takes", [len(ranges) for ranges in several])
+    index = [np.repeat(np.arange(len(one), dtype=np.int64), np.diff(one.offsets)) for one in several]
+    starts = [to_axis(takes, one.starts) for takes, one in zip(index, several, strict=True)]
+    stops = [to_axis(takes, one.stops) for takes, one in zip(index, several, strict=True)]
+    return ranges_of_takes(merge(np.concatenate(starts), np.concatenate(stops)), len(several[0]))
+
+
+def fit_keyframes(
+    template: npt.NDArray[np.float64],
+    masks: npt.NDArray[np.bool_],
+    values: npt.NDArray[np.bool_],
+    gaps: Sequence[tuple[int, int]],
+) -> KeyframeFit:
+    """Find the template columns at which the keyframes of a query fit best under its gaps.
+
+    Parameters
+    ----------
+    template: float64 (N, f), columns of values in [0, 1]; a quantised template has 0, 1 and one half for wildcards.
+    masks: bool (K, f), the entries that each keyframe fixes.
+    values: bool (K, f), what it fixes them to.
+    gaps: K - 1 admissible gaps (low, high), here between columns.
+
+    Returns
+    -------
+    The cheapest columns p_1 <= ... <= p_K with admissible gaps. The cost of a keyframe in a column is the mean of
+    |template - value| over its fixed entries: the share of those that mismatch, a wildcard counting half. Of
+    equally cheap placements the leftmost, the first keyframe deciding first.
+
+    Raises
+    ------
+    ParameterError: an empty template, or shapes that do not belong together.
+    """
+    if template.ndim != 2 or not len(template):
+        raise ParameterError("template", "of shape (columns, features), with at least one column", template.shape)
+    if masks.shape != values.shape or masks.ndim != 2 or masks.shape[1] != template.shape[1] or not len(masks):
+        raise ParameterError("masks", f"of shape (keyframes, {template.shape[1]}) as values are", masks.shape)
+    if len(gaps) != len(masks) - 1:
+        raise ParameterError("gaps", f"{len(masks) - 1}, one fewer than keyframes", len(gaps))
+    misfit = np.where(masks[:, None, :], np.abs(template[None, :, :] - values[:, None, :]), 0.0).sum(axis=2)
+    share = misfit / np.maximum(masks.sum(axis=1), 1)[:, None]
+    costs = np.round(share * _COST_UNIT).astype(np.int64)
+    positions = _cheapest(costs, gaps)
+    admissible = positions is not None
+    if positions is None:
+        positions = _cheapest(costs, [(0, UNBOUNDED)] * len(gaps))
+        assert positions is not None
+    cost = float(np.mean([share[k, column] for k, column in enumerate(positions)]))
+    return KeyframeFit(tuple(positions), cost, admissible)
+
+
+def _cheapest(costs: I64, gaps: Sequence[tuple[int, int]]) -> list[int] | None:
+    """Exact dynamic programming, from the last keyframe back: the cheapest completion from each column."""
+    count, columns = costs.shape
+    never = np.iinfo(np.int64).max // 2
+    best = costs[-1]
+    following: list[I64] = []
+    for k in range(count - 2, -1, -1):
+        low, high = gaps[k]
+        onward = np.full(columns, never, np.int64)
+        target = np.zeros(columns, np.int64)
+        for column in range(max(columns - low, 0)):
+            reach = best[column + low : column + min(high, columns) + 1]
+            nearest = int(np.argmin(reach))
+            onward[column], target[column] = reach[nearest], column + low + nearest
+        best = np.where(onward < never, costs[k] + onward, never)
+        following.append(target)
+    positions = [int(np.argmin(best))]
+    if best[positions[0]] >= never:
+        return None
+    for target in reversed(following):
+        positions.append(int(target[positions[-1]]))
+    return positions

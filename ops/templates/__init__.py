@@ -1,0 +1,1 @@
+"""Motion templates: learned by warping and averaging, mirrored, joined, compared."""

@@ -1,0 +1,220 @@
+"""Warping the templates of a class onto each other and averaging them: what a round of learning consists of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from ops.templates.pairs import Columns, Paths, Stack, Weighted, align_hard, align_soft, all_pairs, compact, room_of
+from ops.templates.warping import FIRST, SECOND
+from ops.words import U64, bits
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint8]
+
+TOLERANCE = 1e-9
+_HEAVY = 1.5 - TOLERANCE  # averaging leaves 1.4999999999999998 where 1.5 is meant
+_LIGHT = 0.75 - TOLERANCE
+
+
+@dataclass(frozen=True)
+class Soft:
+    """Columns are float64 (N, f): the share of the clips' weight that has a 1.
+
+    feature_weights: float64 (f,), not negative; the local cost is the weighted mean over features of |x − y|.
+    """
+
+    feature_weights: F64
+
+    def start(self, words: U64) -> Columns:
+        """The columns of a clip."""
+        return bits(words, len(self.feature_weights)).astype(np.float64)
+
+    def align(self, stack: Stack, pairs: I64) -> Paths:
+        """Warp pairs of templates, int64 (P, 2), onto each other."""
+        # A feature that never varies, or does not count, adds exactly 0 to every cost.
+        varies = (stack.columns != stack.columns[0]).any(axis=0) & (self.feature_weights > 0)
+        columns = stack.columns[:, varies] * self.feature_weights[varies]
+        total = float(self.feature_weights.sum())
+        room = room_of(stack, pairs)
+        turned = np.ascontiguousarray(columns.T)
+        costs, counts, steps = align_soft(columns, turned, total, stack.weights, stack.offsets, pairs, room)
+        return compact(costs, counts, steps, room)
+
+    def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
+        """Average the reference and all others warped to it; `pair_of` says which pair each other makes with it."""
+        first, last = stack.offsets[reference], stack.offsets[reference + 1]
+        weights = stack.weights[first:last].copy()
+        total = stack.columns[first:last] * weights[:, None]
+        add_soft(
+            total, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
+            paths.counts, pair_of,
+        )  # fmt: skip
+        return Weighted(total / weights[:, None], weights / len(stack))
+
+    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
+        """One column of two neighbours."""
+        return (left * left_weight + right * right_weight) / (left_weight + right_weight)
+
+    def values(self, columns: Columns) -> F64:
+        """The columns as numbers, float64 (N, f)."""
+        return columns.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Hard:
+    """Columns are uint64 (N, 2): the bits that are always 1, and those that are always 0.
+
+    What two columns agree on is then the bitwise and of both, however many are combined and in what order. A feature
+    of weight 0 counts for no cost; other weights change no zero, and are left alone.
+    """
+
+    feature_weights: F64
+
+    def start(self, words: U64) -> Columns:
+        """The columns of a clip."""
+        every = np.uint64((1 << len(self.feature_weights)) - 1)
+        return np.stack([words, ~words & every], axis=1)
+
+    def align(self, stack: Stack, pairs: I64) -> Paths:
+        """Warp pairs of templates, int64 (P, 2), onto each other."""
+        counted = np.bitwise_or.reduce(
+            (self.feature_weights > 0).astype(np.uint64) << np.arange(len(self.feature_weights), dtype=np.uint64)
+        )
+        room = room_of(stack, pairs)
+        columns = stack.columns & counted
+        costs, counts, steps = align_hard(columns, stack.weights, stack.offsets, pairs, room)
+        return compact(costs, counts, steps, room)
+
+    def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
+        """What the reference and all others warped to it agree on."""
+        first, last = stack.offsets[reference], stack.offsets[reference + 1]
+        columns, weights = stack.columns[first:last].copy(), stack.weights[first:last].copy()
+        add_hard(
+            columns, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
+            paths.counts, pair_of,
+        )  # fmt: skip
+        return Weighted(columns, weights / len(stack))
+
+    def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
+        """One column of two neighbours."""
+        return left & right
+
+    def values(self, columns: Columns) -> F64:
+        """The columns as numbers, float64 (N, f): 0, 0.5 and 1."""
+        count = len(self.feature_weights)
+        ones, zeros = bits(columns[:, 0], count), bits(columns[:, 1], count)
+        return (1.0 + ones - zeros) / 2
+
+
+Method = Soft | Hard
+
+
+def average_all(method: Method, stack: Stack, paths: Paths) -> list[Weighted]:
+    """Make every template the reference once (thesis, 2.3), and rebalance; `paths` are those of `all_pairs`."""
+    count = len(stack)
+    places = np.full((count, count), -1)
+    pairs = all_pairs(count)
+    places[pairs[:, 0], pairs[:, 1]] = places[pairs[:, 1], pairs[:, 0]] = np.arange(len(pairs))
+    return [rebalance(method.average(stack, i, paths, places[i]), method.merge) for i in range(count)]
+
+
+def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
+    """Bring the column weights back to about 1: expand, contract, expand (diploma thesis, Eq. 3.5).
+
+    A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), half to even. Then, from the
+    left, a column lighter than 0.75 merges with its lighter neighbour (the left one of equals) until none is.
+    """
+    return _expand(_contract(_expand(template), merge))
+
+
+def _expand(template: Weighted) -> Weighted:
+    copies = np.where(template.weights >= _HEAVY, np.rint(np.round(template.weights, 9)), 1).astype(np.int64)
+    return Weighted(np.repeat(template.columns, copies, axis=0), np.repeat(template.weights / copies, copies))
+
+
+def _contract(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
+    columns: list[Columns] = list(template.columns)
+    weights: list[float] = template.weights.tolist()
+    place = 0
+    while place < len(weights) and len(weights) > 1:
+        if weights[place] >= _LIGHT:
+            place += 1
+            continue
+        before = weights[place - 1] if place > 0 else np.inf
+        after = weights[place + 1] if place + 1 < len(weights) else np.inf
+        place -= before <= after + TOLERANCE  # now the left one of the two that merge
+        columns[place] = merge(columns[place], columns[place + 1], weights[place], weights[place + 1])
+        weights[place] += weights[place + 1]
+        del columns[place + 1], weights[place + 1]
+    return Weighted(np.array(columns), np.array(weights))
+
+
+@nb.njit(cache=True, nogil=True)
+def share_out(weights: F64, steps: U8, shares: F64) -> None:
+    """Split each column's weight evenly among the reference columns that use it (kernel)."""
+    shares[:] = 0.0
+    m = -1
+    for step in steps:
+        if step != FIRST:
+            m += 1
+        shares[m] += 1.0
+    for m in range(len(shares)):
+        shares[m] = weights[m] / shares[m]
+
+
+@nb.njit(cache=True, nogil=True)
+def add_soft(
+    total: F64, weights: F64, columns: F64, column_weights: F64, offsets: I64, reference: int, steps: U8, starts: I64,
+    counts: I64, pair_of: I64,
+) -> None:  # fmt: skip
+    """Add all others, warped, to the weighted sums of the reference, in place and in their order (kernel)."""
+    features = columns.shape[1]
+    for other in range(len(offsets) - 1):
+        if other == reference:
+            continue
+        pair, side = pair_of[other], 0 if reference < other else 1
+        path = steps[starts[pair, side] : starts[pair, side] + counts[pair, side]]
+        first, last = offsets[other], offsets[other + 1]
+        shares = np.empty(last - first)
+        share_out(column_weights[first:last], path, shares)
+        k, m = -1, -1
+        for step in path:
+            if step != SECOND:
+                k += 1
+            if step != FIRST:
+                m += 1
+            share = shares[m]
+            weights[k] += share
+            for i in range(features):
+                total[k, i] += share * columns[first + m, i]
+
+
+@nb.njit(cache=True, nogil=True)
+def add_hard(
+    agreed: U64, weights: F64, columns: U64, column_weights: F64, offsets: I64, reference: int, steps: U8, starts: I64,
+    counts: I64, pair_of: I64,
+) -> None:  # fmt: skip
+    """Keep of the reference what all others, warped, agree on, in place (kernel)."""
+    for other in range(len(offsets) - 1):
+        if other == reference:
+            continue
+        pair, side = pair_of[other], 0 if reference < other else 1
+        path = steps[starts[pair, side] : starts[pair, side] + counts[pair, side]]
+        first, last = offsets[other], offsets[other + 1]
+        shares = np.empty(last - first)
+        share_out(column_weights[first:last], path, shares)
+        k, m = -1, -1
+        for step in path:
+            if step != SECOND:
+                k += 1
+            if step != FIRST:
+                m += 1
+            weights[k] += shares[m]
+            agreed[k, 0] &= columns[first + m, 0]
+            agreed[k, 1] &= columns[first + m, 1]

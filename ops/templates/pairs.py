@@ -1,0 +1,206 @@
+"""Templates stacked up, and their pairs warped onto each other: each path read from both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from ops.templates.warping import FIRST, SECOND, advance_row, trace_back
+from ops.words import U64
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint8]
+Columns = npt.NDArray[Any]  # float64 (N, f) of soft templates, uint64 (N, 2) of hard ones; only a method looks inside
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Columns in a method's own form, with their weights (float64)."""
+
+    columns: Columns
+    weights: F64
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Templates one after the other: template i has the columns offsets[i] .. offsets[i + 1].
+
+    columns, weights: as those of `Weighted`. offsets: int64 (n + 1,).
+    """
+
+    columns: Columns
+    weights: F64
+    offsets: I64
+
+    @classmethod
+    def of(cls, templates: Sequence[Weighted]) -> Stack:
+        """Stack templates up."""
+        offsets = np.concatenate(([0], np.cumsum([len(one.weights) for one in templates]))).astype(np.int64)
+        columns = np.ascontiguousarray(np.concatenate([one.columns for one in templates]))
+        return cls(columns, np.concatenate([one.weights for one in templates]), offsets)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    @property
+    def lengths(self) -> I64:
+        """The number of columns of each template."""
+        return np.diff(self.offsets)
+
+    def chosen(self, indices: I64) -> Stack:
+        """Some of the templates, in this order."""
+        pieces = [slice(int(self.offsets[i]), int(self.offsets[i + 1])) for i in indices]
+        return Stack.of([Weighted(self.columns[piece], self.weights[piece]) for piece in pieces])
+
+
+@dataclass(frozen=True)
+class Paths:
+    """The warping paths of P pairs of templates, each read from both sides.
+
+    costs: float64 (P,), the DTW cost, which is the same from both sides.
+    steps: uint8, all paths one after the other; starts, counts: int64 (P, 2), where the path of a pair begins and how
+    long it is: read from its first template, and from its second.
+    """
+
+    costs: F64
+    steps: U8
+    starts: I64
+    counts: I64
+
+    @classmethod
+    def joined(cls, pieces: Sequence[Paths]) -> Paths:
+        """The paths of several pieces, one piece after the other."""
+        shifts = np.concatenate(([0], np.cumsum([len(piece.steps) for piece in pieces])))
+        return cls(
+            np.concatenate([piece.costs for piece in pieces]),
+            np.concatenate([piece.steps for piece in pieces]),
+            np.concatenate([piece.starts + shift for piece, shift in zip(pieces, shifts, strict=False)]),
+            np.concatenate([piece.counts for piece in pieces]),
+        )
+
+
+def all_pairs(count: int) -> I64:
+    """Every pair i < j of that many templates, int64 (P, 2), by i and then j."""
+    return np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
+
+
+def room_of(stack: Stack, pairs: I64) -> I64:
+    """Where the room for each pair's two paths begins, int64 (2 P + 1,): no path is longer than K + L − 1."""
+    longest = stack.lengths[pairs].sum(axis=1) - 1
+    return np.concatenate(([0], np.cumsum(np.repeat(longest, 2)))).astype(np.int64)
+
+
+def compact(costs: F64, counts: I64, steps: U8, room: I64) -> Paths:
+    """Paths without the room that they did not need."""
+    kept = np.concatenate([steps[start : start + count] for start, count in zip(room, counts, strict=False)])
+    starts = np.concatenate(([0], np.cumsum(counts)))[:-1]
+    return Paths(costs, kept, starts.reshape(-1, 2), counts.reshape(-1, 2))
+
+
+@nb.njit(cache=True, nogil=True)
+def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> None:
+    """Fill in the sum over features of |x − y|, divided by `total`, of one column against others (kernel).
+
+    The others are the columns first, first + 1, … of `turned` (f, ·), as many as `out` is long. Four features at a
+    time, added in the features' order: the sums are those of a plain loop to the last bit.
+    """
+    width = len(out)
+    out[:] = 0.0
+    features = len(column)
+    i = 0
+    while i + 4 <= features:
+        a, b, c, d = column[i], column[i + 1], column[i + 2], column[i + 3]
+        # A row of a contiguous array, and a stretch of that, are known to be contiguous: only then the loop vectorises.
+        row_a = turned[i][first : first + width]
+        row_b = turned[i + 1][first : first + width]
+        row_c = turned[i + 2][first : first + width]
+        row_d = turned[i + 3][first : first + width]
+        for k in range(width):
+            out[k] = (((out[k] + abs(a - row_a[k])) + abs(b - row_b[k])) + abs(c - row_c[k])) + abs(d - row_d[k])
+        i += 4
+    while i < features:
+        a = column[i]
+        row_a = turned[i][first : first + width]
+        for k in range(width):
+            out[k] += abs(a - row_a[k])
+        i += 1
+    for k in range(width):
+        out[k] /= total
+
+
+@nb.njit(cache=True, nogil=True)
+def align_soft(
+    columns: F64, turned: F64, total: float, weights: F64, offsets: I64, pairs: I64, room: I64
+) -> tuple[F64, I64, U8]:
+    """Align pairs of soft templates; return costs, path lengths and steps, both ways (kernel)."""
+    costs = np.empty(len(pairs))
+    counts = np.empty(2 * len(pairs), np.int64)
+    steps = np.empty(room[-1], np.uint8)
+    longest = 0
+    for i in range(len(offsets) - 1):
+        longest = max(longest, offsets[i + 1] - offsets[i])
+    entered = np.empty((longest, longest), np.uint8)
+    rows = np.empty((4, longest))
+    for p in range(len(pairs)):
+        first, second = offsets[pairs[p, 0]], offsets[pairs[p, 1]]
+        height, width = offsets[pairs[p, 0] + 1] - first, offsets[pairs[p, 1] + 1] - second
+        above, here, entering, weighted = rows[0][:width], rows[1][:width], rows[2][:width], rows[3][:width]
+        above[:] = np.inf
+        for k in range(height):
+            soft_costs(columns[first + k], turned, second, total, weighted)
+            for column in range(width):
+                weighted[column] *= 0.5 * (weights[first + k] + weights[second + column])
+            advance_row(above, here, entering, weighted, entered[k][:width], k == 0)
+            above, here = here, above
+        costs[p] = above[width - 1]
+        walked = entered[:height, :width]
+        counts[2 * p] = trace_back(walked, FIRST, steps[room[2 * p] : room[2 * p + 1]])
+        counts[2 * p + 1] = trace_back(walked, SECOND, steps[room[2 * p + 1] : room[2 * p + 2]])
+    return costs, counts, steps
+
+
+@nb.njit(cache=True, nogil=True)
+def _ones(word: np.uint64) -> int:
+    """How many bits of a word are 1 (kernel; compilers know this loop and make it one instruction)."""
+    count = 0
+    while word:
+        word &= word - np.uint64(1)
+        count += 1
+    return count
+
+
+@nb.njit(cache=True, nogil=True)
+def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, room: I64) -> tuple[F64, I64, U8]:
+    """Align pairs of hard templates by their contradictions; as `align_soft` (kernel)."""
+    costs = np.empty(len(pairs))
+    counts = np.empty(2 * len(pairs), np.int64)
+    steps = np.empty(room[-1], np.uint8)
+    longest = 0
+    for i in range(len(offsets) - 1):
+        longest = max(longest, offsets[i + 1] - offsets[i])
+    entered = np.empty((longest, longest), np.uint8)
+    rows = np.empty((4, longest))
+    for p in range(len(pairs)):
+        first, second = offsets[pairs[p, 0]], offsets[pairs[p, 1]]
+        height, width = offsets[pairs[p, 0] + 1] - first, offsets[pairs[p, 1] + 1] - second
+        above, here, entering, weighted = rows[0][:width], rows[1][:width], rows[2][:width], rows[3][:width]
+        above[:] = np.inf
+        for k in range(height):
+            ones, zeros, weight = columns[first + k, 0], columns[first + k, 1], weights[first + k]
+            for column in range(width):
+                other = second + column
+                against = (ones & columns[other, 1]) | (zeros & columns[other, 0])
+                weighted[column] = _ones(against) * (0.5 * (weight + weights[other]))
+            advance_row(above, here, entering, weighted, entered[k][:width], k == 0)
+            above, here = here, above
+        costs[p] = above[width - 1]
+        walked = entered[:height, :width]
+        counts[2 * p] = trace_back(walked, FIRST, steps[room[2 * p] : room[2 * p + 1]])
+        counts[2 * p + 1] = trace_back(walked, SECOND, steps[room[2 * p + 1] : room[2 * p + 2]])
+    return costs, counts, steps

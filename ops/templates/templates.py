@@ -1,0 +1,245 @@
+"""Motion templates: what the clips of a class have in common, learned by warping and averaging."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+from ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all
+from ops.templates.pairs import Paths, Stack, Weighted, all_pairs
+from ops.words import MOST_FEATURES, NO_WORD, U64, bits
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+Kind = Literal["soft", "hard"]
+
+MOST_ROUNDS = 10
+CONVERGED = 0.005
+
+
+@dataclass(frozen=True)
+class Template:
+    """A motion template of N columns.
+
+    values: float64 (N, f) in [0, 1]; column i − 1 of the matrix is F_i. weights: float64 (N,), about 1.
+    feature_weights: float64 (f,), how much each feature counts in a comparison, or None: all alike.
+    """
+
+    values: F64
+    weights: F64
+    feature_weights: F64 | None = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class QuantisedTemplate:
+    """A template of 0, 1 and wildcards: bit i − 1 of `mask` says that F_i counts, of `value` what it is.
+
+    mask, value: uint64 (N,); value has no bit outside mask.
+    """
+
+    mask: U64
+    value: U64
+
+    def __post_init__(self) -> None:
+        if len(self.mask) != len(self.value) or not len(self.mask):
+            raise ParameterError("template", "one mask and one value per column", (len(self.mask), len(self.value)))
+        if np.any(self.value & ~self.mask):
+            raise ParameterError("value", "0 wherever mask is 0", "a value behind a wildcard")
+
+    def __len__(self) -> int:
+        return len(self.mask)
+
+    @property
+    def fixed(self) -> float:
+        """How many entries of a column are no wildcards, on average."""
+        return float(np.bitwise_count(self.mask).mean())
+
+    def values(self, features: int) -> F64:
+        """The columns as numbers, float64 (N, f): 0, 1, and 0.5 for a wildcard."""
+        fixed, ones = bits(self.mask, features), bits(self.value, features)
+        return np.where(fixed == 1, ones, 0.5)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A template and how it came about.
+
+    template: the class template. rounds: how often all templates were averaged.
+    costs: the largest DTW cost between two templates, divided by the reference's total weight, before each
+    round and after the last: rounds + 1 numbers (a single one, 0, where there is one clip).
+    clip_costs: of each clip, how far it is from the others: the median of its DTW costs, before the first round, as a
+    share of the entries compared along the path (0 where there is one clip).
+    """
+
+    template: Template
+    rounds: int
+    costs: tuple[float, ...]
+    clip_costs: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Pairs of templates that one task aligns; the pairs, int64 (P, 2), are places in the stack."""
+
+    method: Method
+    stack: Stack
+    pairs: I64
+
+
+Spread = Callable[[Callable[[Piece], Paths], Iterable[Piece]], Iterable[Paths]]
+"""Applies a function to all pieces and gives the results in their order: `map`, or an executor's."""
+
+
+def learn_soft(clips: Sequence[U64], features: int) -> Learned:
+    """Learn the soft motion template of a class (thesis, 2.3; Müller and Röder 2006).
+
+    Values are weighted means over the clips; the local cost is the mean over features of |x − y|.
+
+    Parameters
+    ----------
+    clips: the words of each training clip, uint64 (L_i,), in the order of the clips' names.
+    features: number of features f, 1 to 63.
+
+    Returns
+    -------
+    Learned. With one clip the template is that clip.
+
+    Raises
+    ------
+    ParameterError: without clips, with an empty clip, one with invalid frames, or with bits beyond the features.
+    """
+    return learn("soft", clips, features)
+
+
+def learn_hard(clips: Sequence[U64], features: int) -> Learned:
+    """Learn the hard motion template of a class (diploma thesis, 3.3.1, Eq. 3.1 to 3.6).
+
+    Values are 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost
+    between the template and every one of its clips is 0 (Claim 3.1 there). Parameters as in `learn_soft`.
+    """
+    return learn("hard", clips, features)
+
+
+def learn(
+    kind: Kind,
+    clips: Sequence[U64],
+    features: int,
+    feature_weights: F64 | None = None,
+    spread: Spread = map,
+    pieces: int = 1,
+) -> Learned:
+    """Learn a motion template, the alignments of each round spread over workers.
+
+    Parameters
+    ----------
+    kind: "soft" or "hard"; clips, features: as in `learn_soft`.
+    feature_weights: float64 (f,), not negative and not all 0; None: all features count alike. The soft cost is the
+        weighted mean over the features; the hard cost leaves features of weight 0 out. The values of a feature are
+        learned whatever its weight.
+    spread: how the pieces of a round are worked off. pieces: into how many a round is divided. The result does not
+        depend on either.
+
+    Raises
+    ------
+    ParameterError: as `learn_soft`, and for weights that are not as said.
+    """
+    _validate(clips, features)
+    counts = _checked_weights(feature_weights, features)
+    method: Method = Soft(counts) if kind == "soft" else Hard(counts)
+    stack = Stack.of([Weighted(method.start(clip), np.ones(len(clip))) for clip in clips])
+    pairs = all_pairs(len(clips))
+    costs: list[float] = []
+    clip_costs = [0.0] * len(clips)
+    while len(clips) > 1:
+        paths = _align(method, stack, pairs, spread, pieces)
+        totals = np.array([piece.sum() for piece in np.split(stack.weights, stack.offsets[1:-1])])
+        largest = float((paths.costs / totals[pairs].min(axis=1)).max())
+        if not costs:
+            compared = 1.0 if kind == "soft" else float(np.count_nonzero(counts))
+            clip_costs = _medians(paths.costs / totals[pairs].mean(axis=1) / compared, pairs, len(clips))
+        costs.append(largest)
+        rounds = len(costs) - 1
+        # The first round always counts: before it, "all alike" would let the first clip stand for the class.
+        unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
+        if rounds == MOST_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
+            break
+        stack = Stack.of(average_all(method, stack, paths))
+    last = int(stack.offsets[1])
+    template = Template(method.values(stack.columns[:last]), stack.weights[:last], feature_weights)
+    return Learned(template, max(len(costs) - 1, 0), tuple(costs or [0.0]), tuple(clip_costs))
+
+
+def align_piece(piece: Piece) -> Paths:
+    """Align the pairs of a piece (runs in a worker)."""
+    return piece.method.align(piece.stack, piece.pairs)
+
+
+def quantise(template: Template, delta: float) -> QuantisedTemplate:
+    """Replace values ≤ delta by 0, values ≥ 1 − delta by 1, and the rest by a wildcard (thesis, 2.3).
+
+    Parameters
+    ----------
+    template: at most 63 features. A feature of weight 0 is a wildcard everywhere; other weights are for learning only:
+        in a distance curve all entries that are fixed count alike.
+    delta: 0 ≤ delta < 0.5; 0 keeps only what does not vary at all. Compared with a tolerance of 1e-9.
+    """
+    if not 0 <= delta < 0.5:
+        raise ParameterError("delta", "at least 0 and below 0.5", delta)
+    shifts = np.arange(template.values.shape[1], dtype=np.uint64)
+    counts = np.ones(len(shifts), np.bool_) if template.feature_weights is None else template.feature_weights > 0
+    ones = (template.values >= 1 - delta - TOLERANCE) & counts
+    zeros = (template.values <= delta + TOLERANCE) & counts
+    value = np.bitwise_or.reduce(ones.astype(np.uint64) << shifts, axis=1)
+    mask = np.bitwise_or.reduce((ones | zeros).astype(np.uint64) << shifts, axis=1)
+    return QuantisedTemplate(mask, value)
+
+
+def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int) -> Paths:
+    """Align all pairs, in one go or in pieces of about the same work."""
+    if pieces <= 1 or len(pairs) < 2:
+        return method.align(stack, pairs)
+    work = np.cumsum(stack.lengths[pairs].prod(axis=1))
+    cuts = np.searchsorted(work, work[-1] * np.arange(1, pieces) / pieces) + 1
+    tasks = []
+    for part in np.split(pairs, np.unique(cuts[cuts < len(pairs)])):
+        used, places = np.unique(part, return_inverse=True)
+        tasks.append(Piece(method, stack.chosen(used), places.reshape(-1, 2).astype(np.int64)))
+    return Paths.joined(list(spread(align_piece, tasks)))
+
+
+def _medians(costs: F64, pairs: I64, count: int) -> list[float]:
+    """Of each template, the median cost of the pairs that it is in."""
+    return [float(np.median(costs[(pairs == i).any(axis=1)])) for i in range(count)]
+
+
+def _validate(clips: Sequence[U64], features: int) -> None:
+    if not 1 <= features <= MOST_FEATURES:
+        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
+    if not clips:
+        raise ParameterError("clips", "at least one clip", 0)
+    for clip in clips:
+        if not len(clip):
+            raise ParameterError("clips", "clips of at least one frame", 0)
+        if np.any(clip == NO_WORD):
+            raise ParameterError("clips", "clips without invalid frames", "NO_WORD")
+        if int(clip.max()) >> features:
+            raise ParameterError("clips", f"words of {features} bits", int(clip.max()))
+
+
+def _checked_weights(feature_weights: F64 | None, features: int) -> F64:
+    if feature_weights is None:
+        return np.ones(features)
+    if feature_weights.shape != (features,):
+        raise ParameterError("feature_weights", f"of shape ({features},)", feature_weights.shape)
+    if not np.isfinite(feature_weights).all() or feature_weights.min() < 0 or feature_weights.max() == 0:
+        raise ParameterError("feature_weights", "finite, not negative, and not all 0", feature_weights.tolist())
+    return feature_weights

@@ -1,0 +1,1 @@
+"""Annotation of takes, what of it still holds, and its labels in other formats."""

@@ -1,0 +1,93 @@
+"""Annotations of a store as labels of its takes, in source frames, for label files."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+
+import polars as pl
+
+from ops.errors import KinedexError, did_you_mean
+from pipelines.annotation.annotating import annotated_takes
+from pipelines.wording import few
+from storage.labels.segments import Label, TakeLabels
+from storage.store import Store
+
+
+def annotate_stage(store: Store, wanted: str | None = None) -> str:
+    """The stage whose annotations are meant: "<pipeline>/<stage>".
+
+    Parameters
+    ----------
+    wanted: that name, the pipeline's alone, or the id of the run; None for the stage that ran last.
+
+    Raises
+    ------
+    KinedexError: nothing was annotated, or not by this stage; or several stages fit.
+    """
+    annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
+    records = {name: one for name, one in store.manifest.stages.items() if name in annotating}
+    if not records:
+        raise KinedexError(f"{store.path}: nothing was annotated; `kinedex run annotate --store {store.path}` does it")
+    if wanted is None:
+        return max(records, key=lambda name: (records[name].finished, name))
+    fitting = [name for name, one in records.items() if wanted in (name, name.split("/")[0], one.run)]
+    if len(fitting) != 1:
+        raise KinedexError(
+            f"{len(fitting)} stages are '{wanted}': {few(sorted(fitting))}"
+            if fitting
+            else f"no stage '{wanted}' has annotated anything{did_you_mean(wanted, records)}"
+        )
+    return fitting[0]
+
+
+def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int) -> int:
+    """The last source frame at or before an analysis frame, `frames` (how many there are) at most.
+
+    `pipelines.evaluation.evaluating.analysis_frame` gives back the analysis frame, unless the source is slower than
+    the analysis.
+    """
+    return min(math.floor(round(frame * source_rate_hz / rate_hz, 9)), frames)
+
+
+def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
+    """The annotations of a stage, take by take in order of their names; takes without any are there, too.
+
+    Parameters
+    ----------
+    stage: "<pipeline>/<stage>". takes: only these, by name. where: only those that a SQL filter over takes selects.
+
+    Raises
+    ------
+    KinedexError: a take was not annotated by this stage, or has been replaced since.
+    """
+    annotated = annotated_takes(store, stage)
+    unknown = sorted(set(takes) - set(annotated["name"]))
+    if unknown:
+        raise KinedexError(
+            f"stage {stage} did not annotate '{unknown[0]}'{did_you_mean(unknown[0], annotated['name'])}"
+        )
+    if takes:
+        annotated = annotated.filter(pl.col("name").is_in(list(takes)))
+    if where is not None:
+        annotated = annotated.filter(pl.col("take_id").is_in(store.takes(where)["take_id"].to_list()))
+        if not annotated.height:
+            raise KinedexError(f"the filter `{where}` selects no take that stage {stage} annotated")
+    record = store.manifest.stages[stage]
+    found: dict[str, list[Label]] = defaultdict(list)
+    rows = {str(row["name"]): row for row in annotated.iter_rows(named=True)}
+    for one in store.result("annotations", run=record.run).to_pylist():
+        if one["take"] in rows:
+            found[one["take"]].append(_label(one, rows[one["take"]]))
+    return [
+        TakeLabels(name, float(row["source_rate_hz"]), int(row["source_frames"]), tuple(found[name]), record.finished)
+        for name, row in rows.items()
+    ]
+
+
+def _label(one: dict[str, object], take: dict[str, object]) -> Label:
+    rates = float(str(take["source_rate_hz"])), float(str(take["rate_hz"])), int(str(take["source_frames"]))
+    start, stop = (source_frame(int(str(one[name])), *rates) for name in ("start", "stop"))
+    cost, confidence = (None if one[name] is None else float(str(one[name])) for name in ("cost", "confidence"))
+    return Label(str(one["class"]), start, max(stop, start + 1), str(one["subclass"]), cost, confidence)

@@ -1,0 +1,1 @@
+"""Files that come in: what changed, batches, reading, failures."""

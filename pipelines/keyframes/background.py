@@ -1,0 +1,30 @@
+"""Background as negatives: what queries find in takes that hold none of their motions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ops.words import TakeWords
+from pipelines.keyframes.learning import Lesson, Outcome, hit_ranges
+
+
+def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most: int) -> Lesson:
+    """Add the false hits of a lesson's queries to its negatives.
+
+    Parameters
+    ----------
+    outcome: of the lesson without background. words: takes without the class. most: how many stretches at most, the
+    longest first.
+
+    Returns
+    -------
+    The lesson with the stretches from the first to the last keyframe of hits, extended by the queries' margins.
+    """
+    found = set()
+    for chosen in outcome.chosen:
+        takes, starts, stops = hit_ranges(words, chosen.query, features)
+        for take, start, stop in zip(takes.tolist(), starts.tolist(), stops.tolist(), strict=True):
+            end = min(stop + chosen.right, int(words.frames[take]))
+            found.add((take, max(0, start - chosen.left), end))
+    longest = sorted(found, key=lambda span: (span[1] - span[2], span))[:most]
+    return replace(lesson, background=tuple(words.take(take)[start:stop] for take, start, stop in longest))

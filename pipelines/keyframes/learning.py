@@ -1,0 +1,316 @@
+"""Learning keyframe queries: what each class is learned from, runs in workers, and what becomes of them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Literal
+from zlib import crc32
+
+import numpy as np
+
+from catalog.classes import Classes
+from catalog.features import FeatureSet
+from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from ops.errors import KinedexError
+from ops.learning.consensus import Consensus, consent
+from ops.learning.fitness import Bool, Query, training_frames
+from ops.learning.genetics import evolve, random_search
+from ops.learning.greedy import forward_selection
+from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
+from ops.search.bitslices import slice_words
+from ops.search.keyframes import from_axis
+from ops.search.preselection import margins as formula_margins
+from ops.search.slicesearch import search_slices
+from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
+from ops.words import I64, U64, TakeWords
+from pipelines.templates.learning import TrainingClips
+
+Learner = Literal["genetic", "random", "greedy"]
+Margins = Literal["learned", "formula", "wider"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How queries are learned; `pipelines.stages.learn_keyframes.Params` says what each number means."""
+
+    learner: Learner
+    evolution: Evolution
+    delta: float
+    allowed: int
+    features: int
+    steady: int
+    joins: int
+    reach: float
+    alternatives: int
+    margins: Margins
+    seed: int
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What the query of one subclass is learned from: its clips, those of other classes, and background."""
+
+    subclass: str
+    names: tuple[str, ...]
+    positives: tuple[U64, ...]
+    negatives: tuple[U64, ...]
+    background: tuple[U64, ...] = ()
+
+    @property
+    def subject(self) -> str:
+        """What a task is about, for messages."""
+        return f"the keyframe query of {self.subclass}"
+
+    def key(self, setting: Setting) -> str:
+        """A hash of all that a run follows from except its number: runs of the same key need not be run again."""
+        same = replace(setting, margins="learned", alternatives=0, reach=0.0)  # what they say is about finished runs
+        hasher = hashlib.sha256(repr((self.subclass, sorted(asdict(same).items(), key=str))).encode())
+        for group in (self.positives, self.negatives, self.background):
+            hasher.update(len(group).to_bytes(8, "little"))
+            for words in group:
+                hasher.update(len(words).to_bytes(8, "little") + np.ascontiguousarray(words).tobytes())
+        return hasher.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """Runs of one lesson that one worker does."""
+
+    lesson: Lesson
+    setting: Setting
+    numbers: tuple[int, ...]
+
+    @property
+    def subject(self) -> str:
+        """What the task is about, for messages."""
+        return f"runs {self.numbers[0]} to {self.numbers[-1]} of {self.lesson.subject}"
+
+
+@dataclass(frozen=True)
+class AgreeTask:
+    """The runs of one lesson that are to become one outcome."""
+
+    lesson: Lesson
+    setting: Setting
+    runs: tuple[Run, ...]
+
+    @property
+    def subject(self) -> str:
+        """What the task is about, for messages."""
+        return self.lesson.subject
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A query that was chosen, and how many frames before and after its hits the motion may reach."""
+
+    query: Query
+    left: int
+    right: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a lesson: the consensus of its runs, and the queries that preselect for its subclass.
+
+    precision, recall: of all chosen queries together, on the clips as they are. columns: of the template. clips: the
+    names of the positive ones. runs: how many there were.
+    """
+
+    subclass: str
+    consensus: Consensus
+    chosen: tuple[Chosen, ...]
+    precision: float
+    recall: float
+    columns: int
+    clips: tuple[str, ...]
+    runs: int
+
+
+def lessons(clips: Sequence[TrainingClips], classes: Classes, background: Sequence[U64] = ()) -> list[Lesson]:
+    """What each subclass is learned from: all clips of other classes are negative, other subclasses of its own are not.
+
+    Parameters
+    ----------
+    clips: by subclass. classes: a subclass in none of them is a class of its own.
+    background: stretches in which no class of these is to be found.
+    """
+    of = classes.of_subclass()
+    label = {one.subclass: of.get(one.subclass, one.subclass) for one in clips}
+    return [
+        Lesson(
+            one.subclass,
+            one.names,
+            one.words,
+            tuple(words for other in clips if label[other.subclass] != label[one.subclass] for words in other.words),
+            tuple(background),
+        )
+        for one in clips
+    ]
+
+
+def allowed_features(feature_set: FeatureSet, sets: Sequence[str]) -> int:
+    """The features of these sets as a mask, bit i − 1 for F_i; all features where no set is named."""
+    numbers = [number for name in sets or feature_set.sets for number in feature_set.word_set(name).numbers]
+    return sum(1 << (number - 1) for number in set(numbers))
+
+
+def strict_template(lesson: Lesson, setting: Setting) -> QuantisedTemplate:
+    """The template whose columns become keyframes: entries that do not vary, and hold for some columns around.
+
+    Where nothing is left of it, entries that hold in their own column alone; where even that is nothing, the message of
+    the KinedexError says so.
+    """
+    plain = quantise(learn_soft(lesson.positives, setting.features).template, setting.delta)
+    allowed = np.uint64(setting.allowed)
+    for steady in (setting.steady, 0):
+        template = steady_entries(plain, steady)
+        if (template.mask & allowed).any():
+            return template
+    raise KinedexError(
+        f"{lesson.subclass}: the clips have nothing in common that could be a keyframe (at delta = {setting.delta:g}, "
+        "in the feature sets allowed); raise `delta`, allow more `sets`, or leave the class out"
+    )
+
+
+def material_of(lesson: Lesson, setting: Setting) -> Material:
+    """The clips as bitmaps, positives first, and the template's columns."""
+    others = [*lesson.negatives, *_joined(lesson, setting), *lesson.background]
+    every = [*lesson.positives, *others]
+    judged = [setting.steady] * len(lesson.positives) + [0] * len(others)
+    frames = training_frames(every, setting.features, judged)
+    return make_material(frames, len(lesson.positives), strict_template(lesson, setting), setting.allowed)
+
+
+def _joined(lesson: Lesson, setting: Setting) -> list[U64]:
+    """Negative clips two by two in random order: no chain of keyframes may reach from one into the next."""
+    random = np.random.default_rng([setting.seed, crc32(lesson.subclass.encode())])
+    pairs = []
+    for _ in range(setting.joins):
+        order = random.permutation(len(lesson.negatives)).tolist()
+        pairs += [(lesson.negatives[a], lesson.negatives[b]) for a, b in pairwise(order)]
+    return [np.concatenate(pair) for pair in pairs]
+
+
+@lru_cache(maxsize=4)
+def _cached(key: str) -> list[Material]:
+    # One material per lesson and worker; filled by its first task.
+    return []
+
+
+def _material(lesson: Lesson, setting: Setting) -> Material:
+    kept = _cached(lesson.key(setting))
+    if not kept:
+        kept.append(material_of(lesson, setting))
+    return kept[0]
+
+
+def do_runs(task: RunTask) -> list[Run]:
+    """Do runs of one lesson (in a worker); a run follows from seed, subclass and number alone."""
+    material = _material(task.lesson, task.setting)
+    evolution = task.setting.evolution
+    results = []
+    for number in task.numbers:
+        seed = (task.setting.seed, crc32(task.lesson.subclass.encode()), number)
+        if task.setting.learner == "genetic":
+            results.append(evolve(material, evolution, seed))
+        elif task.setting.learner == "random":
+            results.append(random_search(material, evolution, seed))
+        else:
+            results.append(forward_selection(material, evolution))
+    return results
+
+
+def agree(task: AgreeTask) -> Outcome:
+    """Make an outcome of the runs of one lesson (in a worker)."""
+    lesson, setting = task.lesson, task.setting
+    material = _material(lesson, setting)
+    reach = max(1, round(setting.reach * len(material.masks)))
+    seed = (setting.seed, crc32(lesson.subclass.encode()), len(task.runs), 1)
+    found = consent(material, task.runs, setting.evolution, reach, seed)
+    queries = [found.query]
+    for run in sorted(task.runs, key=lambda run: -run.rank):
+        if len(queries) == setting.alternatives:
+            break
+        if all(run.query.masks.tolist() != other.masks.tolist() for other in queries):
+            queries.append(run.query)
+    columns = len(material.masks)
+    chosen = tuple(Chosen(query, *margins_of(query, lesson, setting, columns)) for query in queries)
+    clips = [*lesson.positives, *lesson.negatives]
+    retrieved = np.any([hit_spans(clips, query, setting.features)[0] for query in queries], axis=0)
+    right = int(retrieved[: len(lesson.positives)].sum())
+    total = int(retrieved.sum())
+    return Outcome(
+        lesson.subclass, found, chosen, right / total if total else 0.0, right / len(lesson.positives), columns,
+        lesson.names, len(task.runs),
+    )  # fmt: skip
+
+
+def hit_spans(clips: Sequence[U64], query: Query, features: int) -> tuple[Bool, I64, I64]:
+    """Search clips: which have a hit, bool (T,), where the first starts and where the last stops, int64 (T,)."""
+    offsets = np.concatenate([[0], np.cumsum([len(words) for words in clips])]).astype(np.int64)
+    takes, starts, stops = hit_ranges(TakeWords(np.arange(len(clips)), offsets, np.concatenate(clips)), query, features)
+    hit = np.zeros(len(clips), np.bool_)
+    hit[takes] = True
+    first, last = np.zeros(len(clips), np.int64), np.zeros(len(clips), np.int64)
+    first[takes[::-1]] = starts[::-1]
+    last[takes] = stops
+    return hit, first, last
+
+
+def hit_ranges(words: TakeWords, query: Query, features: int) -> tuple[I64, I64, I64]:
+    """Search takes: the index of the take, start and stop of each range that holds hits, int64 (n,)."""
+    slices = slice_words(words.words, words.offsets, features)
+    return from_axis(search_slices(slices, query.masks.tolist(), query.values.tolist(), query.gaps))
+
+
+def margins_of(query: Query, lesson: Lesson, setting: Setting, columns: int) -> tuple[int, int]:
+    """How many frames before and after a hit the motion may reach.
+
+    "formula": from the template's columns and the softest gap (`ops.search.preselection.margins`). "learned": as far
+    as the training clips reach from their first and their last hit, so that each that is hit is covered whole.
+    "wider": the larger of the two, on each side.
+    """
+    hit, starts, stops = hit_spans(lesson.positives, query, setting.features)
+    lengths = np.array([len(words) for words in lesson.positives])
+    left = int(starts[hit].max(initial=0))
+    right = int((lengths - stops)[hit].max(initial=0))
+    if setting.margins == "learned":
+        return left, right
+    stiffness = min((Gap(low, high).nominal_stiffness for low, high in query.gaps), default=0.0)
+    printed = formula_margins(int(query.positions[0]), int(query.positions[-1]), columns, stiffness)
+    return printed if setting.margins == "formula" else (max(left, printed[0]), max(right, printed[1]))
+
+
+def keyframe_queries(outcome: Outcome, feature_set: FeatureSet) -> list[KeyframeQuery]:
+    """The chosen queries as people write them: named after the subclass, keyframes divided into feature sets."""
+    result = []
+    for number, one in enumerate(outcome.chosen, 1):
+        keyframes: list[Keyframe] = []
+        gaps: list[Gap] = []
+        positions: list[int] = []
+        for k in range(len(one.query)):
+            parts = _parts(int(one.query.masks[k]), int(one.query.values[k]), feature_set)
+            if k:
+                gaps.append(Gap(int(one.query.lows[k - 1]), int(one.query.highs[k - 1])))
+            gaps += [SAME_FRAME] * (len(parts) - 1)
+            keyframes += parts
+            positions += [int(one.query.positions[k])] * len(parts)
+        name = outcome.subclass if number == 1 else f"{outcome.subclass} {number}"
+        made = KeyframeQuery(name, outcome.subclass, tuple(keyframes), tuple(gaps), tuple(positions))
+        result.append(replace(made, margins=(one.left, one.right)))
+    return result
+
+
+def _parts(mask: int, value: int, feature_set: FeatureSet) -> list[Keyframe]:
+    parts = []
+    for name, word_set in feature_set.sets.items():
+        bits = (1 << word_set.count) - 1
+        own = mask >> (word_set.first - 1) & bits
+        if own:
+            parts.append(Keyframe(name, own, value >> (word_set.first - 1) & own))
+    return parts

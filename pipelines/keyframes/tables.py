@@ -1,0 +1,59 @@
+"""Learned keyframe queries as a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pyarrow as pa
+
+from catalog.features import FeatureSet
+from catalog.queries import Keyframe, KeyframeQuery, features_of
+from pipelines.keyframes.learning import Outcome, keyframe_queries
+
+_OVERVIEW = pa.schema(
+    [
+        ("query", pa.string()),
+        ("origin", pa.string()),
+        ("runs", pa.int64()),
+        ("precision", pa.float64()),
+        ("recall", pa.float64()),
+        ("fitness", pa.float64()),
+        ("keyframes", pa.string()),
+        ("margins", pa.string()),
+    ]
+)
+
+
+def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> pa.Table:
+    """One row for each query: where it comes from, precision and recall on the training clips, what it asks for."""
+    rows = []
+    for outcome in outcomes:
+        for number, query in enumerate(keyframe_queries(outcome, feature_set)):
+            assert query.margins is not None
+            rows.append(
+                {
+                    "query": query.name,
+                    "origin": outcome.consensus.origin if number == 0 else "run",
+                    "runs": outcome.runs,
+                    "precision": round(outcome.precision, 3),
+                    "recall": round(outcome.recall, 3),
+                    "fitness": round(outcome.consensus.fitness, 3) if number == 0 else None,
+                    "keyframes": sentence(query, feature_set),
+                    "margins": f"{query.margins[0]} {query.margins[1]}",
+                }
+            )
+    return pa.Table.from_pylist(rows, schema=_OVERVIEW)
+
+
+def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
+    """A query in one line: features that are on, those that are off with a minus, gaps in frames between keyframes."""
+    text = _words(query.keyframes[0], feature_set)
+    for gap, keyframe in zip(query.gaps, query.keyframes[1:], strict=True):
+        text += " & " if gap.high == 0 else f" →{gap.low}–{gap.high}→ "
+        text += _words(keyframe, feature_set)
+    return text
+
+
+def _words(keyframe: Keyframe, feature_set: FeatureSet) -> str:
+    on, off = features_of(keyframe, feature_set)
+    return " ".join([*on, *(f"−{name}" for name in off)])

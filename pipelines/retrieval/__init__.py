@@ -1,0 +1,1 @@
+"""Ranking of whole archives, and how good it is."""

@@ -1,0 +1,242 @@
+"""Ranking a store: takes batch by batch through threads, and of every template the best hits."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+import pyarrow as pa
+
+from catalog.queries import KeyframeQuery
+from ops.distances.costs import I64, encode
+from ops.distances.ranking import Hits, rank
+from ops.errors import KinedexError
+from ops.templates.templates import QuantisedTemplate, quantise
+from pipelines.executors import cores
+from pipelines.searching.search import preselect
+from pipelines.searching.windows import template_ranges
+from pipelines.templates.learning import SubclassTemplate
+from storage.schemas import result_schema
+from storage.store import Store
+
+BATCH_FRAMES = 200_000
+"""Analysis frames (under two hours) that a thread reads and ranks at a time; a longer take makes a batch of its own."""
+
+
+KEYS = 1e9
+"""Costs are compared as whole billionths, as in `ops.distances.ranking`."""
+
+Item = tuple[tuple[int, ...], tuple[float, ...]]
+"""Takes, by id, and the threshold of every template."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A template to rank with, by a name for the results, and the keyframe queries that preselect frames for it."""
+
+    name: str
+    template: QuantisedTemplate
+    queries: tuple[KeyframeQuery, ...] = ()
+
+
+@dataclass(frozen=True)
+class Hit:
+    """A place in a take where a template fits: frames [start, stop), and the distance."""
+
+    take_id: int
+    take: str
+    start: int
+    stop: int
+    cost: float
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The hits of one template, the best first; of how many frames were searched, how many were looked at closely."""
+
+    name: str
+    hits: tuple[Hit, ...]
+    frames: int
+    searched: int
+    computed: int
+
+    @property
+    def skipped(self) -> float:
+        """The share of the searched frames that provably had no hit and were skipped."""
+        return max(0.0, 1 - self.computed / self.searched) if self.searched else 0.0
+
+    @property
+    def kept(self) -> float:
+        """The share of all frames that keyframe queries left."""
+        return self.searched / self.frames if self.frames else 0.0
+
+
+def searched_templates(
+    learned: Sequence[SubclassTemplate], delta: float, queries: Sequence[KeyframeQuery] = ()
+) -> tuple[list[Searched], list[str]]:
+    """Quantise templates, and give each the queries for its subclass.
+
+    Returns
+    -------
+    What to search for; and the subclasses whose template is wildcards alone and would fit anything, left out.
+
+    Raises
+    ------
+    KinedexError: no template is left.
+    """
+    searched, vague = [], []
+    for one in learned:
+        template = quantise(one.learned.template, delta)
+        if template.fixed:
+            own = tuple(query for query in queries if query.target == one.subclass)
+            searched.append(Searched(one.subclass, template, own))
+        else:
+            vague.append(one.subclass)
+    if not searched:
+        raise KinedexError(f"at delta = {delta:g} no template is left to rank with; raise `delta`")
+    return searched, vague
+
+
+def rank_store(
+    store: Store,
+    templates: Sequence[Searched],
+    tau: float,
+    top: int | None = None,
+    where: str | None = None,
+    workers: int | None = None,
+) -> list[Ranking]:
+    """Rank the takes of a store by each of some templates.
+
+    Memory does not grow with the archive: besides the hits that are kept it holds a batch or two for each thread.
+    The result is the same for any number of threads.
+
+    Parameters
+    ----------
+    templates: what to look for. tau: distances below it make a hit. top: how many hits a template at most.
+    where: a SQL filter over the columns of takes. workers: threads; all cores unless told.
+
+    Raises
+    ------
+    KinedexError: no take is selected, or a query does not fit the features.
+    """
+    takes = store.takes(where).sort("take_id")
+    if not takes.height:
+        raise KinedexError("no take to rank" + (f": the filter `{where}` selects none" if where else " in this store"))
+    names = dict(takes.select("take_id", "name").iter_rows())
+    batches = _batches(takes["take_id"].to_list(), takes["frames"].to_list())
+    best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
+    counts = np.zeros((len(templates), 3), np.int64)
+
+    # Where enough hits are known, one that is no better than the last of them is of no interest any more. The others
+    # stay as they are: what is taken rules out what is dearer, never the other way round.
+    bars = [tau] * len(templates)
+
+    def work(item: Item) -> list[tuple[I64, Hits]]:
+        return list(_rank_batch(store, templates, *item, top))
+
+    items = ((batch, tuple(bars)) for batch in batches)
+    for found in _in_threads(work, items, cores() if workers is None else workers):
+        for place, (ids, hits) in enumerate(found):
+            total = int(ids[-1])
+            counts[place] += (total, hits.frames, hits.computed)
+            entries = [
+                (round(cost * KEYS), names[take_id], stop, Hit(take_id, names[take_id], start, stop, cost))
+                for take_id, start, stop, cost in zip(
+                    ids[:-1][hits.takes].tolist(), hits.starts.tolist(), hits.stops.tolist(), hits.costs.tolist(),
+                    strict=True,
+                )
+            ]  # fmt: skip
+            merged = best[place] + entries
+            best[place] = sorted(merged, key=_order) if top is None else heapq.nsmallest(top, merged, key=_order)
+            if len(best[place]) == top:
+                # equal costs (keys that are the same, and the tolerance below a threshold) are still let in
+                bars[place] = min(tau, (best[place][-1][0] + 2) / KEYS)
+    return [
+        Ranking(one.name, tuple(entry[3] for entry in kept), *(int(number) for number in count))
+        for one, kept, count in zip(templates, best, counts, strict=True)
+    ]
+
+
+def _order(entry: tuple[float, str, int, Hit]) -> tuple[float, str, int]:
+    return entry[:3]
+
+
+def _batches(take_ids: Sequence[int], frames: Sequence[int]) -> list[tuple[int, ...]]:
+    """Divide takes into batches of about `BATCH_FRAMES`."""
+    batches: list[list[int]] = []
+    room = 0
+    for take_id, length in zip(take_ids, frames, strict=True):
+        if not batches or length > room:
+            batches.append([])
+            room = BATCH_FRAMES
+        batches[-1].append(take_id)
+        room -= length
+    return [tuple(batch) for batch in batches]
+
+
+def _rank_batch(
+    store: Store, templates: Sequence[Searched], take_ids: tuple[int, ...], taus: tuple[float, ...], top: int | None
+) -> Iterator[tuple[I64, Hits]]:
+    """The hits of each template in some takes, with the takes' ids and, last, how many frames they have."""
+    words = store.words(take_ids)
+    coded = encode(words.words)
+    queries = {query.name: query for one in templates for query in one.queries}
+    hits = preselect(words, store.feature_set, list(queries.values())) if queries else {}
+    ids = np.concatenate((words.take_ids, [len(words.words)])).astype(np.int64)
+    for one, tau in zip(templates, taus, strict=True):
+        ranges = None
+        if one.queries:
+            columns = one.template.values(len(store.feature_set.features))
+            found = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
+            shift = np.repeat(words.offsets[:-1], np.diff(found.offsets))
+            ranges = np.stack([found.starts + shift, found.stops + shift], axis=1)
+        yield ids, rank(one.template, words, tau, top, ranges, coded)
+
+
+def _in_threads(
+    work: Callable[[Item], list[tuple[I64, Hits]]], items: Iterable[Item], workers: int
+) -> Iterator[list[tuple[I64, Hits]]]:
+    """Apply the work to every item in threads, two a thread in flight; results come in the items' order.
+
+    An item is asked for only when there is room, after the results before it have been looked at.
+
+    The kernels let go of the interpreter, so that threads share the cores as processes would, without a copy.
+    """
+    source = iter(items)
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        waiting: deque[Future[list[tuple[I64, Hits]]]] = deque(
+            pool.submit(work, item) for item in islice(source, 2 * workers)
+        )
+        try:
+            while waiting:
+                yield waiting.popleft().result()
+                waiting.extend(pool.submit(work, item) for item in islice(source, 1))
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def ranking_table(rankings: Iterable[Ranking], rate_hz: float, run: str = "") -> pa.Table:
+    """Lay hits out as results of the kind `ranked_hits`, in the order of templates and ranks."""
+    rows = [
+        {
+            "run": run,
+            "template": ranking.name,
+            "rank": place,
+            "take_id": hit.take_id,
+            "take": hit.take,
+            "start": hit.start,
+            "stop": hit.stop,
+            "start_seconds": hit.start / rate_hz,
+            "stop_seconds": hit.stop / rate_hz,
+            "cost": hit.cost,
+        }
+        for ranking in rankings
+        for place, hit in enumerate(ranking.hits, start=1)
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("ranked_hits"))

@@ -1,0 +1,1 @@
+"""Keyframe search in stores and in words."""

@@ -1,0 +1,161 @@
+"""Keyframe search over a store or over words in memory, and the table of its hits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from catalog.features import FeatureSet
+from catalog.queries import KeyframeQuery, choose_queries
+from catalog.queryfiles import ANALYSIS_RATE_HZ, read_queries
+from ops.errors import KinedexError
+from ops.search.preselection import TakeRanges
+from ops.words import I64, TakeWords
+from pipelines.searching.lists import lists_of_store
+from pipelines.searching.resident import resident_words
+from storage.schemas import result_schema
+from storage.store import Store
+from storage.writer import StoreWriter
+
+
+@dataclass(frozen=True)
+class SearchedTakes:
+    """The takes that are searched, by take_id: ids, names, and frames, each (T,)."""
+
+    ids: I64
+    names: list[str]
+    frames: I64
+
+    @classmethod
+    def of_store(cls, store: Store, take_filter: str | None) -> SearchedTakes:
+        """The takes of a store for which a SQL filter holds; all of them for None."""
+        takes = store.takes(take_filter).sort("take_id")
+        return cls(
+            takes["take_id"].to_numpy().astype(np.int64),
+            takes["name"].to_list(),
+            takes["frames"].to_numpy().astype(np.int64),
+        )
+
+    def chosen(self, store: Store, query: KeyframeQuery) -> npt.NDArray[np.bool_]:
+        """bool (T,), the takes that the query's own filter leaves."""
+        if query.takes is None:
+            return np.ones(len(self.ids), bool)
+        try:
+            return np.isin(self.ids, store.takes(query.takes)["take_id"].to_numpy())
+        except KinedexError as fault:
+            raise KinedexError(f"query '{query.name}': {fault}") from None
+
+
+def load_query_file(
+    name_or_path: str | Path,
+    feature_set: FeatureSet,
+    names: Sequence[str] | None = None,
+    rate_hz: float = ANALYSIS_RATE_HZ,
+) -> tuple[KeyframeQuery, ...]:
+    """Read a query file, and of it only the queries named, in that order; all of them where none is.
+
+    Raises
+    ------
+    ConfigError: the file is wrong; with line and key. KinedexError: it has no query of a name asked for.
+    """
+    return choose_queries(read_queries(name_or_path, feature_set, rate_hz), names or ())
+
+
+def search_store(
+    store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None, run: str = ""
+) -> pa.Table:
+    """Search the published index of a store, reading no more of it than the words that the queries ask for.
+
+    Parameters
+    ----------
+    store: a store whose index is built.
+    queries: keyframe queries over the store's feature set.
+    take_filter: a SQL filter over the columns of takes; None searches all. A query's own filter holds besides.
+    run: what the column `run` says.
+
+    Returns
+    -------
+    The hits, one row per range, as `storage.schemas.result_schema("hits")` has them: in the order of the queries, then
+    by take name and start.
+
+    Raises
+    ------
+    KinedexError: a query over features that the store does not have, or a filter that is not valid.
+    StoreError: the index is missing or stale; the message says how to build it.
+    """
+    takes = SearchedTakes.of_store(store, take_filter)
+    lists = lists_of_store(store, queries, takes.ids)
+    hits = {query.name: of_these_takes(lists.search(query), query, store, takes) for query in queries}
+    return hits_table(hits, takes.ids, takes.names, store.rate_hz, run)
+
+
+def of_these_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes: SearchedTakes) -> TakeRanges:
+    """Of ranges those of the takes that a query's own filter leaves."""
+    if query.takes is None:
+        return ranges
+    counts = np.diff(ranges.offsets)
+    chosen = takes.chosen(store, query)
+    kept = np.repeat(chosen, counts)
+    offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts * chosen)])
+    return TakeRanges(offsets, ranges.starts[kept], ranges.stops[kept])
+
+
+def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> None:
+    """Keep hits in the store as results, in place of those that were kept under this name before.
+
+    Raises
+    ------
+    StoreError: another process writes to the store.
+    """
+    with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:
+        writer.put_results("hits", hits, stage=f"search/{name}", run=run)
+        writer.commit()
+
+
+def preselect(words: TakeWords, feature_set: FeatureSet, queries: Sequence[KeyframeQuery]) -> dict[str, TakeRanges]:
+    """Search words in memory: query name → its ranges in each take, from first to last keyframe, without margins.
+
+    Raises
+    ------
+    KinedexError: a query with a filter over takes, of which words in memory say nothing.
+    """
+    for query in queries:
+        if query.takes is not None:
+            raise KinedexError(
+                f"query '{query.name}' has a filter over takes (`takes: {query.takes}`), which preselection does not "
+                "know; choose the takes by the stage's own filter, and leave it out of the query"
+            )
+    if not queries:
+        return {}
+    resident = resident_words(words, feature_set)
+    return {query.name: resident.search(query) for query in queries}
+
+
+def hits_table(
+    hits: Mapping[str, TakeRanges], take_ids: I64, names: Sequence[str], rate_hz: float, run: str = ""
+) -> pa.Table:
+    """Lay out ranges as the table of hits: in the order of the queries, then by take name and start."""
+    schema = result_schema("hits")
+    by_name = np.argsort(np.argsort(np.array(names, dtype=np.str_), kind="stable"))
+    tables = []
+    for query, ranges in hits.items():
+        index = np.repeat(np.arange(len(ranges)), np.diff(ranges.offsets))
+        order = np.lexsort((ranges.starts, by_name[index]))
+        index, starts, stops = index[order], ranges.starts[order], ranges.stops[order]
+        columns = {
+            "run": pa.repeat(run, len(index)),
+            "query": pa.repeat(query, len(index)),
+            "take_id": take_ids[index],
+            "take": pa.array([names[i] for i in index.tolist()], pa.string()),
+            "start": starts.astype(np.int32),
+            "stop": stops.astype(np.int32),
+            "start_seconds": starts / rate_hz,
+            "stop_seconds": stops / rate_hz,
+        }
+        tables.append(pa.table(columns, schema=schema))
+    return pa.concat_tables([schema.empty_table(), *tables])

@@ -1,0 +1,1 @@
+"""Templates: learned from clips, made by recipes, checked, shown."""

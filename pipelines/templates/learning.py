@@ -1,0 +1,267 @@
+"""Learning templates for the subclasses of an archive: the training clips, the tasks, and the table of results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+import pyarrow as pa
+
+from ops.errors import KinedexError
+from ops.templates.templates import Kind as Kind
+from ops.templates.templates import Learned, Template, learn
+from ops.words import NO_WORD, U64
+from pipelines.executors import Executor
+from pipelines.templates.clipchecks import clip_remarks
+from pipelines.wording import few
+from storage.schemas import result_schema
+from storage.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+_TASK_CELLS = 20_000_000
+"""Cells of the alignments of one round that make a task worth a second or so."""
+
+_SPLIT_CELLS = 100_000_000
+"""From this many on, the rounds of one class are worth being divided among all workers."""
+
+LEARNED = "learned"
+"""The origin of a template that was learned from clips of its own class."""
+
+
+@dataclass(frozen=True)
+class TrainingClips:
+    """The clips of one subclass in the order of their names: names and words, all of them valid frames.
+
+    mirrored: how many of them, the last ones, are mirrored clips of another class (or of this one). source: whose.
+    remarks: what was cut off or left out, in words.
+    """
+
+    subclass: str
+    names: tuple[str, ...]
+    words: tuple[U64, ...]
+    mirrored: int = 0
+    source: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def cells(self) -> int:
+        """Cells of the alignments of one round: all pairs of frames of all pairs of clips."""
+        return sum(len(words) for words in self.words) ** 2
+
+    @property
+    def origin(self) -> str:
+        """Where the template comes from, in words."""
+        if not self.mirrored:
+            return LEARNED
+        return f"{LEARNED}, {self.mirrored} of {len(self.names)} clips are those of {self.source} in the mirror"
+
+
+@dataclass(frozen=True)
+class SubclassTemplate:
+    """A template with its provenance: the clips that it was learned from, and what is to be said of them."""
+
+    subclass: str
+    kind: Kind
+    learned: Learned
+    clips: tuple[str, ...]
+    origin: str = LEARNED
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Task:
+    """Subclasses whose templates one worker learns."""
+
+    clips: tuple[TrainingClips, ...]
+    kinds: tuple[Kind, ...]
+    features: int
+    feature_weights: F64 | None = None
+
+
+def training_takes(store: Store, where: str) -> pl.DataFrame:
+    """The takes that a filter selects for learning, sorted by name; all of them have a class.
+
+    Raises
+    ------
+    KinedexError: none is selected, or one without a class; the message says what the archive has.
+    """
+    takes = store.takes(where)
+    if not takes.height:
+        labelled = store.takes().filter(pl.col("class").is_not_null()).height
+        raise KinedexError(
+            f"no take to learn templates from: the filter `{where}` selects none of the {store.takes().height} takes, "
+            f"{labelled} of which have a class. The class of a take comes from its path, by `patterns` of ingest"
+        )
+    unlabelled = takes.filter(pl.col("class").is_null())["name"].to_list()
+    if unlabelled:
+        raise KinedexError(
+            f"the filter `{where}` selects {len(unlabelled)} takes to learn from that have no class, such as "
+            f"{unlabelled[0]}; add `AND class IS NOT NULL`"
+        )
+    return takes
+
+
+def training_clips(store: Store, takes: pl.DataFrame) -> list[TrainingClips]:
+    """Group training takes by subclass and read their words; subclasses and clips in the order of their names.
+
+    Invalid frames at the ends of a clip are cut off; a clip with others, or without any valid frame, is left out.
+
+    Raises
+    ------
+    KinedexError: a subclass is left without a clip.
+    """
+    words = store.words(takes["take_id"].to_list())
+    place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
+    clips = []
+    for (subclass,), group in takes.sort("class", "name").group_by("class", maintain_order=True):
+        every = {str(name): words.take(place[take_id]) for take_id, name in group.select("take_id", "name").iter_rows()}
+        clips.append(_usable(str(subclass), every))
+    return clips
+
+
+def _usable(subclass: str, every: dict[str, U64]) -> TrainingClips:
+    kept: dict[str, U64] = {}
+    shortened, left_out = [], []
+    for name, words in every.items():
+        valid = np.flatnonzero(words != NO_WORD)
+        inner = words[valid[0] : valid[-1] + 1] if len(valid) else words[:0]
+        if not len(valid) or len(inner) > len(valid):
+            left_out.append(name)
+            continue
+        kept[name] = inner
+        if len(inner) < len(words):
+            shortened.append(name)
+    if not kept:
+        raise KinedexError(
+            f"subclass {subclass} is left without a clip to learn from: all of them have invalid frames "
+            f"({few(left_out)}); leave it out of the training takes, or ingest with a larger `fill_gap_frames`"
+        )
+    remarks = []
+    if left_out:
+        remarks.append(f"clips with invalid frames in the middle, left out: {few(left_out)}")
+    if shortened:
+        remarks.append(f"clips with invalid frames at an end, which are cut off: {few(shortened)}")
+    return TrainingClips(subclass, tuple(kept), tuple(kept.values()), remarks=tuple(remarks))
+
+
+def tasks(
+    clips: Iterable[TrainingClips], kinds: Sequence[Kind], features: int, feature_weights: F64 | None = None
+) -> list[Task]:
+    """Divide subclasses into tasks worth a second or more."""
+    groups: list[list[TrainingClips]] = []
+    cells = _TASK_CELLS
+    for one in clips:
+        if cells >= _TASK_CELLS:
+            groups.append([])
+            cells = 0
+        groups[-1].append(one)
+        cells += one.cells
+    return [Task(tuple(group), tuple(kinds), features, feature_weights) for group in groups]
+
+
+def learn_task(task: Task) -> list[SubclassTemplate]:
+    """Learn the templates of a task (runs in a worker)."""
+    return [
+        _template(one, kind, learn(kind, one.words, task.features, task.feature_weights))
+        for one in task.clips
+        for kind in task.kinds
+    ]
+
+
+def learn_templates(
+    clips: Sequence[TrainingClips],
+    kinds: Sequence[Kind],
+    features: int,
+    executor: Executor,
+    feature_weights: F64 | None = None,
+) -> Iterator[list[SubclassTemplate]]:
+    """Learn the templates of many subclasses, task by task, the largest last.
+
+    Subclasses are spread over the workers; of a subclass with very many clips, the alignments of each round are. The
+    templates do not depend on the executor, to the last bit.
+    """
+    most = _SPLIT_CELLS if executor.workers > 1 else math.inf
+    split, whole = [one for one in clips if one.cells >= most], [one for one in clips if one.cells < most]
+    yield from executor.map(learn_task, tasks(whole, kinds, features, feature_weights))
+    for one in split:
+        for kind in kinds:
+            pieces = 4 * executor.workers
+            yield [_template(one, kind, learn(kind, one.words, features, feature_weights, executor.map, pieces))]
+
+
+def _template(clips: TrainingClips, kind: Kind, learned: Learned) -> SubclassTemplate:
+    lengths = [len(words) for words in clips.words]
+    remarks = (*clips.remarks, *clip_remarks(clips.names, lengths, learned.clip_costs))
+    return SubclassTemplate(clips.subclass, kind, learned, clips.names, clips.origin, remarks)
+
+
+def templates_table(templates: Iterable[SubclassTemplate], run: str, take_filter: str) -> pa.Table:
+    """Lay templates out as results of the kind `templates`."""
+    rows = [
+        {
+            "run": run,
+            "subclass": one.subclass,
+            "kind": one.kind,
+            "features": one.learned.template.values.shape[1],
+            "columns": len(one.learned.template),
+            "values": one.learned.template.values.ravel(),
+            "weights": one.learned.template.weights,
+            "clips": list(one.clips),
+            "rounds": one.learned.rounds,
+            "costs": list(one.learned.costs),
+            "take_filter": take_filter,
+            "origin": one.origin,
+            "clip_costs": list(one.learned.clip_costs),
+            "feature_weights": one.learned.template.feature_weights,
+            "remarks": list(one.remarks),
+        }
+        for one in templates
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("templates"))
+
+
+def read_templates(store: Store, stage: str, kind: Kind) -> list[SubclassTemplate]:
+    """Read the templates of one kind that a stage has stored, by subclass.
+
+    Parameters
+    ----------
+    stage: "<pipeline>/<stage>".
+
+    Raises
+    ------
+    KinedexError: the stage has not run, or it learned no templates of this kind.
+    """
+    rows = store.result("templates", run=run_of(store, stage)).to_pylist()
+    found = [template_of(row) for row in rows if row["kind"] == kind]
+    if not found:
+        has = ", ".join(sorted({row["kind"] for row in rows})) or "none"
+        raise KinedexError(f"stage {stage} learned no {kind} templates (it has: {has}); set its `methods`")
+    return sorted(found, key=lambda one: one.subclass)
+
+
+def template_of(row: dict[str, Any]) -> SubclassTemplate:
+    """A row of the results `templates` as what it was made from."""
+    counts = row["feature_weights"]
+    template = Template(
+        np.array(row["values"]).reshape(row["columns"], row["features"]),
+        np.array(row["weights"]),
+        None if counts is None else np.array(counts),
+    )
+    learned = Learned(template, row["rounds"], tuple(row["costs"]), tuple(row["clip_costs"]))
+    return SubclassTemplate(
+        row["subclass"], row["kind"], learned, tuple(row["clips"]), row["origin"], tuple(row["remarks"])
+    )
+
+
+def run_of(store: Store, stage: str) -> str:
+    """The run of a stage whose results are live; a KinedexError says that it has not run."""
+    record = store.manifest.stages.get(stage)
+    if record is None:
+        raise KinedexError(f"stage {stage} has not run on {store.path}")
+    return record.run

@@ -1,0 +1,42 @@
+"""Thresholds as ranges: a condition holds for the same numbers as its comparison."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ops.body import primitives as p
+
+LIMITS = st.floats(-1e300, 1e300)
+
+
+@given(LIMITS, LIMITS, st.floats(allow_infinity=False))
+def test_bounds_hold_what_the_comparison_holds(low: float, high: float, x: float) -> None:
+    for near in (x, low, high, float(np.nextafter(low, np.inf)), float(np.nextafter(low, -np.inf))):
+        says = {
+            p.ABOVE: near > low,
+            p.AT_LEAST: near >= low,
+            p.BELOW: near < low,
+            p.AT_MOST: near <= low,
+            p.WITHIN: low <= near <= high,
+        }
+        for comparison, holds in says.items():
+            least, greatest = p.bounds(comparison, low, high)
+            assert (least <= near <= greatest) == holds
+
+
+@pytest.mark.parametrize(
+    ("values", "on"),
+    [
+        ([0.0, 2.0, 1.0, 0.4, 1.0, 2.0], [0, 1, 1, 0, 0, 1]),  # on by the strong, off by the weak condition
+        ([2.0, 0.4, 2.0, 2.0], [1, 0, 1, 1]),
+        ([2.0, np.nan, 1.0, 2.0, np.nan, 2.0], [1, 0, 0, 1, 0, 1]),  # NaN is neither
+        ([1.0, 1.0], [0, 0]),
+    ],
+)
+def test_a_feature_turns_on_strongly_and_stays_on_weakly(values: list[float], on: list[int]) -> None:
+    words = np.full(len(values), 0b100, dtype=np.uint64)
+    p.hysteresis(np.array(values), 0.5, np.inf, 1.5, np.inf, 3, words)
+    assert words.tolist() == [0b100 + 0b1000 * bit for bit in on]

@@ -1,0 +1,70 @@
+"""One query of many runs: what recurs is kept, and never less fit than the runs are in the median."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ops.errors import ParameterError
+from ops.learning.consensus import agreement_matrix, consent, recurring
+from ops.learning.fitness import Query
+from ops.learning.genetics import evolve, judge
+from ops.learning.lessons import Evolution
+from tests.ops.learning.test_genetics import material
+
+
+def query(*keyframes: tuple[int, int, int]) -> Query:
+    positions, masks, values = (np.array(part) for part in zip(*keyframes, strict=True))
+    gaps = np.zeros(len(keyframes) - 1, np.int64)
+    return Query(masks.astype(np.uint64), values.astype(np.uint64), positions, gaps, gaps + 9)
+
+
+RUNS = [
+    query((3, 0b011, 0b001), (10, 0b100, 0b100)),
+    query((4, 0b011, 0b001), (11, 0b110, 0b100)),
+    query((3, 0b001, 0b001), (17, 0b010, 0b010)),
+]
+
+
+def test_keyframes_add_up_to_a_matrix_in_which_a_wildcard_is_one_half() -> None:
+    matrix = agreement_matrix(RUNS, 20, 3)
+    assert matrix.shape == (20, 3)
+    assert matrix[3].tolist() == pytest.approx([0.5 + 2 * 0.5 / 3, 0.5 - 0.5 / 3, 0.5])
+    assert matrix[11].tolist() == pytest.approx([0.5, 0.5 - 0.5 / 3, 0.5 + 0.5 / 3])
+    assert (matrix[[0, 5, 19]] == 0.5).all()
+
+
+def test_what_recurs_is_kept_in_the_median_order() -> None:
+    found = recurring(RUNS, 0.6, 1, 3)
+    assert found is not None
+    assert found.positions.tolist() == [3, 10]
+    assert found.masks.tolist() == [0b011, 0b100]
+    assert found.values.tolist() == [0b001, 0b100]
+    assert found.gaps == [(0, 14)]
+    strict = recurring(RUNS, 1.0, 1, 3)
+    assert strict is not None
+    assert strict.masks.tolist() == [0b001, 0b100]
+
+
+def test_runs_that_agree_on_nothing_have_no_consensus() -> None:
+    assert recurring([query((3, 1, 1)), query((3, 1, 0))], 0.5, 1, 3) is None
+
+
+def test_the_consensus_is_no_worse_than_the_median_or_else_the_best_run() -> None:
+    given, evolution = material(seed=3), Evolution(generations=8)
+    runs = [evolve(given, evolution, (1, number)) for number in range(6)]
+    found = consent(given, runs, evolution, 1, 5)
+    ranks = [run.rank for run in runs]
+    assert found.median == np.median(ranks)
+    assert found.best == max(ranks)
+    assert found.rank >= found.median
+    assert judge(given, found.query, evolution)[2:] == (found.fitness, found.rank)
+    again = consent(given, runs, evolution, 1, 5)
+    assert again.query.key() == found.query.key()
+    if found.origin == "best run":
+        assert found.rank == found.best
+
+
+def test_without_runs_there_is_nothing_to_agree_on() -> None:
+    with pytest.raises(ParameterError, match="runs must be at least one"):
+        consent(material(), [], Evolution(), 1, 5)

@@ -1,0 +1,137 @@
+"""What is kept of the takes around the hits of a query, and where its keyframes sit in a template."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ops.errors import ParameterError
+from ops.search.keyframes import UNBOUNDED, Segments
+from ops.search.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
+from tests.oracles.preselection import best_placement
+
+
+def ranges(*takes: list[tuple[int, int]]) -> TakeRanges:
+    pairs = [pair for take in takes for pair in take]
+    offsets = np.cumsum([0, *(len(take) for take in takes)])
+    starts, stops = np.array(pairs, np.int64).reshape(-1, 2).T
+    return TakeRanges(offsets.astype(np.int64), starts.copy(), stops.copy())
+
+
+def listed(found: TakeRanges) -> list[list[tuple[int, int]]]:
+    return [list(zip(*(part.tolist() for part in found.take(i)), strict=True)) for i in range(len(found))]
+
+
+def bools(patterns: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    letters = np.array([list(pattern) for pattern in patterns])
+    return letters != "*", letters == "1"
+
+
+def test_ranges_are_sorted_by_take_and_takes_without_any_stay_empty() -> None:
+    second, fourth = 1 << 32, 3 << 32
+    segments = Segments(np.array([second + 2, second + 9, fourth]), np.array([second + 5, second + 11, fourth + 1]))
+    found = ranges_of_takes(segments, 5)
+    assert listed(found) == [[], [(2, 5), (9, 11)], [], [(0, 1)], []]
+    assert found.frames == 6
+    with pytest.raises(ParameterError, match="at least 4"):
+        ranges_of_takes(segments, 3)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "columns", "stiffness", "expected"),
+    [
+        (0, 9, 10, 1.0, (2, 3)),
+        (6, 10, 20, 0.5, (14, 22)),
+        (6, 10, 20, 0.1, (14, 22)),
+        (7, 13, 20, 0.7, (12, 12)),
+        (0, 0, 1, 0.0, (2, 4)),
+    ],
+)
+def test_the_margin_is_what_the_template_has_outside_its_keyframes(
+    first: int, last: int, columns: int, stiffness: float, expected: tuple[int, int]
+) -> None:
+    assert margins(first, last, columns, stiffness) == expected
+
+
+def test_margins_stay_inside_the_take_and_join_what_they_meet() -> None:
+    found = extend(ranges([(3, 5), (9, 12)], [], [(0, 4), (20, 22)]), 2, 3, np.array([13, 7, 40]))
+    assert listed(found) == [[(1, 13)], [], [(0, 7), (18, 25)]]
+
+
+def test_margins_that_touch_join() -> None:
+    assert listed(extend(ranges([(2, 4), (8, 9)]), 2, 2, np.array([30]))) == [[(0, 11)]]
+    assert listed(extend(ranges([(2, 4), (9, 10)]), 2, 2, np.array([30]))) == [[(0, 6), (7, 12)]]
+
+
+def test_ranges_of_several_queries_are_united_take_by_take() -> None:
+    one, other = ranges([(1, 3)], [(5, 8)], []), ranges([(3, 4), (9, 10)], [(0, 4)], [(2, 3)])
+    assert listed(unite([one, other])) == [[(1, 4), (9, 10)], [(0, 4), (5, 8)], [(2, 3)]]
+    for wrong in ([], [one, ranges([])]):
+        with pytest.raises(ParameterError):
+            unite(wrong)
+
+
+def test_margins_out_of_their_domain_are_refused() -> None:
+    for wrong in ((3, 2, 9, 0.5), (0, 9, 9, 0.5), (-1, 2, 9, 0.5), (0, 1, 9, 1.5)):
+        with pytest.raises(ParameterError):
+            margins(*wrong)
+    with pytest.raises(ParameterError):
+        extend(ranges([]), -1, 0, np.array([3]))
+    with pytest.raises(ParameterError):
+        extend(ranges([]), 1, 0, np.array([3, 4]))
+
+
+def test_keyframes_find_their_columns() -> None:
+    template = np.array([[0, 0], [0, 1], [1, 1], [1, 0], [0, 0]], float)
+    fit = fit_keyframes(template, *bools(["01", "10"]), [(0, UNBOUNDED)])
+    assert fit.positions == (1, 3)
+    assert fit.cost == 0.0
+    assert fit.admissible
+
+
+def test_of_equally_good_columns_the_leftmost_is_taken() -> None:
+    template = np.array([[1.0], [0.0], [1.0], [1.0], [0.0], [0.0]])
+    assert fit_keyframes(template, *bools(["1", "0"]), [(1, 2)]).positions == (0, 1)
+    assert fit_keyframes(template, *bools(["*", "*"]), [(2, 9)]).positions == (0, 2)
+
+
+def test_gaps_too_long_for_the_template_leave_the_order_only() -> None:
+    fit = fit_keyframes(np.array([[0.0], [1.0], [0.5]]), *bools(["1", "1"]), [(5, 9)])
+    assert fit.positions == (1, 1)
+    assert not fit.admissible
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_the_fit_is_the_best_of_all_placements(data: st.DataObject) -> None:
+    features = data.draw(st.integers(1, 3))
+    value = st.sampled_from([0.0, 0.25, 0.5, 1.0])
+    column = st.lists(value, min_size=features, max_size=features)
+    template = data.draw(st.lists(column, min_size=1, max_size=7))
+    pattern = st.text("01*", min_size=features, max_size=features)
+    patterns = data.draw(st.lists(pattern, min_size=1, max_size=4))
+    gap = st.tuples(st.integers(0, 4), st.one_of(st.integers(0, 5), st.just(UNBOUNDED)))
+    gaps = [(low, low + more) for low, more in (data.draw(gap) for _ in patterns[1:])]
+    fit = fit_keyframes(np.array(template), *bools(patterns), gaps)
+    expected = best_placement(template, patterns, gaps)
+    assert fit.admissible == (expected is not None)
+    if expected is None:
+        expected = best_placement(template, patterns, [(0, UNBOUNDED)] * len(gaps))
+    assert expected is not None
+    # Thirds are not exact in a computer; placements that differ by less than 1e-9 are equally good.
+    assert fit.cost == pytest.approx(float(expected[1]), abs=1e-9)
+    if all(pattern.count("*") != features - 3 for pattern in patterns):
+        assert fit.positions == expected[0]
+
+
+def test_fitting_refuses_shapes_that_do_not_belong_together() -> None:
+    masks, values = bools(["01", "1*"])
+    for wrong in (
+        lambda: fit_keyframes(np.zeros((0, 2)), masks, values, [(0, 1)]),
+        lambda: fit_keyframes(np.zeros((4, 3)), masks, values, [(0, 1)]),
+        lambda: fit_keyframes(np.zeros((4, 2)), masks, values, []),
+    ):
+        with pytest.raises(ParameterError):
+            wrong()

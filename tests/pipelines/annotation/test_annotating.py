@@ -1,0 +1,206 @@
+"""Annotating in batches: takes do not influence each other, and keyframes narrow the search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from catalog.classes import Classes, MotionClass, load_classes
+from catalog.queries import Gap, Keyframe, KeyframeQuery
+from ops.distances.annotation import local_minima, spread_minima
+from ops.distances.decoding import background
+from ops.distances.dtw import distance_curves, start_frames
+from ops.errors import KinedexError
+from ops.templates.templates import Learned, Template, learn_soft
+from ops.words import TakeWords
+from pipelines.annotation import annotating
+from pipelines.annotation.annotating import Annotator, annotate_words, make_annotator, split_takes, targets_unknown
+from pipelines.templates.learning import SubclassTemplate
+from tests.pipelines.labelled import BODY, POSES, motion
+
+
+def template(subclass: str, frames_a_pose: int = 5) -> SubclassTemplate:
+    return SubclassTemplate(subclass, "soft", learn_soft([motion(subclass, frames_a_pose)], 40), ("clip",))
+
+
+def annotator(*subclasses: str, queries: tuple[KeyframeQuery, ...] = (), tau: float = 0.13) -> Annotator:
+    templates = [template(subclass) for subclass in subclasses]
+    return make_annotator(BODY, templates, load_classes("own", subclasses), 0.05, tau, queries)
+
+
+def laid_out(takes: list[np.ndarray]) -> TakeWords:
+    offsets = np.concatenate([[0], np.cumsum([len(take) for take in takes])]).astype(np.int64)
+    return TakeWords(np.arange(len(takes)), offsets, np.concatenate([*takes, np.empty(0, np.uint64)]))
+
+
+KICK = KeyframeQuery(
+    "my kick",
+    "kick",
+    tuple(Keyframe("upper", 0x3FFF, int(word) & 0x3FFF) for word in POSES["kick"][[0, 2, 4]]),
+    (Gap(1, 20), Gap(1, 20)),
+)
+
+
+def test_motions_are_found_where_they_are():
+    take = np.concatenate([motion(name) for name in ("rest", "walk", "rest", "kick", "kick", "rest")])
+    (found,) = annotate_words(annotator("kick", "walk", "rest"), laid_out([take]), keep_curves=True)
+    labels = [("kick", "rest", "walk")[s.class_index] for s in found.segments if s.cost == 0]
+    assert labels == ["rest", "walk", "rest", "kick", "rest"]  # two kicks in a row are one stretch of kicking
+    kick = next(s for s in found.segments if s.class_index == 0)
+    assert (kick.start, kick.stop) == (30, 80)
+    assert found.curves is not None
+    assert found.curves.shape == (3, len(take))
+    assert found.preselected.tolist() == [1, 1, 1]
+
+
+def test_labelled_together_motions_in_a_row_are_told_apart():
+    names = ("rest", "walk", "rest", "kick", "kick", "rest")
+    take = np.concatenate([motion(name) for name in names])
+    templates = [template(subclass) for subclass in ("kick", "walk")]
+    usual = background([take], 40)
+    made = make_annotator(BODY, templates, load_classes("own", ["kick", "walk"]), 0.05, 0.13, (), usual)
+    (found,) = annotate_words(made, laid_out([take]))
+    lengths = np.cumsum([0, *(len(motion(name)) for name in names)]).tolist()
+    expected = [(lengths[i], lengths[i + 1], name) for i, name in enumerate(names) if name != "rest"]
+    assert [(s.start, s.stop, ("kick", "walk")[s.class_index]) for s in found.segments] == expected
+    assert all(segment.cost == 0 and segment.confidence > 0.5 for segment in found.segments)
+    assert made.method == "templates in a row"
+
+
+def test_labelled_together_a_motion_is_found_in_the_hits_of_its_keyframes_only():
+    take = np.concatenate([motion(name) for name in ("walk", "rest", "kick", "rest")])
+    templates = [template(subclass) for subclass in ("kick", "walk")]
+    classes = load_classes("own", ["kick", "walk"])
+    nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
+    for query, expected in ((KICK, [1, 0]), (nowhere, [1])):
+        made = make_annotator(BODY, templates, classes, 0.05, 0.13, (query,), background([take], 40))
+        (found,) = annotate_words(made, laid_out([take]))
+        assert [one.class_index for one in found.segments] == expected
+
+
+words_of_takes = st.lists(
+    st.lists(st.sampled_from(sorted(POSES)), max_size=5).map(
+        lambda names: np.concatenate([np.empty(0, np.uint64), *(motion(name, 3) for name in names)])
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+@settings(max_examples=40)
+@given(words_of_takes, st.booleans())
+def test_takes_do_not_influence_each_other(takes: list[np.ndarray], with_keyframes: bool):
+    queries = (KICK,) if with_keyframes else ()
+    templates = [template("kick", 3), template("walk", 3), template("rest", 1)]  # the last has a single column
+    classes = load_classes("own", [one.subclass for one in templates])
+    one = make_annotator(BODY, templates, classes, 0.05, 0.13, queries)
+    together = annotate_words(one, laid_out(takes), keep_curves=True)
+    for found, take in zip(together, takes, strict=True):
+        (alone,) = annotate_words(one, laid_out([take]), keep_curves=True)
+        assert found.segments == alone.segments
+        np.testing.assert_array_equal(found.curves, alone.curves)
+        np.testing.assert_array_equal(found.preselected, alone.preselected)
+
+
+def test_keyframes_narrow_the_search_but_not_the_result():
+    take = np.concatenate([motion(name) for name in ("walk", "rest", "walk", "kick", "walk", "rest", "walk")])
+    words = laid_out([take])
+    (everywhere,) = annotate_words(annotator("kick", "walk"), words)
+    (narrowed,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, keep_curves=True)
+    assert narrowed.preselected[0] < 0.6
+    assert narrowed.preselected[1] == 1
+    assert narrowed.curves is not None
+    assert np.isinf(narrowed.curves[0, :20]).all()
+    best = [
+        min((s for s in found.segments if s.class_index == 0), key=lambda s: s.cost) for found in (everywhere, narrowed)
+    ]
+    assert best[0] == best[1]
+
+
+def test_a_query_for_a_class_serves_the_subclasses_that_have_none_of_their_own():
+    classes = Classes((MotionClass("legs", "", ("kick", "walk")), MotionClass("arms", "", ("wave",))))
+    for_legs = KeyframeQuery("legs", "legs", (Keyframe("upper", 1, 1),), ())
+    made = make_annotator(
+        BODY, [template("kick"), template("walk"), template("wave")], classes, 0.05, 0.13, (for_legs, KICK)
+    )
+    assert made.queries == ((KICK,), (for_legs,), ())
+    assert made.method == "templates within keyframe hits"
+    assert made.class_index.tolist() == [0, 0, 1]
+
+
+def test_queries_that_fit_no_class_are_named_and_all_of_them_an_error():
+    classes = load_classes("own", ["kick", "walk"])
+    other = KeyframeQuery("x", "kik", KICK.keyframes, KICK.gaps)
+    assert targets_unknown([KICK, other], classes) == ["kik"]
+    with pytest.raises(KinedexError, match="the first is for 'kik'; did you mean 'kick'"):
+        targets_unknown([other], classes)
+
+
+def test_classes_without_any_template_are_an_error():
+    with pytest.raises(KinedexError, match="none of the classes dance has a template; there are: kick"):
+        make_annotator(BODY, [template("kick")], Classes((MotionClass("dance", "", ()),)), 0.05, 0.13)
+
+
+def faint(subclass: str, fixed: int) -> SubclassTemplate:
+    """A template of four columns of which so many entries are no wildcards."""
+    values = np.full((4, 40), 0.5)
+    values.ravel()[:fixed] = 0
+    return SubclassTemplate(subclass, "soft", Learned(Template(values, np.ones(4)), 1, (0.0, 0.0)), ("clip",))
+
+
+def test_templates_that_fit_anything_are_left_out_and_those_that_nearly_do_are_named():
+    classes = load_classes("own", ["faint", "kick", "nothing", "walk"])
+    templates = [faint("nothing", 0), template("kick"), faint("faint", 3), faint("walk", 4)]
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13)
+    assert made.subclasses == ("kick", "faint", "walk")
+    assert made.classes == ("faint", "kick", "nothing", "walk")
+    assert made.remarks == (
+        "templates of wildcards alone, which would fit anything, left out: nothing",
+        "templates with less than 1 fixed entry a column on average, which fit almost anything: faint (0.75)",
+    )
+    assert not make_annotator(BODY, [template("kick")], classes, 0.05, 0.13).remarks
+    with pytest.raises(KinedexError, match=r"every template is wildcards alone .* raise `delta`"):
+        make_annotator(BODY, templates[:1], classes, 0.05, 0.13)
+
+
+def test_takes_are_divided_into_batches_and_none_is_lost(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(annotating, "BATCH_FRAMES", 100)
+    assert split_takes([3, 1, 2, 4, 5], [10, 60, 50, 300, 1]) == [(1,), (2, 3), (4,), (5,)]
+    assert split_takes([], []) == []
+
+
+@given(
+    st.lists(st.integers(0, 12), min_size=1, max_size=5),
+    st.lists(st.tuples(st.integers(0, 6), st.integers(1, 6)), max_size=6),
+)
+def test_frames_within_ranges_are_counted_take_by_take(lengths: list[int], steps: list[tuple[int, int]]):
+    offsets = np.cumsum([0, *lengths])
+    edges = np.minimum(np.cumsum([0, *(step for pair in steps for step in pair)])[1:], offsets[-1]).reshape(-1, 2)
+    inside = [sum(start <= frame < stop for start, stop in edges) for frame in range(offsets[-1])]
+    expected = [sum(inside[start:stop]) for start, stop in pairwise(offsets)]
+    assert annotating._frames_within(edges, offsets).tolist() == expected
+
+
+@settings(max_examples=40)
+@given(words_of_takes, st.booleans(), st.sampled_from([0.02, 0.13, 0.5]))
+def test_modified_curves_are_those_of_whole_curves(takes: list[np.ndarray], with_keyframes: bool, tau: float):
+    queries = (KICK,) if with_keyframes else ()
+    templates = [template("kick", 3), template("walk", 3), template("rest", 1)]
+    one = make_annotator(BODY, templates, load_classes("own", [one.subclass for one in templates]), 0.05, tau, queries)
+    words = laid_out(takes)
+    ranges = annotating._ranges(one, words)
+    found = annotating._modified(one, words, ranges)
+    for row, quantised, stretches in zip(found, one.templates, ranges, strict=True):
+        (curve,) = distance_curves([quantised], words.words, stretches)
+        minima = [
+            local_minima(curve[start:stop], tau) + start
+            for start, stop in zip(words.offsets[:-1], words.offsets[1:], strict=True)
+        ]
+        ends = np.concatenate(minima)
+        starts = start_frames(quantised, words.words, ends, stretches)
+        np.testing.assert_allclose(row, spread_minima(curve, starts, ends), rtol=0, atol=1e-12)

@@ -1,0 +1,74 @@
+"""Annotations leave a store as label files, and come back as ground truth that they equal to the frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from ops.errors import KinedexError
+from pipelines.annotation.labels import annotate_stage, labels_of, source_frame
+from pipelines.cli import app
+from pipelines.evaluation.evaluating import analysis_frame
+from pipelines.stages import annotate, evaluate, learn_templates
+from storage.store import open_store
+from tests.pipelines.labelled import Line, clip, long_take, write_store
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Line:
+    clips = [clip(name, actor, number) for name in ("walk", "kick") for actor in ("ann", "bob") for number in (1, 2)]
+    takes = [long_take("cat_1", "cat", "walk", "kick", "walk"), long_take("cat_2", "cat", "rest", "kick", "rest")]
+    (tmp_path / "archive").mkdir()
+    line = Line(write_store(tmp_path / "store", [*clips, *takes], tmp_path / "archive"))
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate)
+    return line
+
+
+@given(st.integers(0, 10**7), st.sampled_from([30.0, 50.0, 59.94, 60.0, 100.0, 120.0, 240.0, 1000.0]))
+def test_source_frames_give_back_the_analysis_frame(frame: int, source_rate_hz: float):
+    assert analysis_frame(source_frame(frame, source_rate_hz, 30.0, 10**9), source_rate_hz, 30.0) == frame
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "eaf", "vtt", "txt"])
+def test_exported_annotations_are_ground_truth_that_they_equal(line: Line, tmp_path: Path, form: str):
+    given = ["labels", "export", str(line.store), "--format", form, "-o", str(tmp_path / "archive" / "sub")]
+    result = CliRunner().invoke(app, given)
+    assert result.exit_code == 0, result.stderr
+    segments = open_store(line.store).result("annotations")
+    assert f"{segments.num_rows} segments of 2 takes, annotated by test/annotate: 2 files in" in result.stdout
+    assert sorted(path.name for path in (tmp_path / "archive" / "sub").iterdir()) == [f"cat_1.{form}", f"cat_2.{form}"]
+    summary = line.run(evaluate, ground_truth=f"**/*.{form}")
+    assert summary["f1"] == summary["f2"] == 1
+    truth = open_store(line.store).result("ground_truth")
+    columns = ["take", "class", "start", "stop"]
+    order = [(name, "ascending") for name in columns]
+    assert truth.select(columns).sort_by(order).equals(segments.select(columns).sort_by(order))
+    again = CliRunner().invoke(app, given)
+    assert again.exit_code == 1
+    assert "nothing is overwritten without --force" in again.stderr
+    assert CliRunner().invoke(app, [*given, "--force"]).exit_code == 0
+    shown = CliRunner().invoke(
+        app, ["labels", "read", str(tmp_path / "archive" / "sub" / f"cat_1.{form}"), "--format", "csv"]
+    )
+    assert shown.stdout.splitlines()[0] == "take,class,start,stop,unit,where"
+
+
+def test_stages_and_takes_are_chosen_by_name(line: Line):
+    store = open_store(line.store)
+    for wanted in (None, "test", "test/annotate", "run-annotate"):
+        assert annotate_stage(store, wanted) == "test/annotate"
+    with pytest.raises(
+        KinedexError, match="no stage 'tests/annotate' has annotated anything; did you mean 'test/annotate'"
+    ):
+        annotate_stage(store, "tests/annotate")
+    assert [one.take for one in labels_of(store, "test/annotate", ["cat_2"])] == ["cat_2"]
+    assert [one.take for one in labels_of(store, "test/annotate", where="name = 'cat_1'")] == ["cat_1"]
+    with pytest.raises(KinedexError, match="did not annotate 'cat_3'; did you mean"):
+        labels_of(store, "test/annotate", ["cat_3"])
+    with pytest.raises(KinedexError, match="selects no take that stage test/annotate annotated"):
+        labels_of(store, "test/annotate", where="class = 'walk'")

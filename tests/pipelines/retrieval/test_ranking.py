@@ -1,0 +1,152 @@
+"""Ranking a store: by a learned template, by an example, within keyframe hits, with any number of threads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ops.distances.ranking import rank
+from ops.errors import KinedexError
+from ops.templates.templates import QuantisedTemplate
+from ops.words import TakeWords
+from pipelines.cli import app
+from pipelines.evaluation.evaluating import Manual
+from pipelines.retrieval import ranking
+from pipelines.retrieval.ranking import Hit, Searched, rank_store, ranking_table
+from pipelines.retrieval.retrieval import judge_clips, judge_hits, mean_average_precision, recall_at_tau
+from pipelines.runner import run_pipeline
+from storage.store import Store, open_store
+from tests.pipelines.archives import write_archive
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    folder = tmp_path_factory.mktemp("ranking")
+    archive = write_archive(folder / "archive", {f"x_{name}.amc": 240 + 40 * i for i, name in enumerate("abcdef")})
+    run_pipeline("ingest", folder / "store", assignments={"source": str(archive)}, executor="serial")
+    return open_store(folder / "store")
+
+
+def example(store: Store, take: str, start: int, stop: int) -> QuantisedTemplate:
+    words = store.words([store.take_id(take)]).take(0)[start:stop]
+    return QuantisedTemplate(np.full(len(words), (1 << 40) - 1, np.uint64), words)
+
+
+def test_a_stretch_of_a_take_is_found_first_and_the_order_is_that_of_one_long_list(store: Store):
+    template = example(store, "x_c", 10, 40)
+    (found,) = rank_store(store, [Searched("c", template)], 0.4, workers=1)
+    assert (found.hits[0].take, found.hits[0].start, found.hits[0].stop, found.hits[0].cost) == (
+        "x_c",
+        10,
+        38,
+        0.0,
+    )  # the last three frames are alike
+    words = store.words()
+    names = dict(store.takes().select("take_id", "name").iter_rows())
+    whole = rank(template, words, 0.4)
+    expected = [
+        (names[words.take_ids[take]], start, stop)
+        for take, start, stop in zip(whole.takes.tolist(), whole.starts.tolist(), whole.stops.tolist(), strict=True)
+    ]
+    assert [(hit.take, hit.start, hit.stop) for hit in found.hits] == expected
+    assert found.frames == found.searched == len(words.words)
+
+
+def test_threads_and_batches_change_nothing(store: Store, monkeypatch: pytest.MonkeyPatch):
+    searched = [Searched("c", example(store, "x_c", 10, 40)), Searched("e", example(store, "x_e", 0, 25))]
+    plain = ranking_table(rank_store(store, searched, 0.4, workers=1), store.rate_hz)
+    monkeypatch.setattr(ranking, "BATCH_FRAMES", 100)
+    for workers in (1, 3):
+        assert ranking_table(rank_store(store, searched, 0.4, workers=workers), store.rate_hz) == plain
+    few = rank_store(store, searched, 0.4, top=2, workers=2)
+    for one in few:
+        all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
+        assert [hit.take for hit in one.hits] == [row["take"] for row in all_hits[:2]]
+    for top in range(1, 12):  # whatever the last hit costs that is kept, equal costs included
+        for one in rank_store(store, searched, 0.4, top=top, workers=1):
+            all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
+            assert [(hit.take, hit.start, hit.cost) for hit in one.hits] == [
+                (row["take"], row["start"], row["cost"]) for row in all_hits[:top]
+            ]
+
+
+def test_a_filter_that_selects_nothing_is_said(store: Store):
+    with pytest.raises(KinedexError, match="selects none"):
+        rank_store(store, [Searched("c", example(store, "x_c", 10, 40))], 0.1, where="name = 'zzz'")
+
+
+def test_query_by_example_on_the_command_line(store: Store):
+    answer = CliRunner().invoke(
+        app,
+        ["rank", str(store.path), "--take", "x_c", "--start", "10", "--stop", "40", "--top", "3", "--format", "csv"],
+    )
+    assert answer.exit_code == 0, answer.output
+    lines = answer.output.splitlines()
+    assert lines[0].split(",")[1:8] == ["template", "rank", "take_id", "take", "start", "stop", "start_seconds"]
+    assert lines[1].split(",")[4:7] == ["x_c", "10", "38"]
+    neither = CliRunner().invoke(app, ["rank", str(store.path)])
+    assert neither.exit_code == 1
+
+
+def test_a_template_file_ranks_like_the_example_that_it_was_made_of(store: Store, tmp_path: Path):
+    file = tmp_path / "mine.yaml"
+    stretch = ["x_c", "10", "40"]
+    made = CliRunner().invoke(
+        app, ["template", "from-clip", str(store.path), *stretch, "--name", "mine", "-o", str(file)]
+    )
+    assert made.exit_code == 0, made.output
+    by_file = CliRunner().invoke(app, ["rank", str(store.path), str(file), "--format", "csv"])
+    by_take = CliRunner().invoke(
+        app, ["rank", str(store.path), "--take", "x_c", "--start", "10", "--stop", "40", "--format", "csv"]
+    )
+    assert by_file.exit_code == 0, by_file.output
+    assert by_file.output.replace(",mine,", ",x_c,") == by_take.output
+    file.write_text(file.read_text() + file.read_text().replace("mine:", "other:"))
+    several = CliRunner().invoke(app, ["rank", str(store.path), str(file)])
+    assert several.exit_code == 1
+    assert "2 templates; leave one in it: mine, other" in several.stderr
+
+
+def manual(take: str, label: str, start: int, stop: int) -> Manual:
+    return Manual(0, take, label, start, stop, start, stop, "test")
+
+
+def test_a_segment_is_found_once_and_a_second_hit_on_it_is_wrong():
+    truth = [manual("a", "kick", 0, 30), manual("a", "punch", 40, 70), manual("b", "kick", 0, 30)]
+    hits = [Hit(1, "a", 2, 28, 0.01), Hit(1, "a", 5, 31, 0.02), Hit(1, "a", 38, 66, 0.03), Hit(2, "b", 0, 20, 0.2)]
+    judged = judge_hits("kick", hits, truth, 0.1)
+    assert judged.relevant == (True, False, False, True)
+    assert judged.average_precision == (1 + 2 / 4) / 2
+    assert judged.recall == 0.5
+    assert dict(judged.confused) == {"kick": 1, "punch": 1}
+
+
+def test_clips_are_judged_by_their_least_distance():
+    costs = np.array([0.05, 0.01, 0.2, np.inf])
+    judged = judge_clips("bk", "kick", costs, ["punch", "kick", "kick", "punch"], ["p", "k1", "k2", "q"], 0.1)
+    assert judged.relevant == (True, False, True, False)
+    assert judged.recall == 0.5
+    assert judged.confused == (("punch", 1),)
+    assert mean_average_precision([judged]) == (1 + 2 / 3) / 2
+    assert recall_at_tau([judged]) == 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_retrieval_of_hdm05_reaches_what_was_asked(shared: Path, tmp_path: Path):
+    outcome = run_pipeline("retrieval", tmp_path / "store", assignments={"source": str(shared / "data" / "hdm05")})
+    assert outcome.ran
+    summary = open_store(tmp_path / "store").manifest.stages["retrieval/evaluate_ranking"].summary
+    assert summary["takes_map"] >= 0.9
+    assert summary["clips_map"] >= 0.9
+    assert summary["takes_recall"] >= 0.95
+    assert summary["clips_recall"] >= 0.95
+
+
+def test_takes_without_frames_rank_nothing():
+    empty = TakeWords(np.array([1]), np.array([0, 0]), np.empty(0, np.uint64))
+    template = QuantisedTemplate(np.ones(3, np.uint64), np.ones(3, np.uint64))
+    assert len(rank(template, empty, 0.1)) == 0

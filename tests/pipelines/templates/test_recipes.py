@@ -1,0 +1,166 @@
+"""Templates in the mirror, combined, of files and with weights; large classes; and training clips with faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog.templatefiles import NamedTemplate, write_yaml
+from ops.errors import KinedexError
+from ops.templates.templates import quantise
+from ops.words import NO_WORD
+from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from pipelines.templates.learning import read_templates
+from storage.store import open_store
+from tests.pipelines.labelled import BODY, Line, clip, long_take, write_store
+
+CLIPS = [
+    clip(subclass, actor, number, pace)
+    for subclass in ("walk", "kick", "wave")
+    for actor, number, pace in (("ann", 1, 4), ("ann", 2, 5), ("bob", 3, 6))
+]
+TAKES = [
+    long_take("cat_take01", "cat", "rest", "walk", "rest", "kick", "rest"),
+    long_take("bob_take01", "bob", "wave", "rest", "kick", frames_a_pose=6),
+]
+TRUTH = """take,class,start,stop
+cat_take01,walk,20,100
+cat_take01,kick,120,220
+bob_take01,wave,0,96
+bob_take01,kick,120,240
+"""
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Line:
+    archive = tmp_path / "archive"
+    archive.mkdir()
+    (archive / "ground_truth.csv").write_text(TRUTH)
+    return Line(write_store(tmp_path / "store", CLIPS + TAKES, archive))
+
+
+def test_a_large_subclass_is_divided_among_the_workers_without_a_difference(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+):
+    line.run(learn_templates)
+    alone = open_store(line.store).result("templates").drop_columns(["run"])
+    monkeypatch.setattr("pipelines.templates.learning._SPLIT_CELLS", 1)
+    spread = Line(line.store, "processes")
+    spread.run(learn_templates)
+    spread.executor.close()
+    assert open_store(line.store).result("templates").drop_columns(["run"]).equals(alone)
+
+
+def templates_by_name(line: Line, kind: str = "soft") -> dict[str, dict[str, object]]:
+    rows = open_store(line.store).result("templates").to_pylist()
+    return {row["subclass"]: row for row in rows if row["kind"] == kind}
+
+
+def test_clips_in_the_mirror_teach_another_class_or_the_same(line: Line):
+    line.run(learn_templates, mirror={"kick": "kick_other", "wave": "wave"})
+    rows = templates_by_name(line)
+    assert set(rows) == {"kick", "kick_other", "walk", "wave"}
+    values = {name: np.array(row["values"]).reshape(-1, 40) for name, row in rows.items()}
+    np.testing.assert_allclose(values["kick_other"], values["kick"][:, BODY.mirror_order], atol=1e-12)
+    assert rows["kick_other"]["clips"] == rows["kick"]["clips"]
+    assert rows["kick_other"]["origin"] == "learned, 3 of 3 clips are those of kick in the mirror"
+    assert rows["wave"]["origin"] == "learned, 3 of 6 clips are those of wave in the mirror"
+    assert rows["walk"]["origin"] == "learned"
+    with pytest.raises(KinedexError, match="mirror: there are no clips of 'kik'; did you mean 'kick'"):
+        line.run(learn_templates, mirror={"kik": "x"})
+    with pytest.raises(KinedexError, match="'x' is said to be the mirror image of both 'kick' and 'wave'"):
+        line.run(learn_templates, mirror={"kick": "x", "wave": "x"})
+
+
+def test_motions_that_follow_each_other_are_one_template(line: Line):
+    line.run(learn_templates, combine={"walk_then_kick": {"parts": ["walk", "kick"], "gap": 5}})
+    rows = templates_by_name(line)
+    row = rows["walk_then_kick"]
+    assert row["columns"] == rows["walk"]["columns"] + 5 + rows["kick"]["columns"]
+    assert row["origin"] == "walk, then kick with 5 columns of anything between"
+    assert row["clips"] == rows["walk"]["clips"] + rows["kick"]["clips"]
+    line.run(annotate, where="name = 'cat_take01'")
+    found = open_store(line.store).result("annotations").to_pylist()
+    assert ("walk_then_kick", 20 // 4) in {(row["class"], row["start"]) for row in found}
+    line.run(evaluate, unknown_labels="ignore")
+    line.run(leave_one_out)
+    with pytest.raises(KinedexError, match="'x' needs a template of 'wolk'; did you mean 'walk'"):
+        line.run(learn_templates, combine={"x": {"parts": ["wolk", "kick"]}})
+    with pytest.raises(KinedexError, match="'kick' has a template already"):
+        line.run(learn_templates, combine={"kick": {"parts": ["walk", "kick"]}})
+
+
+def test_a_template_of_a_file_takes_the_place_of_a_learned_one(line: Line, tmp_path: Path):
+    line.run(learn_templates)
+    by_hand = {one.subclass: one for one in read_templates(open_store(line.store), "test/learn_templates", "soft")}
+    file = tmp_path / "mine.yaml"
+    file.write_text(write_yaml([NamedTemplate("kick", by_hand["kick"].learned.template)], BODY))
+    params = learn_templates.Params(template_files=[str(file)])
+    before = learn_templates.external_digest(params, open_store(line.store))
+    line.run(learn_templates, template_files=[str(file)])
+    rows = templates_by_name(line)
+    assert rows["kick"]["values"] == by_hand["kick"].learned.template.values.ravel().tolist()
+    assert (rows["kick"]["origin"], rows["kick"]["clips"], rows["kick"]["costs"]) == ("from mine.yaml", [], [])
+    assert set(templates_by_name(line, "hard")) == {"kick", "walk", "wave"}
+    assert "templates from files, so their clips are not learned from: kick" in line.said.getvalue()
+    line.run(annotate)
+    assert line.run(evaluate)["f2"] == 1
+    assert line.run(leave_one_out)["folds"] == 2
+    summary = line.run(learn_templates, where="false", template_files=[str(file)], methods=["soft"])
+    assert (summary["templates"], summary["clips"]) == (1, 0)
+    file.write_text(file.read_text() + "walk:\n  rows: {F1: '01'}\n")
+    assert learn_templates.external_digest(params, None) != before
+    with pytest.raises(KinedexError, match=r"'kick' stands in .* and in"):
+        line.run(learn_templates, template_files=[str(file), str(file)])
+
+
+def test_features_can_be_weighted_by_name(line: Line):
+    line.run(learn_templates, weights={"F1": 0, "rhand_fast": 3}, methods=["soft"])
+    counts = templates_by_name(line)["kick"]["feature_weights"]
+    assert isinstance(counts, list)
+    assert (counts[0], counts[12], counts[1]) == (0, 3, 1)
+    (one, *_) = read_templates(open_store(line.store), "test/learn_templates", "soft")
+    assert not np.any(quantise(one.learned.template, 0.05).mask & np.uint64(1))
+    line.run(annotate)
+    line.run(evaluate)
+    line.run(leave_one_out)
+    for weights, said in [({"F41": 1}, "no feature F41"), ({"F1": 1, "rhand_forwards": 2}, "are the same feature"),
+                          ({name.name: 0 for name in BODY.features}, "at least one feature must count")]:  # fmt: skip
+        with pytest.raises(KinedexError, match=said):
+            line.run(learn_templates, weights=weights)
+
+
+def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(line: Line):
+    hole = np.array([NO_WORD], np.uint64)
+    good = clip("kick", "dan", 4)
+    words = np.asarray(good["words"])
+    clips = [
+        good | {"name": "dan_kick_ends", "words": np.concatenate([hole, words, hole, hole])},
+        good | {"name": "dan_kick_hole", "words": np.concatenate([words[:9], hole, words[9:]])},
+    ]
+    write_store(line.store, clips)
+    line.run(learn_templates, methods=["soft"])
+    row = templates_by_name(line)["kick"]
+    assert row["clips"] == ["ann_kick_001", "ann_kick_002", "bob_kick_003", "dan_kick_ends"]
+    assert row["remarks"] == [
+        "clips with invalid frames in the middle, left out: dan_kick_hole",
+        "clips with invalid frames at an end, which are cut off: dan_kick_ends",
+    ]
+    assert "warning: clips with invalid frames in the middle, left out: dan_kick_hole: kick" in line.said.getvalue()
+    with pytest.raises(KinedexError, match=r"subclass kick is left without a clip .*\(dan_kick_hole\)"):
+        line.run(learn_templates, where="name = 'dan_kick_hole'")
+
+
+def test_a_clip_of_another_motion_is_told_from_the_others(line: Line):
+    odd = [clip("kick", "dan", number, number) | {"name": f"dan_kick_{number}"} for number in (4, 5, 6)]
+    odd.append(clip("wave", "dan", 9) | {"name": "dan_kick_wrong", "class": "kick"})
+    odd.append(clip("kick", "dan", 8, 30) | {"name": "dan_kick_slow"})
+    write_store(line.store, odd)
+    summary = line.run(learn_templates, methods=["soft"])
+    remarks = " | ".join(templates_by_name(line)["kick"]["remarks"])  # type: ignore[arg-type]
+    assert "far from all others" in remarks
+    assert "dan_kick_wrong (cost" in remarks
+    assert "dan_kick_slow (150 frames)" in remarks
+    assert len(summary["warnings"]) == 2  # type: ignore[arg-type]
