@@ -1,0 +1,136 @@
+"""Pages of docs/: links lead somewhere, commands and parameters are real, YAML is valid, SQL runs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from catalog.classes import load_classes
+from catalog.configs import config_path
+from catalog.features import load_feature_set
+from catalog.queryfiles import parse_queries
+from catalog.skeletons import load_skeleton
+from pipelines.cli import app
+from pipelines.config import load_pipeline
+from pipelines.stages import annotate, index, ingest, learn_templates
+from storage.store import Store, open_store
+from tests.pipelines.archives import context, write_archive
+from tests.pipelines.labelled import Line
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+TEXTS = {str(page.relative_to(DOCS)): page.read_text(encoding="utf-8") for page in PAGES}
+GUIDES = ("tutorial.md", "accuracy.md", *(name for name in TEXTS if name.startswith("howto/")))
+LINES = [
+    (name, line.strip()) for name in GUIDES for line in re.findall(r"^ {4}(kinedex .*)$", TEXTS[name], re.MULTILINE)
+]
+
+
+def yaml_of(name: str, nth: int = 0) -> str:
+    """The n-th whole YAML file that a page shows."""
+    return re.findall(r"^```yaml\n(.*?)^```", TEXTS[name], re.DOTALL | re.MULTILINE)[nth]
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Takes, an index, templates and annotations; the feature `rhand_low` of the pages is there too."""
+    folder = tmp_path_factory.mktemp("docs")
+    takes = {"x_bo_long_1.amc": 500, "x_al_hop_1.amc": 90, "x_al_hop_2.amc": 99, "x_bo_sway_1.amc": 88}
+    source = write_archive(folder / "source", takes)
+    patterns = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)", r"x_(?P<actor>[a-z]+)_long_\d"]
+    ingest.run(context(folder / "store"), ingest.Params(source=str(source), patterns=patterns))
+    index.run(context(folder / "store", "index"), index.Params())
+    line = Line(folder / "store")
+    line.run(learn_templates)
+    line.run(annotate, tau=0.5)
+    return open_store(folder / "store")
+
+
+def _anchor(title: str) -> str:
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_links_lead_somewhere(name: str) -> None:
+    for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#([^)]*))?\)", TEXTS[name]):
+        if target.startswith("http"):
+            continue
+        path = (DOCS / name).parent / target if target else DOCS / name
+        assert path.is_file(), f"{name}: {target}"
+        if anchor:
+            assert anchor in {
+                _anchor(title) for title in re.findall(r"^#+ (.*)$", path.read_text("utf-8"), re.MULTILINE)
+            }
+
+
+def test_the_index_names_every_page() -> None:
+    linked = set(re.findall(r"\]\(([a-z0-9/-]+\.md)\)", TEXTS["README.md"]))
+    assert linked == set(TEXTS) - {"README.md"}
+
+
+@pytest.mark.parametrize(("name", "line"), LINES, ids=lambda text: text[:60])
+def test_commands_and_their_options_exist(name: str, line: str) -> None:
+    words = shlex.split(line, comments=True)[1:]
+    command: Any = typer.main.get_command(app)
+    while hasattr(command, "commands"):
+        assert words[0] in command.commands, f"{name}: {line}"
+        command = command.commands[words.pop(0)]
+    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    assert {word for word in words if re.match(r"--?[a-z]", word)} <= known, f"{name}: {line}"
+
+
+@pytest.mark.parametrize(("name", "line"), [one for one in LINES if " run " in one[1]], ids=lambda text: text[:60])
+def test_settings_and_parameters_exist(name: str, line: str, tmp_path: Path) -> None:
+    words = shlex.split(line, comments=True)[2:]
+    pipeline = words[0]
+    if pipeline == "own.yaml":
+        (tmp_path / pipeline).write_text(yaml_of("howto/own-classes.md"), encoding="utf-8")
+        pipeline = str(tmp_path / pipeline)
+    given = [value for option, value in pairwise(words) if option == "--set"]
+    load_pipeline(pipeline, dict(pair.split("=", 1) for pair in given))
+
+
+STATEMENTS = [
+    (name, shlex.split(line)[3]) for name, line in LINES if line.startswith("kinedex sql ") and "rhand_low" not in line
+]
+
+
+@pytest.mark.parametrize(("name", "statement"), STATEMENTS, ids=lambda text: text[:50])
+def test_statements_run(store: Store, name: str, statement: str) -> None:
+    statement = statement.replace("anna_01", "x_bo_long_1")
+    assert store.sql(statement).num_columns > 0, name
+
+
+def test_the_query_of_the_tutorial_is_one(store: Store) -> None:
+    (query,) = parse_queries(yaml_of("tutorial.md"), store.feature_set)
+    assert query.name == "kick"
+
+
+def test_the_mapping_of_the_page_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "studio.yaml"
+    path.write_text(yaml_of("howto/own-skeleton.md"), encoding="utf-8")
+    assert load_skeleton(path, load_feature_set().joints).name == "studio"
+
+
+def test_the_class_file_of_the_page_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "my-classes.yaml"
+    path.write_text(yaml_of("howto/own-classes.md", 1), encoding="utf-8")
+    found = load_classes(path, ["kickLeft", "kickRight", "squat", "jumpingJack"])
+    assert found.names == ("kick", "squat", "jump")
+    assert not found.without_class
+
+
+def test_the_features_of_the_page_can_be_added(tmp_path: Path) -> None:
+    lines = re.findall(r"^ {3}(4\d: \{name.*)$", TEXTS["howto/own-features.md"], re.MULTILINE)
+    text = config_path("features", "body40").read_text(encoding="utf-8")
+    text = text.replace("mix: [27, 40]", "mix: [27, 42]").replace("[35, 36]]", "[35, 36], [41, 42]]")
+    path = tmp_path / "my-features.yaml"
+    path.write_text(text.replace("name: body40", "name: my-features") + "".join(f"  {line}\n" for line in lines))
+    added = load_feature_set(path)
+    assert [feature.name for feature in added.features[40:]] == ["rhand_low", "lhand_low"]
