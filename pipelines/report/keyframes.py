@@ -8,7 +8,6 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME
@@ -16,6 +15,7 @@ from ops.learning.consensus import agreement_matrix
 from ops.learning.lessons import HISTORY, Run
 from pipelines.keyframes.learning import Outcome, keyframe_queries
 from pipelines.keyframes.tables import sentence
+from pipelines.report.environment import page_environment
 from pipelines.report.pixels import Colour, png_uri
 
 F64 = npt.NDArray[np.float64]
@@ -74,23 +74,23 @@ def keyframes_page(
     """
     every = [run for several in runs.values() for run in several]
     stiffness = stiffnesses(outcomes, feature_set)
-    environment = Environment(
-        loader=PackageLoader("pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template("keyframes.html.j2").render(
-        title=title,
-        style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
-        courses=courses([run.history for run in every]),
-        generations=max((len(run.history) for run in every), default=1) - 1,
-        runs=len(every),
-        bars=bars(stiffness),
-        gaps=len(stiffness),
-        soft=float(np.mean(np.array(stiffness) <= 0.8)) if stiffness else 0.0,
-        cards=[_card(outcome, feature_set) for outcome in outcomes],
-        features=[feature.name for feature in feature_set.features],
-        width=WIDTH,
-        height=HEIGHT,
+    return (
+        page_environment()
+        .get_template("keyframes.html.j2")
+        .render(
+            title=title,
+            style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
+            courses=courses([run.history for run in every]),
+            generations=max((len(run.history) for run in every), default=1) - 1,
+            runs=len(every),
+            bars=bars(stiffness),
+            gaps=len(stiffness),
+            soft=float(np.mean(np.array(stiffness) <= 0.8)) if stiffness else 0.0,
+            cards=[_card(outcome, feature_set) for outcome in outcomes],
+            features=[feature.name for feature in feature_set.features],
+            width=WIDTH,
+            height=HEIGHT,
+        )
     )
 
 

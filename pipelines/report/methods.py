@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from ops.measures.detection import THRESHOLDS
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 from pipelines.evaluation.tables import between, confusions, described, digits, fate, headings, row, sentence, six
+from pipelines.report.environment import page_environment
 from pipelines.report.methodfigures import (
     FURTHEST,
     HEIGHT,
@@ -114,13 +115,6 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("pipelines.report", "pages"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     filters: dict[str, Callable[..., object]] = {
         "digits": digits,
         "between": between,
@@ -133,5 +127,4 @@ def _environment() -> Environment:
         "boundaries": boundary_summary,
         "sortable": lambda value: "" if value is None or math.isnan(value) else value,
     }
-    environment.filters.update(filters)
-    return environment
+    return page_environment(filters)

@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from pipelines.report.cards import Card, card, readable, rules
 from pipelines.report.choice import Choice, choose_takes
 from pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from pipelines.report.data import ReportData, Score, Segment
+from pipelines.report.environment import page_environment
 from pipelines.report.motions import Motions
 from pipelines.report.palette import colour_rules, colour_slot
 from pipelines.report.timelines import Timeline, counted, timeline
@@ -191,13 +192,6 @@ def pages_digest() -> str:
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("pipelines.report", "pages"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     filters: dict[str, Callable[..., str]] = {
         "measure": measure,
         "share": share,
@@ -208,8 +202,7 @@ def _environment() -> Environment:
         "counted": counted,
         "breakable": breakable,
     }
-    environment.filters.update(filters)
-    return environment
+    return page_environment(filters)
 
 
 def breakable(name: str) -> Markup:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from pipelines.report.environment import page_environment
 from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN
 
 SIZE = 150
@@ -114,28 +113,28 @@ def retrieval_page(
     -------
     A complete HTML page without any outside reference; the same text for the same data.
     """
-    environment = Environment(
-        loader=PackageLoader("pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
     rows = two_stages(rank_summary, hits)
     found = variants(trials)
-    return environment.get_template("retrieval.html.j2").render(
-        title=title,
-        style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
-        summary=rank_summary,
-        rows=rows,
-        searches=[row.search for row in rows if row.search is not None],
-        ranked=[row.ranking for row in rows if row.search is not None],
-        qualities=qualities(quality),
-        means={kind: mean_of(quality, kind) for kind in ("takes", "clips")},
-        diagrams=diagrams(trials, (EVERYWHERE, WRITTEN)),
-        rigid=diagrams(trials, (WRITTEN, f"{RIGID:g}")) if any(row["stiffness"] == RIGID for row in trials) else [],
-        variants=found,
-        courses=courses(found),
-        size=SIZE,
-        wide=WIDE,
-        high=HIGH,
+    return (
+        page_environment()
+        .get_template("retrieval.html.j2")
+        .render(
+            title=title,
+            style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
+            summary=rank_summary,
+            rows=rows,
+            searches=[row.search for row in rows if row.search is not None],
+            ranked=[row.ranking for row in rows if row.search is not None],
+            qualities=qualities(quality),
+            means={kind: mean_of(quality, kind) for kind in ("takes", "clips")},
+            diagrams=diagrams(trials, (EVERYWHERE, WRITTEN)),
+            rigid=diagrams(trials, (WRITTEN, f"{RIGID:g}")) if any(row["stiffness"] == RIGID for row in trials) else [],
+            variants=found,
+            courses=courses(found),
+            size=SIZE,
+            wide=WIDE,
+            high=HIGH,
+        )
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from catalog.configs import config_names
 from catalog.features import FeatureSet, load_feature_set
-from catalog.mirroring import mirror_numbers
+from catalog.mirroring import mirrored
 from catalog.queries import (
     SAME_FRAME,
     Gap,
@@ -231,7 +232,7 @@ def test_what_is_wrong_with_a_building_is_told_with_its_line(text: str, message:
 
 
 def test_every_feature_has_one_mirror_image() -> None:
-    numbers = mirror_numbers(BODY)
+    numbers = {number: BODY.mirrored_number(number) for number in range(1, 41)}
     assert all(numbers[numbers[number]] == number for number in numbers)
     pairs = {(number, other) for number, other in numbers.items() if number < other}
     assert {(1, 2), (15, 16), (20, 21), (25, 26), (29, 30), (33, 34), (35, 36)} <= pairs
@@ -257,11 +258,17 @@ def test_the_features_of_a_mirrored_body_whose_pelvis_stands_still_are_the_mirro
         glass[one], glass[other] = body[other], body[one]
     glass[:, 0] *= -1
     words = {name: feature_words(seen, turning, 30.0, BODY.rules) for name, seen in (("body", body), ("glass", glass))}
-    numbers = mirror_numbers(BODY)
+    numbers = {number: BODY.mirrored_number(number) for number in range(1, 41)}
     matrix, mirror = bits(words["body"], 40), bits(words["glass"], 40)
     for number, other in numbers.items():
         assert matrix[:, number - 1].tolist() == mirror[:, other - 1].tolist(), BODY.feature(number).name
     assert (matrix.any(axis=0) & ~matrix.all(axis=0)).sum() > 25
+
+
+def test_a_feature_set_without_pairs_of_left_and_right_cannot_mirror_a_query() -> None:
+    query = KeyframeQuery("kick", "kick", (Keyframe("upper", 1, 1),), ())
+    with pytest.raises(KinedexError, match="cannot be mirrored; add `mirror: "):
+        mirrored(query, replace(BODY, mirror=()))
 
 
 def _twins(joints: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -6,7 +6,6 @@ import base64
 import json
 import re
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +15,12 @@ from hypothesis import strategies as st
 from ops.errors import KinedexError
 from pipelines.report import motions
 from pipelines.report.motions import UNSEEN, Motion, embed, pack
+from pipelines.report.render import _motions_json, render
 from pipelines.runner import run_pipeline
 from storage.parts import joint_positions
 from storage.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
+from tests.pipelines.study import study
 
 
 def unpacked(motion: Motion) -> np.ndarray:
@@ -74,8 +75,6 @@ def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
 
 
 def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
-    from pipelines.report.render import _motions_json
-
     carried = motions.Motions((Motion("</script><b>", 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), "")
     text = str(_motions_json(carried))
     assert "<" not in text
@@ -83,7 +82,13 @@ def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
     assert not re.search(r"[\u2028\u2029]", text)
 
 
-def test_the_page_has_a_player_and_every_segment_says_its_frames(tmp_path: Path) -> None:
-    page = Path(motions.__file__).parent / "pages"
-    assert 'data-start="{{ bar.start }}"' in (page / "timelines.html.j2").read_text()
-    assert "player.js" in (page / "report.html.j2").read_text()
+def test_a_page_has_a_player_where_it_carries_motions_and_its_segments_say_their_frames() -> None:
+    data = study()
+    take = data.takes[0].name
+    carried = motions.Motions((pack(take, np.zeros((24, 3, 8)), 30.0),), ("root",), (-1,), "Click a segment.")
+    page = render(data, motions=carried)
+    assert 'id="player"' in page
+    assert f'data-take="{take}"' in page
+    starts = {int(start) for start in re.findall(r'data-start="(\d+)"', page)}
+    assert starts == {segment.start for segment in (*data.automatic, *data.manual)}
+    assert 'id="player"' not in render(data)
