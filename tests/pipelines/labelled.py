@@ -103,3 +103,28 @@ class Line:
             writer.record_stage(record)
             writer.commit()
         return summary
+
+
+CLIPS = [
+    clip(subclass, actor, number, pace)
+    for subclass in ("walk", "kick", "wave")
+    for actor, number, pace in (("ann", 1, 4), ("ann", 2, 5), ("bob", 3, 6))
+]
+TAKES = [
+    long_take("cat_take01", "cat", "rest", "walk", "rest", "kick", "rest"),
+    long_take("bob_take01", "bob", "wave", "rest", "kick", frames_a_pose=6),
+]
+TRUTH = """take,class,start,stop
+cat_take01,walk,20,100
+cat_take01,kick,120,220
+bob_take01,wave,0,96
+bob_take01,kick,120,240
+"""
+
+
+def labelled_line(folder: Path) -> Line:
+    """A store of these clips and takes in a folder, with their ground truth, and the stages to run on it."""
+    archive = folder / "archive"
+    archive.mkdir()
+    (archive / "ground_truth.csv").write_text(TRUTH)
+    return Line(write_store(folder / "store", CLIPS + TAKES, archive))

@@ -14,31 +14,12 @@ from ops.words import NO_WORD
 from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
 from pipelines.templates.learning import read_templates
 from storage.store import open_store
-from tests.pipelines.labelled import BODY, Line, clip, long_take, write_store
-
-CLIPS = [
-    clip(subclass, actor, number, pace)
-    for subclass in ("walk", "kick", "wave")
-    for actor, number, pace in (("ann", 1, 4), ("ann", 2, 5), ("bob", 3, 6))
-]
-TAKES = [
-    long_take("cat_take01", "cat", "rest", "walk", "rest", "kick", "rest"),
-    long_take("bob_take01", "bob", "wave", "rest", "kick", frames_a_pose=6),
-]
-TRUTH = """take,class,start,stop
-cat_take01,walk,20,100
-cat_take01,kick,120,220
-bob_take01,wave,0,96
-bob_take01,kick,120,240
-"""
+from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
 
 
 @pytest.fixture
 def line(tmp_path: Path) -> Line:
-    archive = tmp_path / "archive"
-    archive.mkdir()
-    (archive / "ground_truth.csv").write_text(TRUTH)
-    return Line(write_store(tmp_path / "store", CLIPS + TAKES, archive))
+    return labelled_line(tmp_path)
 
 
 def test_a_large_subclass_is_divided_among_the_workers_without_a_difference(
