@@ -10,6 +10,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from ops.bits import count_bits
 from ops.templates.templates import QuantisedTemplate
 from ops.words import NO_WORD, U64
 
@@ -23,11 +24,7 @@ PADDING = 32
 
 _NO_WORD = np.uint64(NO_WORD)
 _LOWER, _SPREAD, _SPREAD_TOO = np.uint64(0xFFFF_FFFF), np.uint64(0x9E37_79B9), np.uint64(0x85EB_CA6B)
-_ODD = np.uint64(0x5555_5555_5555_5555)
-_PAIRS = np.uint64(0x3333_3333_3333_3333)
-_NIBBLES = np.uint64(0x0F0F_0F0F_0F0F_0F0F)
-_ONES = np.uint64(0x0101_0101_0101_0101)
-_1, _2, _4, _32, _56 = (np.uint64(shift) for shift in (1, 2, 4, 32, 56))
+_32 = np.uint64(32)
 
 
 @dataclass(frozen=True)
@@ -153,18 +150,9 @@ def number_words(words: U64, slots: I32, vocabulary: U64, codes: I32) -> int:
 
 
 @nb.njit(cache=True, nogil=True)
-def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.uint64:
+def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.int64:
     """Count the bits of a column that a word contradicts (kernel)."""
     return count_bits((word ^ value) & mask)
-
-
-@nb.njit(cache=True, nogil=True)
-def count_bits(bits: np.uint64) -> np.uint64:
-    """Count bits; in the very arithmetic that compilers know, and turn into one instruction for many words (kernel)."""
-    bits = bits - ((bits >> _1) & _ODD)
-    bits = (bits & _PAIRS) + ((bits >> _2) & _PAIRS)
-    bits = (bits + (bits >> _4)) & _NIBBLES
-    return (bits * _ONES) >> _56
 
 
 @nb.njit(cache=True, nogil=True)
@@ -176,10 +164,10 @@ def fill_costs(vocabulary: U64, masks: U64, values: U64, counted: F64, step: flo
             table[w, :] = np.inf
         elif step == 0.0:
             for n in range(len(masks)):
-                table[w, n] = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+                table[w, n] = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
         else:
             for n in range(len(masks)):
-                cost = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+                cost = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
                 table[w, n] = np.rint(cost / step) * step
 
 
@@ -196,5 +184,5 @@ def fill_bounds(vocabulary: U64, masks: U64, values: U64, units: F64, cap: int, 
             table[w, :] = cap
             continue
         for n in range(len(masks)):
-            whole = np.float64(np.int64(contradictions(word, masks[n], values[n]))) * units[n]
+            whole = np.float64(contradictions(word, masks[n], values[n])) * units[n]
             table[w, n] = np.uint16(whole if whole < most else most)

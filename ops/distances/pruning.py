@@ -8,8 +8,9 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from ops.bits import count_bits
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64, CodedWords, Layout, count_bits, encode, fill_bounds, lay_out
+from ops.distances.costs import F64, I32, I64, CodedWords, Layout, encode, fill_bounds, lay_out
 from ops.distances.dtw import best_paths, check_ranges
 from ops.distances.sweep import CAP, U16, pieces_of, sweep_bounds
 from ops.errors import ParameterError

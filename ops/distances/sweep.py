@@ -204,7 +204,7 @@ def trace_group(
             own[least : most + 1] = np.inf
         else:
             for n in range(least, most + 1):
-                own[n] = np.float64(np.int64(contradictions(word, masks[n], values[n]))) / counted[n]
+                own[n] = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
         for n in range(least, most + 1):
             one, two = last[n + 1], previous[n + 1]
             single = (one if one < two else two) + own[n]

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ops.bits import count_bits
 from ops.words import I64, U64
 
 
@@ -224,7 +225,7 @@ def _change_entries(rng, people, row, allowed, specialise, share):  # type: igno
     """Fix a wildcard of a keyframe, or open a fixed entry; of the latter several at once, up to a share of them."""
     k = int(rng.random() * people.counts[row])
     masks, values = people.masks[row], people.values[row]
-    total = count_ones(allowed & ~masks[k] if specialise else masks[k])
+    total = count_bits(allowed & ~masks[k] if specialise else masks[k])
     times = 1
     if not specialise and share > 0.0:
         times += int(rng.random() * share * total)
@@ -241,16 +242,6 @@ def _change_entries(rng, people, row, allowed, specialise, share):  # type: igno
         else:
             masks[k] &= ~bit
             values[k] &= ~bit
-
-
-@njit(cache=True, nogil=True)
-def count_ones(bits):  # type: ignore[no-untyped-def]
-    """How many bits are on."""
-    count = 0
-    while bits != np.uint64(0):
-        bits &= bits - np.uint64(1)
-        count += 1
-    return count
 
 
 @njit(cache=True, nogil=True)

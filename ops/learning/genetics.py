@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ops.bits import count_bits
 from ops.learning.breeding import (
     Breeding,
     Columns,
     People,
     change_gaps,
     copy_individual,
-    count_ones,
     draw_individual,
     mutate,
     recombine,
@@ -256,7 +256,7 @@ def _evaluate(people, row, clips, room, judging):  # type: ignore[no-untyped-def
     fitness = fitness_of(found, wrong, clips.wanted, judging.beta)
     rank = fitness
     for k in range(count):
-        rank -= judging.parsimony * count_ones(people.masks[row, k])
+        rank -= judging.parsimony * count_bits(people.masks[row, k])
         if k < count - 1:
             rank -= judging.gap_cost * (highs[k] - lows[k])
     people.results[row, 0] = found

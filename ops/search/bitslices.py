@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ops.bits import count_bits
 from ops.errors import ParameterError
 from ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
@@ -199,15 +200,3 @@ def _transpose(square):  # type: ignore[no-untyped-def]
             i = (i + width + 1) & ~width
         width >>= 1
         mask ^= mask << np.uint64(width)
-
-
-@njit(cache=True, nogil=True)
-def count_bits(word):  # type: ignore[no-untyped-def]
-    # How many bits are set, in sums of ever wider fields; the compiler knows this and has one instruction for it.
-    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555_5555_5555_5555))
-    word = (word & np.uint64(0x3333_3333_3333_3333)) + ((word >> np.uint64(2)) & np.uint64(0x3333_3333_3333_3333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F_0F0F_0F0F_0F0F)
-    word += word >> np.uint64(8)
-    word += word >> np.uint64(16)
-    word += word >> np.uint64(32)
-    return np.int64(word & np.uint64(0x7F))

@@ -15,8 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from ops.bits import count_bits
 from ops.errors import ParameterError
-from ops.search.bitslices import ALL_BITS, BLOCK, NO_BITS, BitSlices, count_bits
+from ops.search.bitslices import ALL_BITS, BLOCK, NO_BITS, BitSlices
 from ops.search.keyframes import Segments, checked_gaps
 
 NEAR = 2**20

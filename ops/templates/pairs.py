@@ -10,6 +10,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from ops.bits import count_bits
 from ops.templates.warping import FIRST, SECOND, advance_row, trace_back
 from ops.words import U64
 
@@ -166,16 +167,6 @@ def align_soft(
 
 
 @nb.njit(cache=True, nogil=True)
-def _ones(word: np.uint64) -> int:
-    """How many bits of a word are 1 (kernel; compilers know this loop and make it one instruction)."""
-    count = 0
-    while word:
-        word &= word - np.uint64(1)
-        count += 1
-    return count
-
-
-@nb.njit(cache=True, nogil=True)
 def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, room: I64) -> tuple[F64, I64, U8]:
     """Align pairs of hard templates by their contradictions; as `align_soft` (kernel)."""
     costs = np.empty(len(pairs))
@@ -196,7 +187,7 @@ def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, room: I64) 
             for column in range(width):
                 other = second + column
                 against = (ones & columns[other, 1]) | (zeros & columns[other, 0])
-                weighted[column] = _ones(against) * (0.5 * (weight + weights[other]))
+                weighted[column] = count_bits(against) * (0.5 * (weight + weights[other]))
             advance_row(above, here, entering, weighted, entered[k][:width], k == 0)
             above, here = here, above
         costs[p] = above[width - 1]

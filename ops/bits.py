@@ -1,0 +1,21 @@
+"""Counting the bits of words in compiled code."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+_1, _2, _4, _56 = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
+_ODD = np.uint64(0x5555_5555_5555_5555)
+_PAIRS = np.uint64(0x3333_3333_3333_3333)
+_NIBBLES = np.uint64(0x0F0F_0F0F_0F0F_0F0F)
+_ONES = np.uint64(0x0101_0101_0101_0101)
+
+
+@nb.njit(cache=True, nogil=True)
+def count_bits(bits: np.uint64) -> np.int64:
+    """Count the bits that are set, 0 to 64; in the arithmetic that compilers know, and turn into one instruction."""
+    bits = bits - ((bits >> _1) & _ODD)
+    bits = (bits & _PAIRS) + ((bits >> _2) & _PAIRS)
+    bits = (bits + (bits >> _4)) & _NIBBLES
+    return np.int64((bits * _ONES) >> _56)
