@@ -7,7 +7,6 @@ nothing of two takes ever touches. `ops.search.slicesearch` searches them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +37,11 @@ class BitSlices:
     is feature F_(n + 1) in one frame, and the last row says which frames are valid (no feature is on in the others).
     What is searched together lies together. groups: int64 (G + 1,), group g has the takes groups[g] .. groups[g + 1].
     first: int64 (T + 1,), take t has the blocks first[t] .. first[t + 1]. frames: int64 (T,), the length of each take.
-    left: int32 (B,), how many blocks of its take follow a block. features: f.
+    left: int32 (B,), how many blocks of its take follow a block. onward: uint64 (B,), all bits of a block that is not
+    the last of its take. often: int64 (f + 1,), in how many frames each feature is on; the last: how many are valid.
+    features: f.
+
+    Nobody writes to the arrays: they may be a file's pages, which all processes of a machine share.
     """
 
     bits: U64
@@ -46,11 +49,16 @@ class BitSlices:
     first: I64
     frames: I64
     left: I32
+    onward: U64
+    often: I64
     features: int
 
     def __post_init__(self) -> None:
         if self.bits.shape != (len(self.left) * (self.features + 1),) or self.first[-1] != len(self.left):
             raise ParameterError("bits", f"{self.features + 1} for each of the blocks", self.bits.shape)
+        # also those in memory: kernels would be compiled once more for arrays that can be written to
+        for array in self._arrays:
+            array.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -58,8 +66,11 @@ class BitSlices:
     @property
     def bytes(self) -> int:
         """The memory that the arrays take."""
-        arrays = (self.bits, self.groups, self.first, self.frames, self.left, self.onward)
-        return sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for array in self._arrays)
+
+    @property
+    def _arrays(self) -> tuple[U64 | I64 | I32, ...]:
+        return self.bits, self.groups, self.first, self.frames, self.left, self.onward, self.often
 
     @property
     def rows(self) -> U64:
@@ -70,16 +81,6 @@ class BitSlices:
             for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
         ]
         return np.concatenate([np.zeros((self.features + 1, 0), np.uint64), *pieces], axis=1)
-
-    @cached_property
-    def onward(self) -> U64:
-        """uint64 (B,), all bits of a block that is not the last of its take."""
-        return np.where(self.left > 0, ALL_BITS, NO_BITS)
-
-    @cached_property
-    def often(self) -> I64:
-        """int64 (f + 1,), in how many frames each feature is on; the last: how many frames are valid."""
-        return _count_rows(self.bits, self.first[self.groups], self.features + 1)
 
 
 def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
@@ -107,8 +108,10 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     _slice(
         np.ascontiguousarray(words, np.uint64), np.ascontiguousarray(offsets, np.int64), first, groups, features, bits
     )
-    left = np.repeat(first[1:], np.diff(first)) - 1 - np.arange(first[-1])
-    return BitSlices(bits, groups, first, frames.astype(np.int64), left.astype(np.int32), features)
+    left = (np.repeat(first[1:], np.diff(first)) - 1 - np.arange(first[-1])).astype(np.int32)
+    onward = np.where(left > 0, ALL_BITS, NO_BITS)
+    often = _count_rows(bits, first[groups], features + 1)
+    return BitSlices(bits, groups, first, frames.astype(np.int64), left, onward, often, features)
 
 
 def _groups(first: I64) -> I64:
