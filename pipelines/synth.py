@@ -93,11 +93,13 @@ def write_archive(
     seed: int = DEFAULT_SEED,
     progress: Callable[[int], object] | None = None,
     jobs: int | None = None,
+    clip_minutes: float | None = None,
 ) -> Summary:
     """Write a synthetic archive: training clips, long takes, and the ground truth of the takes.
 
-    About half of the time are clips, the same number of each motion and actor as far as the time allows; the rest
-    are takes of at most two and a half minutes. The same settings give the same bytes, whatever the number of jobs.
+    Half of the time are clips unless said otherwise, the same number of each motion and actor as far as the time
+    allows; the rest are takes of at most two and a half minutes. The same settings give the same bytes, whatever the
+    number of jobs.
 
     Parameters
     ----------
@@ -105,7 +107,7 @@ def write_archive(
     minutes: time of all files together; the result is within some ten per cent of it.
     actors: how many. seed: of everything.
     progress: called with the number of files just written. jobs: worker processes, as many as there are cores by
-    default.
+    default. clip_minutes: time of the clips, of those minutes.
 
     Returns
     -------
@@ -121,14 +123,18 @@ def write_archive(
         raise ParameterError("actors", "from 1 to 600", actors)
     if seed < 0:
         raise ParameterError("seed", "at least 0", seed)
+    if clip_minutes is not None and not 0 <= clip_minutes < minutes:
+        raise ParameterError("clip_minutes", "from 0 to less than minutes", clip_minutes)
     folder = Path(directory)
     settings: dict[str, object] = {"version": VERSION, "minutes": minutes, "actors": actors, "seed": seed}
+    if clip_minutes is not None:
+        settings["clip_minutes"] = clip_minutes
     there = _earlier(folder, settings)
     if there is not None:
         return there
     _write_record(folder, {"settings": settings, "summary": None})
     bytes_written = _write_skeletons(folder, actors, seed)
-    tasks = _plan(minutes, actors, seed)
+    tasks = _plan(minutes, actors, seed, CLIP_SHARE * minutes if clip_minutes is None else clip_minutes)
     executor = make_executor("processes", min(jobs or cores(), max(1, len(tasks) // 8)))
     written: list[_Written] = []
     try:
@@ -192,10 +198,10 @@ def _write_skeletons(folder: Path, actors: int, seed: int) -> int:
     return total
 
 
-def _plan(minutes: float, actors: int, seed: int) -> list[_Task]:
+def _plan(minutes: float, actors: int, seed: int, clip_minutes: float) -> list[_Task]:
     """Share the time out: clips go round motions and actors until their part is used up, the takes share the rest."""
     clips: list[_Task] = []
-    left = CLIP_SHARE * minutes * 60.0
+    left = clip_minutes * 60.0
     number = 0
     while left > 0:
         for turn in range(actors):
@@ -206,7 +212,7 @@ def _plan(minutes: float, actors: int, seed: int) -> list[_Task]:
                     clips.append(_Task(who, motion.name, number, seconds, 3))
                 left -= seconds
         number += 1
-    time = (1.0 - CLIP_SHARE) * minutes * 60.0 / actors
+    time = (minutes - clip_minutes) * 60.0 / actors
     each = max(1, -(-int(time) // int(LONGEST_TAKE)))
     width = max(2, len(str(each)))
     takes = [_Task(who, "", n, time / each, width) for n in range(each) for who in range(actors)]

@@ -128,3 +128,17 @@ def test_words_and_runs_are_within_a_factor_of_two_of_hdm05(tmp_path: Path) -> N
     for name in SETS:
         assert mine[name].frames == HDM05_FRAMES
         assert within(mine[name], HDM05[name]), (name, mine[name], HDM05[name])
+
+
+def test_the_time_of_the_clips_can_be_given(archive: tuple[Path, Summary], tmp_path: Path) -> None:
+    folder, summary = archive
+    more = write_archive(tmp_path / "more", minutes=1.5, seed=4, jobs=1, clip_minutes=0.5)
+    assert more.clips == summary.clips
+    assert more.take_minutes > 1.5 * summary.take_minutes
+    assert {name: one for name, one in digests(tmp_path / "more").items() if name.startswith("clips")} == {
+        name: one for name, one in digests(folder).items() if name.startswith("clips")
+    }
+    with pytest.raises(KinedexError, match="settings"):
+        write_archive(tmp_path / "more", minutes=1.5, seed=4, jobs=1)
+    with pytest.raises(ParameterError, match="clip_minutes"):
+        write_archive(tmp_path / "none", minutes=1.0, clip_minutes=1.0)
