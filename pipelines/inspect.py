@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from catalog.features import FeatureSet, load_feature_set
 from catalog.skeletons import Format, Mappings, load_mappings
@@ -21,6 +19,7 @@ from ops.errors import KinedexError, SourceError
 from ops.words import NO_WORD
 from pipelines.ingesting.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
+from pipelines.tables import pairs
 from storage.acclaim import INCH_M, read_asf
 from storage.amass import parse_amass
 from storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
@@ -132,12 +131,7 @@ def write_picture(found: Inspection, path: Path) -> bool:
 
 def show(found: Inspection, console: Console) -> None:
     """Print what was found."""
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for what, text in found.lines:
-        table.add_row(Text(what), Text(text))
-    console.print(table)
+    console.print(pairs(found.lines))
 
 
 def _asf(found: Inspection, amc: Path, source: Path | None) -> Path:

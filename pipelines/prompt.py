@@ -13,7 +13,7 @@ from rich.console import Console
 
 from catalog.views import MACROS, VIEWS, Macro, View
 from ops.errors import KinedexError, did_you_mean
-from pipelines.tables import rich_table
+from pipelines.tables import Shown
 from storage.duck import statements
 from storage.store import Store
 
@@ -86,7 +86,7 @@ def _answer(console: Console, work: Callable[[], None]) -> bool:
 
 def _select(store: Store, console: Console, statement: str) -> None:
     table = store.sql(statement)
-    console.print(rich_table(table.slice(0, ROWS)))
+    console.print(Shown(table.slice(0, ROWS)))
     rows = f"{table.num_rows:,} row{'' if table.num_rows == 1 else 's'}"
     console.print(rows if table.num_rows <= ROWS else f"{rows}, of which the first {ROWS} are shown", markup=False)
 
@@ -102,7 +102,7 @@ def _dot(store: Store, console: Console, words: list[str]) -> None:
             query = (
                 "SELECT table_name AS view, column_name AS column, data_type AS type FROM information_schema.columns"
             )
-            console.print(rich_table(store.sql(f"{query} ORDER BY table_name, ordinal_position")))
+            console.print(Shown(store.sql(f"{query} ORDER BY table_name, ordinal_position")))
         case [".schema" | ".help", name]:
             known = _views(store) | {macro.name for macro in MACROS}
             if name not in known:
@@ -135,7 +135,7 @@ def _describe(store: Store, console: Console, command: str, name: str) -> None:
             console.print(f"  {argument}: {said}", markup=False)
     else:
         query = "SELECT column_name AS column, data_type AS type FROM information_schema.columns WHERE table_name = $1"
-        console.print(rich_table(store.sql(f"{query} ORDER BY ordinal_position", [name])))
+        console.print(Shown(store.sql(f"{query} ORDER BY ordinal_position", [name])))
 
 
 def _remember() -> None:

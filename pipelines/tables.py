@@ -6,19 +6,74 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from decimal import Decimal
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from ops.errors import KinedexError, did_you_mean
 
 FORMATS = ("table", "csv", "json", "parquet")
+
+TALL = 4
+"""Lines a row, on average, above which rows are shown one below another."""
+
+_TRIED = 200  # rows by which the form of a table is chosen
+
+
+class Shown:
+    """An Arrow table as it reads best where it is printed; whatever the room, every value is there as a whole.
+
+    In a file or a pipe a row is a line, however long. In a terminal columns are as wide as there is room for and long
+    values are wrapped; where that makes rows of more than `TALL` lines on average, as texts and paths side by side do,
+    each row is a block with a line for every column.
+    """
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table = table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Print the table in the form that fits."""
+        if console.soft_wrap and not console.is_terminal:
+            whole = rich_table(self._table)
+            yield from console.render(whole, options.update_width(_natural_width(whole, console, options)))
+        elif self._is_tall(console, options):
+            for number, row in enumerate(_rows(self._table), 1):
+                yield Text(f"row {number:,}", style="bold")
+                yield pairs((name, _cell(value)) for name, value in zip(self._table.column_names, row, strict=True))
+        else:
+            yield rich_table(self._table)
+
+    def _is_tall(self, console: Console, options: ConsoleOptions) -> bool:
+        tried = self._table.slice(0, _TRIED)
+        if not tried.num_rows or not tried.num_columns:
+            return False
+        with_rows, without = (
+            len(console.render_lines(rich_table(part), options, pad=False)) for part in (tried, tried.slice(0, 0))
+        )
+        lines: int = with_rows - without
+        return lines > TALL * int(tried.num_rows)
+
+
+def pairs(lines: Iterable[tuple[str, str]]) -> Table:
+    """What and its text, in two columns; long texts are wrapped beside what they are about, and never cut."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for what, text in lines:
+        table.add_row(Text(what), Text(text))
+    return table
+
+
+def _natural_width(table: Table, console: Console, options: ConsoleOptions) -> int:
+    return Measurement.get(console, options.update_width(1_000_000), table).maximum
 
 
 def rich_table(table: pa.Table, title: str | None = None) -> Table:

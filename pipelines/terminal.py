@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from types import TracebackType
 
 from rich.console import Console, RenderableType
@@ -53,8 +54,17 @@ class Terminal:
         self.console = console or make_console()
 
     def say(self, text: str) -> None:
-        """Print one indented line as it is (no markup)."""
+        """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
+        if self.console.is_terminal:
+            text = "\n".join(self._wrapped(line) for line in text.splitlines())
         self.console.print(f"    {text}", markup=False)
+
+    def _wrapped(self, line: str) -> str:
+        # a path longer than a line stays one word, so that it can be copied
+        return textwrap.fill(
+            line, max(self.console.width, 40) - 4, subsequent_indent=" " * 8, break_long_words=False,
+            break_on_hyphens=False,
+        )  # fmt: skip
 
     def heading(self, text: str) -> None:
         """Print one line that begins a step."""

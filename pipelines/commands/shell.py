@@ -107,12 +107,12 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
 
 def show_table(table: pa.Table, form: str, output: Path | None) -> None:
     """Print a table, or write it to a file, in the form asked for."""
-    from pipelines.tables import encode, rich_table
+    from pipelines.tables import Shown, encode
 
     if output is not None and form == "table":
         form = {".csv": "csv", ".json": "json", ".parquet": "parquet"}.get(output.suffix, "csv")
     if form == "table":
-        make_console().print(rich_table(table))
+        make_console().print(Shown(table))
         return
     data = encode(table, form)
     if output is not None:

@@ -12,7 +12,8 @@ import pytest
 from rich.console import Console
 
 from ops.errors import KinedexError
-from pipelines.tables import encode, rich_table
+from pipelines.tables import Shown, encode, rich_table
+from pipelines.terminal import Terminal
 from storage import duck
 
 
@@ -75,3 +76,52 @@ def test_an_unknown_format_and_a_table_without_rows():
     assert json.loads(encode(asked("SELECT 1 AS x WHERE false"), "json")) == []
     assert encode(asked("SELECT 1 AS x WHERE false"), "csv") == b"x\n"
     assert "x" in printed(asked("SELECT 1 AS x WHERE false"))
+
+
+MESSAGE = "/an/archive/of/motions/clips/wave/x_aa_wave_001_120.amc:17: bone 'lfemur' stands twice in one frame, again"
+LOG = pa.table(
+    {
+        "run": ["r-1"] * 2,
+        "message": [MESSAGE, f"[too] {MESSAGE}"],
+        "file": [MESSAGE.split(":")[0], None],
+        "line": [17, None],
+    }
+)
+
+
+def shown(table: pa.Table, width: int, *, terminal: bool) -> list[str]:
+    out = io.StringIO()
+    console = Console(file=out, width=width, soft_wrap=True, force_terminal=terminal, color_system=None)
+    console.print(Shown(table))
+    return [line.rstrip() for line in out.getvalue().splitlines()]
+
+
+def test_in_a_pipe_a_row_is_a_line_however_long():
+    rows = [line for line in shown(LOG, 60, terminal=False) if "r-1" in line]
+    assert len(rows) == 2
+    assert all(MESSAGE in row for row in rows)
+
+
+def test_in_a_terminal_rows_that_would_be_tall_stand_one_below_another_and_are_whole():
+    wide = shown(LOG, 250, terminal=True)
+    assert wide[1].split() == ["run", "message", "file", "line"]
+    narrow = shown(LOG, 70, terminal=True)
+    assert [line for line in narrow if line.startswith("row")] == ["row 1", "row 2"]
+    assert all(len(line) <= 70 for line in narrow)
+    assert MESSAGE in " ".join(" ".join(narrow).split())
+    assert f"file     {MESSAGE.split(':')[0]}" in narrow
+    assert narrow[narrow.index("row 2") + 2].startswith("message  [too]")
+    assert narrow[-1] == "line     –"
+    few = shown(LOG.select(["run", "line"]), 70, terminal=True)
+    assert few[1].split() == ["run", "line"]
+
+
+def test_a_long_line_that_is_said_goes_on_below_between_two_words_in_a_terminal_only():
+    for terminal, lines in ((True, 2), (False, 1)):
+        out = io.StringIO()
+        Terminal(Console(file=out, width=60, soft_wrap=True, force_terminal=terminal, color_system=None)).say(MESSAGE)
+        said = out.getvalue().splitlines()
+        assert len(said) == lines
+        assert " ".join(out.getvalue().split()) == MESSAGE
+        assert said[0].startswith("    /an/archive")
+        assert all(line.startswith(" " * 8) for line in said[1:])
