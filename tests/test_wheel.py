@@ -17,42 +17,23 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.mark.slow
 def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(tmp_path: Path) -> None:
-    build = [
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        str(ROOT),
-        "--no-deps",
-        "--no-build-isolation",
-        "-q",
-        "-w",
-        str(tmp_path),
-    ]
+    pip = [sys.executable, "-m", "pip", "-q"]
+    build = [*pip, "wheel", str(ROOT), "--no-deps", "--no-build-isolation", "-w", str(tmp_path)]
     subprocess.run(build, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("kinedex-*.whl")
     target = tmp_path / "installed"
-    install = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "-q",
-        "--no-deps",
-        "--no-index",
-        "--target",
-        str(target),
-        str(wheel),
-    ]
+    install = [*pip, "install", "--no-deps", "--no-index", "--target", str(target), str(wheel)]
     subprocess.run(install, check=True, capture_output=True)
     # The libraries come from this environment, kinedex itself from the wheel alone: a PYTHONPATH entry does not
     # follow the link that an editable install leaves in its folder.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(target), sysconfig.get_paths()["purelib"]])}
+    # Compiled again in a new place, the same kernels would take most of a minute; one of them stands for all below.
+    plain = environment | {"NUMBA_DISABLE_JIT": "1"}
     source = write_archive(tmp_path / "source", {"x_aa_1.amc": 40})
 
-    def run(*words: str) -> str:
+    def run(*words: str, env: dict[str, str] = plain) -> str:
         command = [sys.executable, "-S", *words]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -62,19 +43,12 @@ def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(tmp_path: Path)
     assert all(line.startswith(str(target)) for line in where.splitlines())
     assert "everything" not in run("-m", "pipelines.cli", "ingest", "store", str(source), "--executor", "serial")
     assert run("-m", "pipelines.cli", "sql", "store", "SELECT name FROM takes", "--format", "csv") == "name\nx_aa_1\n"
-    assert "learn_templates" in run(
-        "-m",
-        "pipelines.cli",
-        "plan",
-        "annotate",
-        "--store",
-        "store",
-        "--set",
-        f"source={source}",
-        "--set",
-        "evaluate.ground_truth=none",
-    )
+    settings = ["--set", f"source={source}", "--set", "evaluate.ground_truth=none"]
+    assert "learn_templates" in run("-m", "pipelines.cli", "plan", "annotate", "--store", "store", *settings)
     assert "squat" in run("-m", "pipelines.cli", "search", "store", "example", "--explain")
+    kernel = "import numpy as np; from ops.bits import count_bits; print(count_bits(np.uint64(7)))"
+    assert run("-c", kernel, env=environment) == "3\n"
+    assert list((target / "ops" / "__pycache__").glob("bits.count_bits*.nbi")), "compiled code is kept where it lies"
     for package in ("ops", "catalog", "storage", "pipelines"):
         shipped = {
             p.relative_to(ROOT) for p in (ROOT / package).rglob("*") if p.is_file() and "__pycache__" not in p.parts
