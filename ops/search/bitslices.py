@@ -1,7 +1,8 @@
 """Bit slices: the words of an archive as one bitmap per feature, 64 frames to a word of memory.
 
 Each take begins in a block of its own (64 frames, one uint64) and ends with at least one frame to spare, so that
-nothing of two takes ever touches. `ops.search.slicesearch` searches them.
+nothing of two takes ever touches. A coarser copy says what occurs in a few frames at a time.
+`ops.search.slicesearch` searches them.
 """
 
 from __future__ import annotations
@@ -12,75 +13,80 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.bits import count_bits
 from ops.errors import ParameterError
 from ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
 I32 = npt.NDArray[np.int32]
 
 BLOCK = 64
-GROUP_BLOCKS = 64
-"""About how many blocks of whole takes are searched together. Chosen by measurement: with 16 the loops are too short,
-with 512 too few groups can be left early."""
+GRANULE = 8
+"""How many frames have one bit of the coarse copy. Chosen by measurement: with 16 it is half as large, but twice as
+many blocks have to be looked at."""
+GRANULES = BLOCK // GRANULE
+"""How many of them a block has."""
 
 _VALID = MOST_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)
 NO_BITS, ALL_BITS = np.uint64(0), np.uint64(2**64 - 1)
 _LOW_HALF = np.uint64(0xFFFF_FFFF)
+_LOWEST_OF_EACH = np.uint64(sum(1 << GRANULE * i for i in range(GRANULES)))
+_GATHER = np.uint64(sum(1 << (BLOCK - GRANULES) - (GRANULE - 1) * i for i in range(GRANULES)) % 2**64)
 
 
 @dataclass(frozen=True)
 class BitSlices:
-    """The words of T takes, sliced by feature.
+    """The words of T takes, sliced by feature: flat arrays that may lie in a file and be shared by many processes.
 
-    bits: uint64 (B · (f + 1),), group after group; a group of b blocks has f + 1 rows of b: bit j of a block of row n
-    is feature F_(n + 1) in one frame, and the last row says which frames are valid (no feature is on in the others).
-    What is searched together lies together. groups: int64 (G + 1,), group g has the takes groups[g] .. groups[g + 1].
+    bits: uint64 (B · (f + 1),), block after block: bit j of word n of a block is feature F_(n + 1) in its frame j, and
+    the last word says which frames are valid (no feature is on in the others). What is read together lies together.
+    coarse: uint64 ((2 f + 1) · ⌈B / 8⌉,), row after row, bitmaps over stretches of 8 frames (`GRANULE`; block b has the
+    bits 8 b .. 8 b + 8 of a row): row n, whether F_(n + 1) is on in some frame of the stretch; row f + n, whether it is
+    off in some valid one; the last row, whether some frame is valid.
     first: int64 (T + 1,), take t has the blocks first[t] .. first[t + 1]. frames: int64 (T,), the length of each take.
-    left: int32 (B,), how many blocks of its take follow a block. onward: uint64 (B,), all bits of a block that is not
-    the last of its take. often: int64 (f + 1,), in how many frames each feature is on; the last: how many are valid.
-    features: f.
+    left: int32 (B,), how many blocks of its take follow a block. features: f.
 
     Nobody writes to the arrays: they may be a file's pages, which all processes of a machine share.
     """
 
     bits: U64
-    groups: I64
+    coarse: U64
     first: I64
     frames: I64
     left: I32
-    onward: U64
-    often: I64
     features: int
 
     def __post_init__(self) -> None:
-        if self.bits.shape != (len(self.left) * (self.features + 1),) or self.first[-1] != len(self.left):
+        blocks = len(self.left)
+        if self.bits.shape != (blocks * (self.features + 1),) or self.first[-1] != blocks:
             raise ParameterError("bits", f"{self.features + 1} for each of the blocks", self.bits.shape)
+        if self.coarse.shape != ((2 * self.features + 1) * coarse_words(blocks),):
+            raise ParameterError("coarse", f"{2 * self.features + 1} rows over all blocks", self.coarse.shape)
         # also those in memory: kernels would be compiled once more for arrays that can be written to
-        for array in self._arrays:
+        for array in self.arrays.values():
             array.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.frames)
 
     @property
-    def bytes(self) -> int:
-        """The memory that the arrays take."""
-        return sum(array.nbytes for array in self._arrays)
+    def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
+        """What there is to keep, by name: `BitSlices(**arrays, features=f)` is the same again."""
+        return {name: getattr(self, name) for name in ("bits", "coarse", "first", "frames", "left")}
 
     @property
-    def _arrays(self) -> tuple[U64 | I64 | I32, ...]:
-        return self.bits, self.groups, self.first, self.frames, self.left, self.onward, self.often
+    def bytes(self) -> int:
+        """The memory that the arrays take."""
+        return sum(array.nbytes for array in self.arrays.values())
 
     @property
     def rows(self) -> U64:
-        """uint64 (f + 1, B), a copy with the rows of all groups joined."""
-        edges = self.first[self.groups]
-        pieces = [
-            self.bits[start * (self.features + 1) : stop * (self.features + 1)].reshape(self.features + 1, stop - start)
-            for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-        ]
-        return np.concatenate([np.zeros((self.features + 1, 0), np.uint64), *pieces], axis=1)
+        """uint64 (f + 1, B): a bitmap over all blocks for each feature, and that of the valid frames."""
+        return self.bits.reshape(-1, self.features + 1).T
+
+
+def coarse_words(blocks: int) -> int:
+    """How many uint64 one row of the coarse copy has."""
+    return -(-blocks * GRANULES // BLOCK)
 
 
 def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
@@ -103,22 +109,14 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
         raise ParameterError("offsets", f"ascending from 0 to the {len(words)} words", offsets[[0, -1]].tolist())
     first = np.zeros(len(offsets), np.int64)
     np.cumsum(frames // BLOCK + 1, out=first[1:])
-    groups = _groups(first)
-    bits = np.empty(int(first[-1]) * (features + 1), np.uint64)
+    blocks = int(first[-1])
+    bits = np.empty(blocks * (features + 1), np.uint64)
+    coarse = np.zeros((2 * features + 1, coarse_words(blocks)), np.uint64)
     _slice(
-        np.ascontiguousarray(words, np.uint64), np.ascontiguousarray(offsets, np.int64), first, groups, features, bits
+        np.ascontiguousarray(words, np.uint64), np.ascontiguousarray(offsets, np.int64), first, features, bits, coarse
     )
-    left = (np.repeat(first[1:], np.diff(first)) - 1 - np.arange(first[-1])).astype(np.int32)
-    onward = np.where(left > 0, ALL_BITS, NO_BITS)
-    often = _count_rows(bits, first[groups], features + 1)
-    return BitSlices(bits, groups, first, frames.astype(np.int64), left, onward, often, features)
-
-
-def _groups(first: I64) -> I64:
-    """Where each group begins: takes of `GROUP_BLOCKS` blocks or so."""
-    takes = len(first) - 1
-    ends = np.arange(GROUP_BLOCKS, first[-1] + GROUP_BLOCKS, GROUP_BLOCKS)
-    return np.unique(np.concatenate([[0], np.searchsorted(first, ends), [takes]])).clip(max=takes)
+    left = np.repeat(first[1:], np.diff(first)) - 1 - np.arange(blocks)
+    return BitSlices(bits, coarse.ravel(), first, frames.astype(np.int64), left.astype(np.int32), features)
 
 
 def slice_runs(takes: I64, starts: I64, stops: I64, words: U64, frames: I64, features: int) -> BitSlices:
@@ -157,35 +155,37 @@ def _lay(laid, starts, stops, words):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _slice(words, offsets, first, groups, features, bits):  # type: ignore[no-untyped-def]
+def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-untyped-def]
     square = np.empty(BLOCK, np.uint64)
-    for group in range(len(groups) - 1):
-        base = first[groups[group]]
-        size = first[groups[group + 1]] - base
-        for take in range(groups[group], groups[group + 1]):
-            for block in range(first[take], first[take + 1]):
-                start = offsets[take] + (block - first[take]) * BLOCK
-                for j in range(BLOCK):
-                    square[j] = 0
-                    if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
-                        square[j] = words[start + j] | _VALID_BIT
-                _transpose(square)
-                to = base * (features + 1) + block - base
-                for feature in range(features):
-                    bits[to + feature * size] = square[feature]
-                bits[to + features * size] = square[_VALID]
+    for take in range(len(first) - 1):
+        for block in range(first[take], first[take + 1]):
+            start = offsets[take] + (block - first[take]) * BLOCK
+            for j in range(BLOCK):
+                square[j] = 0
+                if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
+                    square[j] = words[start + j] | _VALID_BIT
+            _transpose(square)
+            to = block * (features + 1)
+            word, shift = block * GRANULES // BLOCK, np.uint64(block * GRANULES % BLOCK)
+            valid = square[_VALID]
+            for feature in range(features):
+                on = square[feature]
+                bits[to + feature] = on
+                coarse[feature, word] |= _coarsened(on) << shift
+                coarse[features + feature, word] |= _coarsened(valid & ~on) << shift
+            bits[to + features] = valid
+            coarse[2 * features, word] |= _coarsened(valid) << shift
 
 
 @njit(cache=True, nogil=True)
-def _count_rows(bits, edges, rows):  # type: ignore[no-untyped-def]
-    counts = np.zeros(rows, np.int64)
-    for group in range(len(edges) - 1):
-        size = edges[group + 1] - edges[group]
-        for row in range(rows):
-            start = edges[group] * rows + row * size
-            for i in range(start, start + size):
-                counts[row] += count_bits(bits[i])
-    return counts
+def _coarsened(bits):  # type: ignore[no-untyped-def]
+    # One bit for each granule, whether any of its bits is set: folded onto its lowest, and these gathered at the top by
+    # a product in which no two sums fall on one place.
+    width = GRANULE // 2
+    while width:
+        bits |= bits >> np.uint64(width)
+        width //= 2
+    return ((bits & _LOWEST_OF_EACH) * _GATHER) >> np.uint64(BLOCK - GRANULES)
 
 
 @njit(cache=True, nogil=True)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ops.errors import ParameterError
-from ops.search import bitslices, slicesearch
-from ops.search.bitslices import BitSlices, slice_runs, slice_words
+from ops.search import slicesearch
+from ops.search.bitslices import GRANULE, BitSlices, slice_runs, slice_words
 from ops.search.keyframes import UNBOUNDED, Segments, from_axis, gap_bounds, keyframe_list, search, to_axis
 from ops.search.runs import word_runs
 from ops.search.slicesearch import keyframe_segments, search_slices
@@ -86,7 +89,27 @@ def test_slices_hold_the_words() -> None:
         assert shown[40, : len(take)].tolist() == valid.tolist()
         assert not shown[:, len(take) :].any()
         np.testing.assert_array_equal(shown[:40, : len(take)].T, bits(np.where(valid, take, 0), 40))
-    assert slices.often[40] == 1 + 64 + 63 + 127
+
+
+def test_the_coarse_copy_says_what_occurs_in_a_few_frames() -> None:
+    rng = np.random.default_rng(2)
+    takes = [rng.integers(0, 2**40, length).astype(np.uint64) for length in (1, 64, 0, 63, 130, 500)]
+    takes[1][8:17], takes[5][::3] = NO_WORD, NO_WORD
+    slices = slices_of(takes, 40)
+    valid = slices.rows[40]
+    wanted = np.vstack([slices.rows[:40], ~slices.rows[:40] & valid, valid[None]])
+    frames = np.unpackbits(np.ascontiguousarray(wanted).view(np.uint8), axis=1, bitorder="little")
+    expected = frames.reshape(81, -1, GRANULE).any(axis=2)
+    shown = np.unpackbits(slices.coarse.reshape(81, -1).view(np.uint8), axis=1, bitorder="little")
+    np.testing.assert_array_equal(shown[:, : expected.shape[1]], expected)
+    assert not shown[:, expected.shape[1] :].any()
+
+
+def test_slices_are_made_again_from_their_arrays() -> None:
+    slices = slices_of([np.arange(30, dtype=np.uint64)])
+    again = BitSlices(**slices.arrays, features=slices.features)
+    assert by_take(keyframe_segments(again, 3, 2), 1) == by_take(keyframe_segments(slices, 3, 2), 1)
+    assert not any(array.flags.writeable for array in again.arrays.values())
 
 
 @given(archives(longest=150))
@@ -108,20 +131,20 @@ def test_a_run_beyond_its_take_is_refused() -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(archives(longest=14), queries(largest=4), st.integers(1, 3))
-def test_what_is_found_is_the_union_of_all_hits(archive: list[U64], query: Query, group: int) -> None:
+def test_what_is_found_is_the_union_of_all_hits(archive: list[U64], query: Query, chunk: int) -> None:
     masks, values, gaps = query
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bitslices, "GROUP_BLOCKS", group)
+        patch.setattr(slicesearch, "CHUNK", chunk)
         found = by_take(search_slices(slices_of(archive), *query), len(archive))
     assert found == [ranges_by_enumeration(matches_in(take, masks, values), gaps) for take in archive]
 
 
 @settings(max_examples=120, deadline=None)
 @given(archives(longest=210), queries(largest=5, bits_fixed=2), st.integers(1, 9))
-def test_longer_takes_with_longer_gaps_agree_too(archive: list[U64], query: Query, group: int) -> None:
+def test_longer_takes_with_longer_gaps_agree_too(archive: list[U64], query: Query, chunk: int) -> None:
     masks, values, gaps = query
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bitslices, "GROUP_BLOCKS", group)
+        patch.setattr(slicesearch, "CHUNK", chunk)
         found = by_take(search_slices(slices_of(archive), *query), len(archive))
     expected = []
     for take in archive:
@@ -224,11 +247,41 @@ def test_words_that_cannot_be_sliced_are_refused() -> None:
             slice_words(np.zeros(3, np.uint64), np.array(offsets), features)
 
 
-def test_an_archive_beyond_the_cache_is_searched_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(4)
-    takes = [rng.integers(0, 2**FEATURES, 300).astype(np.uint64) for _ in range(40)]
+@settings(max_examples=100, deadline=None)
+@given(archives(longest=300), queries(largest=4, bits_fixed=2), st.lists(st.integers(0, 4), max_size=3))
+def test_parts_of_an_archive_find_what_the_whole_finds(archive: list[U64], query: Query, cuts: list[int]) -> None:
+    slices = slices_of(archive)
+    edges = sorted([0, len(archive), *(min(at, len(archive)) for at in cuts)])
+    parts = [search_slices(slices, *query, takes=part) for part in pairwise(edges)]
+    whole = search_slices(slices, *query)
+    np.testing.assert_array_equal(np.concatenate([part.starts for part in parts]), whole.starts)
+    np.testing.assert_array_equal(np.concatenate([part.stops for part in parts]), whole.stops)
+
+
+@settings(max_examples=60, deadline=None)
+@given(archives(longest=300), queries(largest=4, bits_fixed=2), st.integers(0, 4))
+def test_slices_of_two_shards_find_what_one_of_all_takes_finds(archive: list[U64], query: Query, at: int) -> None:
+    whole = by_take(search_slices(slices_of(archive), *query), len(archive))
+    shards = archive[:at], archive[at:]
+    assert [by_take(search_slices(slices_of(shard), *query), len(shard)) for shard in shards] == [
+        whole[:at],
+        whole[at:],
+    ]
+
+
+def test_threads_search_parts_of_one_archive_at_the_same_time() -> None:
+    rng = np.random.default_rng(5)
+    takes = [np.repeat(rng.integers(0, 2**FEATURES, 400), 9).astype(np.uint64) for _ in range(60)]
     slices, query = slices_of(takes), ([1, 6, 8], [1, 2, 8], [(2, 9), (0, 40)])
-    near = by_take(search_slices(slices, *query), 40)
-    monkeypatch.setattr(slicesearch, "NEAR", 0)
-    assert by_take(search_slices(slices, *query), 40) == near
-    assert any(near)
+    whole = search_slices(slices, *query)
+    with ThreadPoolExecutor(4) as pool:
+        parts = list(pool.map(lambda at: search_slices(slices, *query, takes=(at, at + 4)), range(0, 60, 4)))
+    np.testing.assert_array_equal(np.concatenate([part.starts for part in parts]), whole.starts)
+    np.testing.assert_array_equal(np.concatenate([part.stops for part in parts]), whole.stops)
+    assert len(whole) > 60
+
+
+@pytest.mark.parametrize("takes", [(0, 3), (-1, 1), (2, 1)])
+def test_takes_that_are_not_there_are_refused(takes: tuple[int, int]) -> None:
+    with pytest.raises(ParameterError, match="takes"):
+        search_slices(slices_of([np.zeros(3, np.uint64)] * 2), [1], [0], [], takes=takes)
