@@ -22,7 +22,7 @@ from ops.learning.breeding import (
     room_for_people,
     sample_universally,
 )
-from ops.learning.fitness import Query, find_bitmaps, fitness_of, retrieve, room_for
+from ops.learning.fitness import INNER, Query, find_bitmaps, fitness_of, retrieve, room_for
 from ops.learning.lessons import HISTORY, Evolution, Material, Run
 from ops.words import I64, U64
 
@@ -70,7 +70,7 @@ def tune_gaps(material: Material, query: Query, evolution: Evolution, seed: int 
     room = room_for(material.frames, most)
     tries = evolution.offspring
     _tune(
-        _random(seed), people, _clips(material), room, history, tries, evolution.generations, evolution.gap_step,
+        _random(seed), people, np.arange(2), _clips(material), room, history, tries, evolution.gap_step,
         _judging(evolution),
     )  # fmt: skip
     return _run(people, 0, history, 1 + tries * evolution.generations)
@@ -176,7 +176,7 @@ def _evolve(rng, people, clips, columns, room, history, sizes, breeding, judging
     for row in range(population):
         draw_individual(rng, people, row, columns, breeding, taken)
         evaluated += _evaluate_new(people, order, row, clips, room, judging)
-    _sort(order, people, 0, population)
+    _sort(order, people, min(1, population), population)
     _remember(history[0], order, people, population, clips.wanted)
     for generation in range(1, generations + 1):
         sample_universally(people.results[:, 2], order[:population], chosen, rng.random())
@@ -194,21 +194,22 @@ def _evolve(rng, people, clips, columns, room, history, sizes, breeding, judging
 
 
 @njit(cache=True, nogil=True)
-def _tune(rng, people, clips, room, history, tries, generations, gap_step, judging):  # type: ignore[no-untyped-def]
-    best = np.zeros(1, np.int64)
-    _evaluate(people, 0, clips, room, judging)
-    _remember(history[0], best, people, 1, clips.wanted)
-    for generation in range(1, generations + 1):
-        for _ in range(tries):
-            copy_individual(people, 0, 1)
-            change_gaps(rng, people, 1, gap_step)
-            _evaluate(people, 1, clips, room, judging)
-            if people.results[1, 3] >= people.results[0, 3]:
-                copy_individual(people, 1, 0)
-        _remember(history[generation], best, people, 1, clips.wanted)
+def _tune(rng, people, rows, clips, room, history, tries, gap_step, judging):  # type: ignore[no-untyped-def]
+    # Rows come in an array: with a number written into a call, numba would compile what is called once for each.
+    best, changed, one = rows[0], rows[1], len(rows) - 1
+    _evaluate(people, best, clips, room, judging)
+    for generation in range(len(history)):
+        if generation > 0:
+            for _ in range(tries):
+                copy_individual(people, best, changed)
+                change_gaps(rng, people, changed, gap_step)
+                _evaluate(people, changed, clips, room, judging)
+                if people.results[changed, 3] >= people.results[best, 3]:
+                    copy_individual(people, changed, best)
+        _remember(history[generation], rows, people, one, clips.wanted)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _evaluate_new(people, order, place, clips, room, judging):  # type: ignore[no-untyped-def]
     """Evaluate the individual at this place, unless an equal one before it was; returns how many were evaluated."""
     row = order[place]
@@ -221,7 +222,7 @@ def _evaluate_new(people, order, place, clips, room, judging):  # type: ignore[n
     return 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _equal(people, one, other):  # type: ignore[no-untyped-def]
     count = people.counts[one]
     if count != people.counts[other]:
@@ -265,10 +266,10 @@ def _evaluate(people, row, clips, room, judging):  # type: ignore[no-untyped-def
     people.results[row, 3] = rank
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _sort(order, people, begin, end):  # type: ignore[no-untyped-def]
     # Insertion from `begin`: what stands before it is in order, and the older goes first among equals.
-    for place in range(max(begin, 1), end):
+    for place in range(begin, end):
         row = order[place]
         rank = people.results[row, 3]
         i = place
@@ -278,7 +279,7 @@ def _sort(order, people, begin, end):  # type: ignore[no-untyped-def]
         order[i] = row
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _remember(means, order, people, population, wanted):  # type: ignore[no-untyped-def]
     for place in range(population):
         found, wrong = people.results[order[place], 0], people.results[order[place], 1]

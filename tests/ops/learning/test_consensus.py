@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ops.errors import ParameterError
 from ops.learning.consensus import agreement_matrix, consent, recurring
 from ops.learning.fitness import Query
-from ops.learning.genetics import evolve, judge
-from ops.learning.lessons import Evolution
-from tests.ops.learning.test_genetics import material
+from ops.learning.genetics import judge, tune_gaps
+from ops.learning.lessons import Evolution, Material
+from tests.ops.learning.test_genetics import check_consensus, material
 
 
 def query(*keyframes: tuple[int, int, int]) -> Query:
@@ -50,19 +52,27 @@ def test_runs_that_agree_on_nothing_have_no_consensus() -> None:
     assert recurring([query((3, 1, 1)), query((3, 1, 0))], 0.5, 1, 3) is None
 
 
+def columns_of(given: Material, *positions: int) -> Query:
+    """A query of template columns, spaced as they are there or up to twice as far."""
+    at = np.array(positions)
+    return Query(given.masks[at], given.values[at], at, np.diff(at), 2 * np.diff(at))
+
+
 def test_the_consensus_is_no_worse_than_the_median_or_else_the_best_run() -> None:
     given, evolution = material(seed=3), Evolution(generations=8)
-    runs = [evolve(given, evolution, (1, number)) for number in range(6)]
+    made = [columns_of(given, *given.columns[[first, last]].tolist()) for first, last in ((0, 3), (0, 4), (1, 4))]
+    runs = [tune_gaps(given, query, evolution, seed) for seed, query in enumerate(made)]
+    assert check_consensus(given, runs, evolution).origin == "consensus"
+
+
+def test_runs_with_nothing_in_common_have_the_best_of_them_instead() -> None:
+    given, evolution = material(seed=3), Evolution(generations=8)
+    made = [columns_of(given, *given.columns[[first, last]].tolist()) for first, last in ((0, 3), (1, 4))]
+    runs = [
+        replace(tune_gaps(given, query, evolution, 1), rank=rank) for rank, query in zip((5.0, 6.0), made, strict=True)
+    ]
     found = consent(given, runs, evolution, 1, 5)
-    ranks = [run.rank for run in runs]
-    assert found.median == np.median(ranks)
-    assert found.best == max(ranks)
-    assert found.rank >= found.median
-    assert judge(given, found.query, evolution)[2:] == (found.fitness, found.rank)
-    again = consent(given, runs, evolution, 1, 5)
-    assert again.query.key() == found.query.key()
-    if found.origin == "best run":
-        assert found.rank == found.best
+    assert (found.origin, found.rank, found.query.key()) == ("best run", 6.0, runs[1].query.key())
 
 
 def test_without_runs_there_is_nothing_to_agree_on() -> None:

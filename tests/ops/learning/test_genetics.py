@@ -18,9 +18,10 @@ from ops.learning.breeding import (
     room_for_people,
     sample_universally,
 )
+from ops.learning.consensus import Consensus, consent
 from ops.learning.fitness import Query, retrieved, score, training_frames
 from ops.learning.genetics import evolve, judge, random_search, tune_gaps
-from ops.learning.lessons import Evolution, Material, make_material, steady_entries
+from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
 from ops.templates.templates import QuantisedTemplate
 from tests.oracles import learning as naive
 
@@ -252,6 +253,28 @@ def test_tuned_gaps_are_no_worse_and_leave_the_keyframes_alone() -> None:
     assert tuned.fitness == 1.0
     assert (tuned.query.masks == start.masks).all()
     assert (tuned.query.positions == start.positions).all()
+
+
+def check_consensus(given: Material, runs: list[Run], evolution: Evolution) -> Consensus:
+    """What holds for the consensus of any runs."""
+    found = consent(given, runs, evolution, 1, 5)
+    ranks = [run.rank for run in runs]
+    assert found.median == np.median(ranks)
+    assert found.best == max(ranks)
+    assert found.rank >= found.median
+    assert judge(given, found.query, evolution)[2:] == (found.fitness, found.rank)
+    again = consent(given, runs, evolution, 1, 5)
+    assert again.query.key() == found.query.key()
+    if found.origin == "best run":
+        assert found.rank == found.best
+    return found
+
+
+def test_evolved_runs_agree_on_a_query_no_worse_than_their_median() -> None:
+    evolution = Evolution(generations=8)
+    check_consensus(
+        material(seed=3), [evolve(material(seed=3), evolution, (1, number)) for number in range(6)], evolution
+    )
 
 
 def test_random_search_spends_the_same_budget_on_initial_individuals() -> None:
