@@ -10,7 +10,7 @@ import pytest
 from ops.errors import ParameterError
 from ops.learning.consensus import agreement_matrix, consent, recurring
 from ops.learning.fitness import Query
-from ops.learning.genetics import judge, tune_gaps
+from ops.learning.genetics import tune_gaps
 from ops.learning.lessons import Evolution, Material
 from tests.ops.learning.test_genetics import check_consensus, material
 
