@@ -41,7 +41,7 @@ def compare(
     """
     import json
 
-    from pipelines.evaluation.differences import compared, content
+    from pipelines.evaluation.differences import compared, content, without_repeats
     from pipelines.evaluation.differencetables import markdown, page, rich_comparison
     from pipelines.evaluation.runs import pairs, read_run
     from pipelines.report.write import write_page
@@ -49,7 +49,7 @@ def compare(
     if output is not None and output.suffix not in FORMATS:
         raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")
     found = pairs(read_run(a), read_run(b), split)
-    comparisons = [compared(one, other, _names(a, b, one.name, other.name)) for one, other in found]
+    comparisons = without_repeats([compared(one, other, _names(a, b, one.name, other.name)) for one, other in found])
     if output is None:
         for one in comparisons:
             make_console().print(rich_comparison(one))

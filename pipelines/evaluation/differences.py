@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,8 @@ LEAST = 0.005
 
 LEVELS = ("f1", "f2")
 DRAWS = 1000
+NAMES = ("name", "title")
+"""Settings that only name a method."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class Comparison:
     """Two evaluations, B against A.
 
     overall: over the takes that both have. intervals: of the differences of F1 and F2, 95 % over takes. only_a,
-    only_b: takes that one of them has, left out of `overall`.
+    only_b: takes that one of them has, left out of `overall`. settings: the parameters of the annotation that are
+    not the same: name, in A, in B; None where one has no such parameter.
     """
 
     a: str
@@ -55,6 +58,7 @@ class Comparison:
     takes: tuple[Change, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
+    settings: tuple[tuple[str, object, object], ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -102,7 +106,25 @@ def compared(a: Scored, b: Scored, names: tuple[str, str]) -> Comparison:
         tuple(_changes(a.takes, b.takes)),
         tuple(sorted(set(a.takes) - set(b.takes))) if both else (),
         tuple(sorted(set(b.takes) - set(a.takes))) if both else (),
+        tuple(
+            (name, a.settings.get(name), b.settings.get(name))
+            for name in dict.fromkeys((*a.settings, *b.settings))
+            if name not in NAMES and a.settings.get(name) != b.settings.get(name)
+        ),
     )
+
+
+def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
+    """Comparisons of different names and the same content as one, with both names."""
+    found: list[Comparison] = []
+    for one in comparisons:
+        for place, earlier in enumerate(found):
+            if replace(one, a=earlier.a, b=earlier.b) == earlier:
+                found[place] = replace(earlier, a=f"{earlier.a}; {one.a}", b=f"{earlier.b}; {one.b}")
+                break
+        else:
+            found.append(one)
+    return found
 
 
 def difference_interval(
@@ -138,6 +160,7 @@ def content(comparisons: Sequence[Comparison]) -> dict[str, object]:
                 "a": one.a,
                 "b": one.b,
                 "verdict": one.verdict,
+                "settings": [{"name": name, "a": ours, "b": theirs} for name, ours, theirs in one.settings],
                 "overall": _row(one.overall),
                 "intervals": {
                     name: [None if math.isnan(end) else end for end in ends] for name, ends in one.intervals.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -38,7 +39,7 @@ def signed(value: float) -> str:
 def rich_comparison(one: Comparison) -> Group:
     """A comparison for the terminal: the verdict, then what changed, the greatest changes first."""
     parts: list[RenderableType] = [
-        Text(f"A  {one.a}\nB  {one.b}"),
+        Text("\n".join([f"A  {one.a}", f"B  {one.b}", *settings(one)])),
         Text(f"{one.verdict}.", style="bold"),
         _table("", [one.overall]),
     ]
@@ -50,6 +51,15 @@ def rich_comparison(one: Comparison) -> Group:
                 parts.append(_table(f"{verdict}: {len(changed)} of {len(changes)} {what}{more}", changed[:MOST_SHOWN]))
     parts += [Text(text) for text in remarks(one)]
     return Group(*parts)
+
+
+def settings(one: Comparison) -> list[str]:
+    """The parameters of the annotation that differ, a line each."""
+    return [f"{name}: {_setting(ours)} in A, {_setting(theirs)} in B" for name, ours, theirs in one.settings]
+
+
+def _setting(value: object) -> str:
+    return "not set" if value is None else value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def remarks(one: Comparison) -> list[str]:
@@ -85,6 +95,7 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
     lines = ["# Two evaluations compared", ""]
     for one in comparisons:
         lines += [f"## {one.b} against {one.a}", "", f"{one.verdict}.", ""]
+        lines += [*(f"- {text}" for text in settings(one)), ""] if one.settings else []
         lines += grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])
         for what, changes in (("classes", one.classes), ("takes", one.takes)):
             for verdict in VERDICTS:
@@ -102,5 +113,5 @@ def page(comparisons: Sequence[Comparison]) -> str:
         loader=PackageLoader("pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters.update({"digits": digits, "signed": signed, "remarks": remarks})
+    environment.filters.update({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
     return environment.get_template("compared.html.j2").render(comparisons=comparisons, verdicts=VERDICTS)

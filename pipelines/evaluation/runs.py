@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,14 @@ FORMAT = "kinedex evaluation 1"
 @dataclass(frozen=True)
 class Scored:
     """One evaluation of one method. evaluation: the split, or the name of the stage's evaluation. method: its name,
-    empty where the file has one only."""
+    empty where the file has one only. settings: the parameters of the annotation, as far as the file has them."""
 
     evaluation: str
     method: str
     pooled: Counts
     classes: dict[str, Counts]
     takes: dict[str, Counts]
+    settings: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -72,7 +73,7 @@ def _files(path: Path) -> list[Path]:
         raise KinedexError(f"{path}: there is no such store, folder or file")
     reports = path / "results" / "reports"
     folders = sorted(folder for folder in reports.iterdir() if folder.is_dir()) if reports.is_dir() else [path]
-    by_folder = {folder: [file for file in sorted(folder.glob("*.json")) if _kind(file)] for folder in folders}
+    by_folder = {folder: _files_in(folder) for folder in folders}
     having = [folder for folder, files in by_folder.items() if files]
     if not having:
         raise KinedexError(
@@ -88,9 +89,10 @@ def _files(path: Path) -> list[Path]:
 _NAMES = ("methods.json", "metrics.json", "leave_one_out.json")
 
 
-def _kind(file: Path) -> bool:
-    """Whether a file is called like one of ours; a second stage of a kind has its own name in front."""
-    return any(file.name == name or file.name.endswith(f".{name}") for name in _NAMES)
+def _files_in(folder: Path) -> list[Path]:
+    """The files of a folder that are called like ours, by kind; a second stage of a kind has its name in front."""
+    files = sorted(folder.glob("*.json"))
+    return [file for name in _NAMES for file in files if file.name == name or file.name.endswith(f".{name}")]
 
 
 def _read(file: Path) -> list[Scored]:
@@ -102,25 +104,27 @@ def _read(file: Path) -> list[Scored]:
         raise KinedexError(f"{file}: is no JSON file") from None
     try:
         if content.get("format") == FORMAT:
+            settings = {one["name"]: one for one in content.get("methods", [])}
             return [
-                _scored(split["name"], name, one)
+                _scored(split["name"], name, one, settings.get(name, {}))
                 for split in content["splits"]
                 for name, one in split["methods"].items()
             ]
         if "pooled" in content:
-            return [_scored(content["evaluation"], "", content)]
+            return [_scored(content["evaluation"], "", content, content.get("annotate", {}))]
     except (KeyError, TypeError, AttributeError):
         pass
     raise KinedexError(f"{file}: is no evaluation; expected {' or '.join(_NAMES)} as kinedex writes them")
 
 
-def _scored(evaluation: str, method: str, content: dict[str, Any]) -> Scored:
+def _scored(evaluation: str, method: str, content: dict[str, Any], settings: dict[str, Any]) -> Scored:
     return Scored(
         evaluation,
         method,
         _counts(content["pooled"]),
         {name: _counts(one) for name, one in content.get("classes", {}).items()},
         {name: _counts(one) for name, one in content.get("takes", {}).items()},
+        settings,
     )
 
 

@@ -83,7 +83,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     if not folds:
         context.say(f"nothing to evaluate: {name} has no fold")
         return {"folds": 0}
-    write_metrics(report, evaluation, context.run, pipeline=context.pipeline, column=params.column)
+    annotated = evaluating.annotate_params(context).model_dump(mode="json")
+    write_metrics(report, evaluation, context.run, pipeline=context.pipeline, column=params.column, annotate=annotated)
     context.terminal.show(metrics_table(evaluation, name, SCOPES[:2]))
     context.say(f"metrics, by class and take as well: {report}")
     files = [report.relative_to(context.store_path).as_posix()]

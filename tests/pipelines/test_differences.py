@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from ops.errors import KinedexError
 from ops.measures.metrics import Counts
 from pipelines.cli import app
-from pipelines.evaluation.differences import compared, content, difference_interval
+from pipelines.evaluation.differences import compared, content, difference_interval, without_repeats
 from pipelines.evaluation.differencetables import markdown, page
 from pipelines.evaluation.evaluating import Evaluation, Row, write_metrics
 from pipelines.evaluation.runs import Scored, pairs, read_run
@@ -69,6 +69,28 @@ def test_what_is_better_on_every_take_is_no_chance() -> None:
     unsure = compared(scored(a=5, b=5, c=6, d=5), scored(a=9, b=2, c=9, d=4), ("A", "B"))
     assert unsure.verdict.startswith("F1 is better by 0.075")
     assert "which may be chance" in unsure.verdict
+
+
+def test_settings_that_differ_are_said() -> None:
+    ours, theirs = (
+        replace(scored(x=5), settings={"name": name, "method": name, "tau": 0.13, "queries": queries})
+        for name, queries in (("thesis", None), ("best", ["mine.yaml"]))
+    )
+    one = compared(ours, theirs, ("A", "B"))
+    assert one.settings == (("method", "thesis", "best"), ("queries", None, ["mine.yaml"]))
+    assert "- method: thesis in A, best in B" in markdown([one])
+    assert 'queries: not set in A, ["mine.yaml"] in B' in Reading(page([one])).text
+
+
+def test_the_same_comparison_is_shown_once() -> None:
+    one = compared(scored(x=5), scored(x=7), ("plain (a)", "plain (b)"))
+    again = replace(one, a="held out (a)", b="held out (b)")
+    other = compared(scored(x=5), scored(x=8), ("plain (a)", "plain (b)"))
+    found = without_repeats([one, again, other])
+    assert [(found.a, found.overall) for found in found] == [
+        ("plain (a); held out (a)", one.overall),
+        ("plain (a)", other.overall),
+    ]
 
 
 def test_the_interval_of_no_difference_is_nothing() -> None:
