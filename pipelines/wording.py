@@ -1,4 +1,4 @@
-"""How lists of names are put into words, on the terminal and in remarks."""
+"""How counts and lists of names are put into words, on the terminal and in remarks."""
 
 from __future__ import annotations
 
@@ -10,3 +10,8 @@ _MOST = 8
 def few(names: Sequence[str]) -> str:
     """The names, or the first eight and how many more there are."""
     return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
+
+
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """Say how many of something there are."""
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pipelines.report.axes import Axis, percent, time_axis
 from pipelines.report.data import FeatureNames, Template
 from pipelines.report.pixels import quantised_image, soft_image, wildcard_share
-from pipelines.report.timelines import counted
 from pipelines.report.traces import Trace, trace
+from pipelines.wording import counted
 
 
 @dataclass(frozen=True)

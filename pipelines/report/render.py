@@ -19,7 +19,8 @@ from pipelines.report.data import ReportData, Score, Segment
 from pipelines.report.environment import page_environment
 from pipelines.report.motions import Motions
 from pipelines.report.palette import colour_rules, colour_slot
-from pipelines.report.timelines import Timeline, counted, timeline
+from pipelines.report.timelines import Timeline, timeline
+from pipelines.wording import counted
 
 DELTA_SHOWN = 0.05  # δ of the quantised view where the store does not say which one annotation used
 

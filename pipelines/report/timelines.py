@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pipelines.report.axes import Axis, percent, time_axis
 from pipelines.report.data import Score, Segment, TakeRow
+from pipelines.wording import counted
 
 
 @dataclass(frozen=True)
@@ -114,8 +115,3 @@ def tip(segment: Segment, rate_hz: float, origin: str, agrees: bool | None) -> s
     if agrees is False:
         text += "; no manual segment here" if origin == "automatic" else "; not found"
     return text
-
-
-def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """Say how many of something there are."""
-    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"

@@ -13,6 +13,7 @@ from ops.errors import KinedexError
 from ops.search.proposals import Pose, SetCounts, propose_poses
 from ops.words import I64, TakeWords
 from pipelines.searching.search import search_store
+from pipelines.wording import counted
 from storage.store import Store
 
 
@@ -61,7 +62,8 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
         "# Each keyframe fixes the features that set its pose apart from the rest of this archive; whatever it does",
         "# not name may be on or off. Take features out to find more, add some to find less; `after` is the time since",
         "# the keyframe before, from half to twice that of the example.",
-        f"# As it stands it finds {hits.num_rows} ranges in {len(set(hits.column('take').to_pylist()))} takes, "
+        f"# As it stands it finds {counted(hits.num_rows, 'range')} in "
+        f"{counted(len(set(hits.column('take').to_pylist())), 'take')}, "
         f"{frames / max(total, 1):.2%} of all frames.",
     ]
     return "\n".join([*head, *body]) + "\n"

@@ -9,8 +9,8 @@ import numpy as np
 from catalog.features import FeatureSet
 from ops.templates.shaping import Contrast, consistency
 from ops.templates.templates import CONVERGED, quantise
-from pipelines.report.timelines import counted
 from pipelines.templates.learning import SubclassTemplate
+from pipelines.wording import counted
 
 ON, OFF, WILDCARD = "█", "·", "▒"
 

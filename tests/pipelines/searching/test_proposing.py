@@ -81,7 +81,7 @@ def test_a_proposal_finds_its_example_and_little_else(store: Store) -> None:
     assert [hit["take"] for hit in hits] == ['it\'s a "squat"']
     assert hits[0]["start"] < 72
     assert hits[0]["stop"] > 60
-    assert "finds 1 ranges in 1 takes" in text
+    assert "finds 1 range in 1 take" in text
     assert "body_low" in text
 
 
