@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -10,6 +11,9 @@ from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
+from yaml.resolver import Resolver
 
 from ops.errors import ConfigError, did_you_mean
 
@@ -175,7 +179,7 @@ def parse_yaml(text: str, path: str | Path) -> Located:
 def _parsed(text: str, path: Path) -> Located:
     located = Located(path, None, {})
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = _composed(text)
         data = None if node is None else _construct(node, (), located, yaml.SafeLoader(""))
     except yaml.MarkedYAMLError as fault:
         line = fault.problem_mark.line + 1 if fault.problem_mark else None
@@ -186,6 +190,32 @@ def _parsed(text: str, path: Path) -> Located:
     except RecursionError:
         raise ConfigError(path, "is nested too deeply, or an alias contains itself") from None
     return Located(located.path, data, located.lines)
+
+
+_LOADERS: list[Any] = [yaml.SafeLoader]
+
+if yaml.__with_libyaml__:
+    from yaml._yaml import CParser
+
+    class _FastLoader(Composer, CParser, SafeConstructor, Resolver):
+        """Events of libyaml, and nodes made of them in Python, where too deep a nesting is an error and no crash."""
+
+        def __init__(self, text: str) -> None:
+            CParser.__init__(self, text)
+            Composer.__init__(self)
+            SafeConstructor.__init__(self)
+            Resolver.__init__(self)
+
+    _LOADERS.insert(0, _FastLoader)
+
+
+def _composed(text: str) -> yaml.Node | None:
+    """The nodes of a text; by libyaml where it is there, which is seven times as fast."""
+    for loader in _LOADERS[:-1]:
+        # of what it refuses, the reader in Python says better what is wrong
+        with suppress(yaml.YAMLError, ValueError):
+            return yaml.compose(text, Loader=loader)
+    return yaml.compose(text, Loader=_LOADERS[-1])
 
 
 def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.SafeLoader) -> Any:

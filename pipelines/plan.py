@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -156,21 +157,32 @@ def code_digest(module: str) -> str:
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        path = _module_file(name)
-        if name in seen or path is None or name in _CARRIERS:
+        if name in seen or name in _CARRIERS:
             continue
-        seen[name] = path.read_bytes()
-        waiting += imports_of(seen[name].decode(), name)
+        source = _source(name)
+        if source is not None:
+            seen[name] = source[0]
+            waiting += source[1]
     hasher = hashlib.sha256()
     for name in sorted(seen):
         hasher.update(name.encode() + b"\0" + seen[name] + b"\0")
     return hasher.hexdigest()[:16]
 
 
+@cache  # the stages of a pipeline stand on much the same modules
+def _source(name: str) -> tuple[bytes, tuple[str, ...]] | None:
+    """A project module's source and what it imports; None where there is no such module."""
+    path = _module_file(name)
+    if path is None:
+        return None
+    content = path.read_bytes()
+    return content, tuple(imports_of(content.decode(), name))
+
+
 def imports_of(source: str, module: str) -> list[str]:
     """The project modules that a source imports, packages and names in them alike."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(source)):
+    for node in _statements(ast.parse(source).body):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -181,6 +193,14 @@ def imports_of(source: str, module: str) -> list[str]:
             names.append(base)
             names += [f"{base}.{alias.name}" for alias in node.names]
     return sorted({name for name in names if name.split(".")[0] in PACKAGES})
+
+
+def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """Every statement, at any depth; expressions, of which there are many more, hold no imports."""
+    for statement in body:
+        yield statement
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from _statements(getattr(statement, block, ()))
 
 
 def _module_file(name: str) -> Path | None:

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from ops.errors import ConfigError, KinedexError, ParameterError, SourceError
 from pipelines.config import load_pipeline
-from pipelines.plan import make_plan
+from pipelines.plan import imports_of, make_plan
 from pipelines.runner import StageFailed, run_pipeline
 from pipelines.stages import index, ingest
 from pipelines.terminal import Terminal
@@ -136,3 +136,31 @@ def test_a_run_that_is_killed_in_a_stage_leaves_no_record_of_it(
 def test_errors_cross_from_a_worker_process_whole(error: KinedexError) -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert (type(copy), str(copy)) == (type(error), str(error))
+
+
+def test_imports_are_found_at_any_depth() -> None:
+    source = """
+import ops.a
+def f():
+    from catalog import b
+    try:
+        pass
+    except ValueError:
+        import storage.c
+    else:
+        import storage.d
+    finally:
+        import storage.e
+    match 1:
+        case 2:
+            with open("x"):
+                from . import g
+    while False:
+        import numpy
+    else:
+        from .h import i
+"""
+    assert imports_of(source, "pipelines.stages.z") == [
+        "catalog", "catalog.b", "ops.a", "pipelines.stages", "pipelines.stages.g", "pipelines.stages.h",
+        "pipelines.stages.h.i", "storage.c", "storage.d", "storage.e",
+    ]  # fmt: skip
