@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -23,6 +20,7 @@ from storage.acclaim import read_amc, read_asf
 from storage.index.generations import Generation, current, read_generation
 from storage.store import open_store
 from storage.verify import verify
+from tests import killing
 from tests.pipelines.archives import context, human_amc, write_archive
 
 TAKES = {"a/x_1.amc": 50, "a/x_2.amc": 33, "b/x_3.amc": 121}
@@ -275,34 +273,31 @@ def test_what_a_path_says_becomes_columns(tmp_path: Path) -> None:
     assert rows[1] == ("x_odd", None, None, None, ["its path matches no pattern of the config"])
 
 
-INGEST = """
-import sys
-from pathlib import Path
-from pipelines.stages import ingest
-from tests.pipelines.archives import context
-ingest.MEGABYTE = 1 << 12
-ingest.run(context(Path(sys.argv[1])), ingest.Params(source=sys.argv[2], batch_mb=4))
-"""
+def bring_in_bit_by_bit(store: Path, source: Path) -> None:
+    ingest.MEGABYTE = 1 << 12
+    bring_in(store, source, batch_mb=4)
 
 
 @pytest.mark.slow
 def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_the_takes_it_should_have(tmp_path: Path) -> None:
     takes = {f"x_{number:02}.amc": 20 + number for number in range(24)}
     source, store = write_archive(tmp_path / "source", takes), tmp_path / "store"
-    command = [sys.executable, "-c", INGEST, str(store), str(source)]
     moments = random.Random(1)
+    killing.start(bring_in_bit_by_bit, tmp_path / "first", source).join()
     begin = time.monotonic()
-    subprocess.run([*command[:3], str(tmp_path / "whole"), str(source)], check=True)
+    killing.start(bring_in_bit_by_bit, tmp_path / "whole", source).join()
     whole = time.monotonic() - begin
     for _ in range(6):
-        process = subprocess.Popen(command)
-        time.sleep(moments.uniform(0.3, 1.0) * whole)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        process = killing.start(bring_in_bit_by_bit, store, source)
+        time.sleep(moments.uniform(0, 1.0) * whole)
+        process.kill()
+        process.join()
         if (store / "manifest").is_dir() and any((store / "manifest").glob("*.json")):
             # a killed run leaves unfinished files, which are no fault
             assert not any(finding.fault for finding in verify(open_store(store)))
-    subprocess.run(command, check=True)
+    last = killing.start(bring_in_bit_by_bit, store, source)
+    last.join()
+    assert last.exitcode == 0
     done, expected = open_store(store), open_store(tmp_path / "whole")
     assert done.takes()["name"].to_list() == sorted(Path(name).stem for name in takes)
     assert done.takes()["frames"].to_list() == expected.takes()["frames"].to_list()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,15 +16,15 @@ from hypothesis import strategies as st
 
 from ops.errors import StoreError
 from storage import compaction, index
+from storage import writer as writers
 from storage.compaction import FANOUT, compact, worthwhile
 from storage.manifest import Part, versions
 from storage.parts import ROW_GROUP, FramesWriter
 from storage.store import Store, open_store
 from storage.verify import verify
 from storage.writer import StoreWriter
+from tests import killing
 from tests.storage.made_up import BODY, add, arrays, take_row, takes_table
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def in_batches(path: Path, batches: int, frames: int = 9, edition: int = 0) -> Store:
@@ -189,29 +187,25 @@ def test_a_writer_refuses_parts_that_do_not_hold_the_same(tmp_path: Path) -> Non
             writer.swap_parts("frames", [first], [first])
 
 
-KILLED = """
-import os, signal, sys
-from storage import writer as writers
-from storage.compaction import compact
-from storage.writer import StoreWriter
-from tests.storage.made_up import BODY
-def die(*_):
-    os.kill(os.getpid(), signal.SIGKILL)
-if sys.argv[2] == "before the commit":
-    writers.publish = die
-else:
-    StoreWriter.swap_parts = die
-with StoreWriter.open(sys.argv[1], BODY) as writer:
-    compact(writer)
-"""
+def compact_and_die(store: Path, moment: str) -> None:
+    def die(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    if moment == "before the commit":
+        writers.publish = die
+    else:
+        StoreWriter.swap_parts = die  # type: ignore[method-assign]
+    with StoreWriter.open(store, BODY) as writer:
+        compact(writer)
 
 
 @pytest.mark.parametrize("moment", ["before the commit", "before the swap"])
 def test_killed_on_the_way_it_leaves_the_store_as_it_was(tmp_path: Path, moment: str) -> None:
     before = in_batches(tmp_path, FANOUT)
     files = sorted(os.listdir(tmp_path / "frames"))
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), moment], cwd=ROOT)
-    assert killed.returncode == -signal.SIGKILL
+    killed = killing.start(compact_and_die, tmp_path, moment)
+    killed.join()
+    assert killed.exitcode == -signal.SIGKILL
     assert len(os.listdir(tmp_path / "frames")) == len(files) + 1
     assert open_store(tmp_path).manifest == before.manifest
     with StoreWriter.open(tmp_path, BODY) as writer:

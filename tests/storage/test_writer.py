@@ -7,12 +7,11 @@ import json
 import multiprocessing
 import os
 import signal
-import subprocess
-import sys
 import time
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -23,9 +22,9 @@ from storage.manifest import StageRecord, manifest_path, publish, versions
 from storage.store import open_store
 from storage.verify import verify
 from storage.writer import StoreWriter
+from tests import killing
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
 
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_nothing_is_visible_before_the_commit(tmp_path: Path) -> None:
@@ -293,22 +292,16 @@ def test_a_stage_record_is_kept(tmp_path: Path) -> None:
     assert open_store(tmp_path).manifest.stages == {"annotate/index": record}
 
 
-INGEST = """
-import sys
-from pathlib import Path
-from storage.store import open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
-from tests.storage.made_up import BODY, add
-names = {f"take_{i:03d}": 20 + i for i in range(40)}
-with StoreWriter.open(sys.argv[1], BODY) as writer:
-    print("open", flush=True)
-    have = set(writer.store.takes()["name"].to_list())
-    todo = [n for n in names if n not in have]
-    for i in range(0, len(todo), 3):
-        add(writer, {n: names[n] for n in todo[i : i + 3]})
-        writer.commit()
-"""
+def bring_in(path: Path, opened: Any) -> None:
+    """An ingest of forty takes, three a commit; sends a word once the store is open."""
+    names = {f"take_{i:03d}": 20 + i for i in range(40)}
+    with StoreWriter.open(path, BODY) as writer:
+        opened.send("open")
+        have = set(writer.store.takes()["name"].to_list())
+        todo = [name for name in names if name not in have]
+        for i in range(0, len(todo), 3):
+            add(writer, {name: names[name] for name in todo[i : i + 3]})
+            writer.commit()
 
 
 @pytest.mark.slow
@@ -317,22 +310,20 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_its_takes(tmp_p
     rng = np.random.default_rng(3)
     kills = 0
     for attempt in range(60):
-        process = subprocess.Popen(
-            [sys.executable, "-c", INGEST, str(store)], cwd=ROOT, stdout=subprocess.PIPE, text=True
-        )
-        assert process.stdout is not None
-        process.stdout.readline()
+        here, there = killing.channel()
+        process = killing.start(bring_in, store, there)
+        here.recv()
         if attempt < 6:
             time.sleep(rng.uniform(0, 0.12))
-            process.send_signal(signal.SIGKILL)
-        kills += process.wait() == -signal.SIGKILL
-        process.stdout.close()
+            process.kill()
+        process.join()
+        kills += process.exitcode == -signal.SIGKILL
         visible = open_store(store)
         words = visible.words()
         assert visible.takes().height == len(words)
-        if process.returncode == 0:
+        if process.exitcode == 0:
             break
-        assert process.returncode == -signal.SIGKILL
+        assert process.exitcode == -signal.SIGKILL
     assert kills >= 2
     final = open_store(store)
     assert final.takes()["name"].to_list() == [f"take_{i:03d}" for i in range(40)]

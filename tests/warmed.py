@@ -1,0 +1,20 @@
+"""What the process imports that others are forked from: modules and compiled code are then loaded once for all."""
+
+from __future__ import annotations
+
+import hypothesis  # noqa: F401
+import polars  # noqa: F401
+import pytest  # noqa: F401
+
+import storage.compaction
+import storage.verify  # noqa: F401
+from catalog.features import load_feature_set
+from catalog.skeletons import load_mappings
+from pipelines.plan import code_digest
+from pipelines.stages import ingest
+
+body = load_feature_set()
+ingest._compile_kernels(body)
+load_mappings("auto", body.joints)
+for module in ("storage.bodies", "pipelines.ingesting.analysis"):
+    code_digest(module)
