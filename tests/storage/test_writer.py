@@ -26,7 +26,6 @@ from tests import killing
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
 
 
-
 def test_nothing_is_visible_before_the_commit(tmp_path: Path) -> None:
     with StoreWriter.open(tmp_path, BODY) as writer:
         add(writer, {"a": 3})
