@@ -6,20 +6,40 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import duckdb
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
 
+from pipelines.cli import app
 from tests.pipelines.archives import write_archive
 
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
 
 
-def kinedex(*words: str | Path, stdin: str | None = None) -> subprocess.CompletedProcess[str]:
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def kinedex(*words: str | Path, stdin: str | None = None) -> Ended:
+    """Run a command in this process; anything but an exit or a message of its own is raised."""
+    done = CliRunner().invoke(app, [*map(str, words)], input=stdin, prog_name="kinedex", catch_exceptions=False)
+    return Ended(done.exit_code, done.stdout, done.stderr)
+
+
+def process(*words: str | Path) -> Ended:
+    """Run a command as people do, in a process of its own."""
     command = [sys.executable, "-m", "pipelines.cli", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, input=stdin, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return Ended(done.returncode, done.stdout, done.stderr)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +55,16 @@ def store(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.returncode == 0, done.stderr
     assert "3 to read, 0 unchanged" in done.stdout
     return path
+
+
+def test_a_process_ends_with_the_code_and_says_its_faults_where_they_belong(store: Path) -> None:
+    done = process("takes", store, "--columns", "name", "--format", "csv")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == kinedex("takes", store, "--columns", "name", "--format", "csv").stdout
+    done = process("takes", store, "--columns", "nam")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "kinedex: --columns: takes have no column 'nam'; did you mean 'name'?\n"
+    assert process("takes", store, "--colums", "name").returncode == 2
 
 
 @pytest.mark.parametrize("command", COMMANDS)
