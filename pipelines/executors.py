@@ -32,6 +32,9 @@ KINDS = ("serial", "processes", "dask")
 TRIES = 3
 """How often a task is started before its workers' deaths are taken to be its own doing."""
 
+ANSWER_SECONDS = 10.0
+"""How long a Dask scheduler may take to answer at first."""
+
 PATIENCE_SECONDS = 60.0
 """How long a Dask cluster may be without any worker, or without its scheduler, before its tasks are given up."""
 
@@ -192,12 +195,12 @@ class DaskExecutor:
             _single_thread()
             self._cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
         try:
-            self._client: Client = Client(self._cluster or scheduler, timeout="10s")
+            self._client: Client = Client(self._cluster or scheduler, timeout=ANSWER_SECONDS)
         except (OSError, ValueError) as fault:
             raise KinedexError(f"--scheduler {scheduler}: no Dask scheduler answers there ({fault})") from None
         self._scheduler = scheduler
         self.workers = self._slots()
-        deadline = time.monotonic() + min(10.0, PATIENCE_SECONDS)
+        deadline = time.monotonic() + min(ANSWER_SECONDS, PATIENCE_SECONDS)
         while not self.workers:
             if time.monotonic() > deadline:
                 self.close()

@@ -135,8 +135,8 @@ def test_a_dask_cluster_does_the_same_and_must_see_the_store(tmp_path: Path) -> 
         executor.close()
 
 
-@pytest.mark.slow
-def test_a_scheduler_that_does_not_answer_is_refused() -> None:
+def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executors, "ANSWER_SECONDS", 0.5)
     with pytest.raises(KinedexError, match="no Dask scheduler answers there"):
         DaskExecutor(1, "tcp://127.0.0.1:9")
 
