@@ -9,19 +9,21 @@ Column = tuple[float, ...]
 NEVER = -math.inf
 
 
-def log_ratio(word: list[int], column: Column, usual: Column, smoothing: float, gain: float) -> float:
-    """Mean over features of log P(bit | column) − log P(bit | background), plus the gain."""
-    total = 0.0
-    for bit, share, common in zip(word, column, usual, strict=True):
-        share = min(max(share, smoothing), 1 - smoothing)
-        common = min(max(common, smoothing), 1 - smoothing)
-        total += math.log(share / common) if bit else math.log((1 - share) / (1 - common))
-    return total / len(column) + gain
+def likelihood(word: list[int], column: Column, smoothing: float) -> float:
+    """P(word | column), features independent."""
+    shares = [min(max(share, smoothing), 1 - smoothing) for share in column]
+    return math.prod(share if bit else 1 - share for bit, share in zip(word, shares, strict=True))
+
+
+def log_ratio(word: list[int], column: Column, usual: list[Column], smoothing: float, gain: float) -> float:
+    """(log P(word | column) − log P(word | background)) / features, plus the gain; all postures are as usual."""
+    common = sum(likelihood(word, posture, smoothing) for posture in usual) / len(usual)
+    return math.log(likelihood(word, column, smoothing) / common) / len(column) + gain
 
 
 def best_value(
     templates: list[list[Column]],
-    usual: Column,
+    usual: list[Column],
     words: list[list[int] | None],
     smoothing: float,
     entry: float,

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import ops.distances.decoding
 from ops.distances.decoding import Decoding, Explained, background, explain, log_ratios, margins
 from ops.errors import ParameterError
 from ops.templates.templates import Template
@@ -18,7 +17,8 @@ FEATURES = 3
 COLUMN = st.tuples(*[st.sampled_from([0.0, 0.25, 0.5, 1.0])] * FEATURES)
 TEMPLATES = st.lists(st.lists(COLUMN, min_size=1, max_size=6), min_size=1, max_size=3)
 WORDS = st.lists(st.sampled_from([*range(2**FEATURES), int(NO_WORD)]), max_size=14)
-USUAL = np.array([0.3, 0.5, 0.9])
+USUAL = st.lists(COLUMN, min_size=1, max_size=3)
+EVEN = np.full((1, FEATURES), 0.5)
 
 
 def template(columns: list[tuple[float, ...]]) -> Template:
@@ -32,23 +32,23 @@ def as_bits(words: list[int]) -> list[list[int] | None]:
 @settings(deadline=None, max_examples=150)
 @given(
     TEMPLATES,
+    USUAL,
     WORDS,
     st.sampled_from([0.0, 0.1, 0.5]),
     st.sampled_from([0.0, 0.05, 0.3]),
     st.sampled_from([0.0, 0.1]),
     st.sampled_from([-0.2, 0.0, 0.3]),
     st.booleans(),
-    st.integers(1, 5),
 )
 def test_no_explanation_has_a_greater_value(
     columns: list[list[tuple[float, ...]]],
+    postures: list[tuple[float, ...]],
     words: list[int],
     entry: float,
     skip: float,
     stay: float,
     gain: float,
     limited: bool,
-    block: int,
 ) -> None:
     decoding = Decoding(0.05, entry, skip, stay, gain)
     ranges = [np.array([[index, len(words) - index]]) for index in range(len(columns))] if limited else None
@@ -56,15 +56,9 @@ def test_no_explanation_has_a_greater_value(
     if ranges is not None:
         ranges = [one if one[0, 0] < one[0, 1] else one[:0] for one in ranges]
         allowed = [[any(a <= f < b for a, b in one) for f in range(len(words))] for one in ranges]
-    whole = ops.distances.decoding._TABLE_CELLS
-    ops.distances.decoding._TABLE_CELLS = block * sum(
-        map(len, columns)
-    )  # so that the state is carried from block to block
-    try:
-        found = explain([template(one) for one in columns], USUAL, np.array(words, np.uint64), decoding, ranges)
-    finally:
-        ops.distances.decoding._TABLE_CELLS = whole
-    expected = oracle.best_value(columns, tuple(USUAL), as_bits(words), 0.05, entry, skip, gain, stay, allowed)
+    usual = np.array(postures)
+    found = explain([template(one) for one in columns], usual, np.array(words, np.uint64), decoding, ranges)
+    expected = oracle.best_value(columns, postures, as_bits(words), 0.05, entry, skip, gain, stay, allowed)
     assert sum(one.value for one in found) == pytest.approx(expected, abs=1e-9)
     edges = [edge for one in found for edge in (one.start, one.stop)]
     assert edges == sorted(edges)
@@ -72,7 +66,7 @@ def test_no_explanation_has_a_greater_value(
     # each segment alone is an explanation of its frames, of the value it is said to have
     for one in found:
         alone = oracle.best_value(
-            [columns[one.template]], tuple(USUAL), as_bits(words[one.start : one.stop]), 0.05, entry, skip, gain, stay
+            [columns[one.template]], postures, as_bits(words[one.start : one.stop]), 0.05, entry, skip, gain, stay
         )
         assert alone >= one.value - 1e-9
 
@@ -97,20 +91,45 @@ def test_nothing_is_explained_by_what_fits_no_better_than_the_background() -> No
 
 def test_an_invalid_frame_is_in_no_segment() -> None:
     words = np.array([0b001] * 4 + [NO_WORD] + [0b001] * 4, np.uint64)
-    found = explain([template([(1.0, 0.0, 0.0)])], np.full(FEATURES, 0.5), words, Decoding(stay=0.0, gain=0.0))
+    found = explain([template([(1.0, 0.0, 0.0)])], EVEN, words, Decoding(stay=0.0, gain=0.0))
     assert [(one.start, one.stop) for one in found] == [(0, 4), (5, 9)]
 
 
-def test_the_background_is_the_share_of_valid_frames() -> None:
-    words = np.array([0b001, 0b011, NO_WORD], np.uint64)
-    assert background([words, words[:1]], 2).tolist() == [1.0, 1 / 3]
-    assert background([], 2).tolist() == [0.5, 0.5]
+def test_log_ratios_that_change_from_frame_to_frame_are_those_of_the_words() -> None:
+    random = np.random.default_rng(3)
+    columns = [[tuple(random.random(FEATURES).round(2)) for _ in range(length)] for length in (4, 2, 3)]
+    # more changes than log ratios are carried over, and invalid frames between them
+    words = random.integers(0, 2**FEATURES, 110).astype(np.uint64)
+    words[[20, 21, 70]] = NO_WORD
+    decoding = Decoding(entry=0.1, skip=0.02, stay=0.01, gain=0.05)
+    usual = [(0.3, 0.5, 0.9), (0.8, 0.1, 0.5)]
+    found = explain([template(one) for one in columns], np.array(usual), words, decoding)
+    expected = oracle.best_value(columns, usual, as_bits(words.tolist()), 0.05, 0.1, 0.02, 0.05, 0.01)
+    assert len(found) > 5
+    assert sum(one.value for one in found) == pytest.approx(expected, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(TEMPLATES, USUAL, st.lists(st.integers(0, 2**FEATURES - 1), min_size=1, max_size=14))
+def test_rivals_are_the_best_explanation_by_the_other_classes(
+    columns: list[list[tuple[float, ...]]], postures: list[tuple[float, ...]], words: list[int]
+) -> None:
+    decoding = Decoding(entry=0.05, gain=0.1)
+    templates, classes = [template(one) for one in columns], np.arange(len(columns)) % 2
+    taken, usual = np.array(words, np.uint64), np.array(postures)
+    found = explain(templates, usual, taken, decoding)
+    sure = margins(found, templates, classes, usual, taken, decoding)
+    for one, confidence in zip(found, sure.tolist(), strict=True):
+        others = [other for other, label in zip(columns, classes, strict=True) if label != classes[one.template]]
+        within = as_bits(words[one.start : one.stop])
+        rival = oracle.best_value(others, postures, within, 0.05, 0.05, 0.05, 0.1, 0.1)
+        assert confidence == pytest.approx(min(max(1 - rival / one.value, 0.0), 1.0), abs=1e-9)
 
 
 def test_of_templates_that_fit_equally_the_first_is_taken() -> None:
     same = template([(0.9, 0.5, 0.5)])
     words = np.array([1, 1], np.uint64)
-    usual = np.full(FEATURES, 0.5)
+    usual = EVEN
     decoding = Decoding(entry=0.05, stay=0.0, gain=0.0)
     (found,) = explain([same, same], usual, words, decoding)
     value = 2 * log_ratios([same], usual, words[:1], decoding)[0, 0] - 0.05
@@ -121,7 +140,7 @@ def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> 
     columns = [(0.9, 0.5, 0.5), (0.9, 0.9, 0.5), (0.8, 0.5, 0.5), (0.1, 0.1, 0.1)]
     templates = [template([one]) for one in columns]
     words = np.array([0b011] * 6, np.uint64)
-    usual = np.full(FEATURES, 0.5)
+    usual = EVEN
     decoding = Decoding(entry=0.1, stay=0.0, gain=0.0)
     found = explain(templates, usual, words, decoding)
     assert [one.template for one in found] == [1]

@@ -1,0 +1,98 @@
+"""The background that motions stand out from: the postures that an archive is usually in.
+
+One average over all frames would be a poor background: nobody is ever in it, as features go together (who lies has no
+foot raised and no fast hand), and whatever any motion does is likelier than the average. So the background is a few
+postures, each with its own share of frames in which a feature is on, found by splitting: the average is divided into
+two along the direction in which frames differ most, both are improved by expectation and maximisation, and so on
+(Linde, Buzo and Gray, An Algorithm for Vector Quantizer Design, 1980; here for a mixture of Bernoulli distributions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.errors import ParameterError
+from ops.words import NO_WORD, U64, bits
+
+F64 = npt.NDArray[np.float64]
+
+SPLITS = 2
+"""How often all postures are divided: 2 gives four. Chosen on clips of actors left out (`benchmarks.decoding`)."""
+
+_ROUNDS = 20
+_LEAST = 0.05  # while postures are looked for, no feature is surer than this
+
+
+def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64:
+    """Learn the usual postures from frames of all kinds.
+
+    Parameters
+    ----------
+    words: uint64 arrays, `NO_WORD` in them counts for nothing. splits: 0 for the average alone.
+
+    Returns
+    -------
+    float64 (K, f), K = 2 ** splits postures that are equally usual (fewer where there are fewer different words): in
+    each, the share of frames in which each feature is on. One half each where there is no frame.
+    """
+    if splits < 0:
+        raise ParameterError("splits", "0 or more", splits)
+    frames = np.concatenate([np.zeros(0, np.uint64), *words])
+    vocabulary, counts = np.unique(frames[frames != NO_WORD], return_counts=True)
+    if not len(vocabulary):
+        return np.full((1, features), 0.5)
+    on = bits(vocabulary, features).astype(np.float64)
+    postures: F64 = (counts @ on / counts.sum())[None]
+    for _ in range(splits):
+        if 2 * len(postures) > len(vocabulary):
+            break
+        postures = _split(on, counts, postures)
+        for _ in range(_ROUNDS):
+            belongs = _belongings(on, counts, postures)
+            # half a frame on and half a frame off besides, so that a posture of no frames is nothing in particular
+            postures = (belongs.T @ on + 0.5) / (belongs.sum(axis=0) + 1.0)[:, None]
+    return postures
+
+
+def log_likelihoods(words: U64, usual: F64, smoothing: float) -> F64:
+    """How likely words are in the background, log P, float64 (V,); `NO_WORD` is taken for a word of all features.
+
+    Parameters
+    ----------
+    usual: float64 (K, f), see `background`. smoothing: shares of postures lie between this and 1 − this.
+    """
+    scores = _scores(bits(words, usual.shape[1]).astype(np.float64), np.clip(usual, smoothing, 1.0 - smoothing))
+    most = scores.max(axis=1)
+    result: F64 = most + np.log(np.exp(scores - most[:, None]).mean(axis=1))
+    return result
+
+
+def _scores(on: F64, postures: F64) -> F64:
+    """The log likelihood of each row of bits in each posture, (V, K)."""
+    result: F64 = on @ (np.log(postures) - np.log1p(-postures)).T + np.log1p(-postures).sum(axis=1)
+    return result
+
+
+def _belongings(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
+    """How many frames of each word belong to each posture, (V, K)."""
+    scores = _scores(on, np.clip(postures, _LEAST, 1.0 - _LEAST))
+    shares = np.exp(scores - scores.max(axis=1, keepdims=True))
+    result: F64 = shares / shares.sum(axis=1, keepdims=True) * counts[:, None]
+    return result
+
+
+def _split(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
+    """Divide every posture into two, a standard deviation to both sides along the first principal component."""
+    halves = []
+    for belongs in _belongings(on, counts, postures).T:
+        total = max(float(belongs.sum()), 1e-12)
+        centre = belongs @ on / total
+        around = on - centre
+        variances, directions = np.linalg.eigh((around * belongs[:, None]).T @ around / total)
+        direction = directions[:, -1] * np.sqrt(max(float(variances[-1]), 0.0))
+        direction *= np.sign(direction[int(np.argmax(np.abs(direction)))])  # eigenvectors have no sign of their own
+        halves += [centre + direction, centre - direction]
+    return np.stack(halves)
