@@ -47,19 +47,21 @@ def verify(store: Store) -> list[Finding]:
     """Check everything that the newest version of a store says of itself.
 
     Every part's size, checksum, row count, schema, takes, order of rows; that the frames of every take are 0, 1, …, as
-    many as the take says; that no take is live twice; older manifests; leftover files; the index's checksum and counts.
+    many as the take says; that no take is live twice; older manifests; leftover files; the index's checksums, counts
+    and bit slices.
 
     Returns
     -------
     The findings, empty for a sound store.
     """
+    parts = list(_parts(store))
     return [
         *_manifests(store),
-        *_parts(store),
+        *parts,
         *_live_twice("frames", store.manifest.frames),
         *_live_twice("takes", store.manifest.takes),
         *_leftovers(store),
-        *_index(store),
+        *_index(store, sound=not parts),
     ]
 
 
@@ -192,7 +194,8 @@ def _ours(name: str) -> bool:
     return name.startswith((".tmp-", "part-"))
 
 
-def _index(store: Store) -> Iterable[Finding]:
+def _index(store: Store, *, sound: bool) -> Iterable[Finding]:
+    """What is wrong with the index; it is compared with the words of the parts only where these are sound."""
     generations = sorted((store.path / "index").glob("gen-*"))
     if not generations:
         return
@@ -200,21 +203,20 @@ def _index(store: Store) -> Iterable[Finding]:
     if generation is None:
         newest = f"index/{generations[-1].name}"
         says = index.read_generation(generations[-1])
-        if says is not None and says.content == store.manifest.content_digest():
+        if says is None or says.content == store.manifest.content_digest():
             yield Finding(newest, "the index is damaged or of another version", index.BUILD)
         else:
             yield Finding(newest, "the index is stale: the takes have changed since", index.BUILD, fault=False)
         return
     says = index.read_generation(generation)
     assert says is not None
-    file = f"index/{generation.name}/index.duckdb"
-    remove = f"remove the folder index/{generation.name}, then {index.BUILD}"
-    with open(store.path / file, "rb") as content:
-        if hashlib.file_digest(content, "sha256").hexdigest() != says.sha256:
-            yield Finding(file, "its content does not fit its checksum", remove)
-            return
+    folder = f"index/{generation.name}"
+    remove = f"remove the folder {folder}, then {index.BUILD}"
+    wrong = [name for name, (_, sha256) in index.files(says).items() if index.file_digest(generation / name) != sha256]
+    for name in wrong:
+        yield Finding(f"{folder}/{name}", "its content does not fit its checksum", remove)
     try:
-        for problem in problems(store, generation, says):
-            yield Finding(file, problem, remove)
+        for name, problem in problems(store, generation, says, words=sound) if not wrong else ():
+            yield Finding(f"{folder}/{name}", problem, remove)
     except (KinedexError, duck.Error) as fault:
-        yield Finding(file, f"cannot be read: {str(fault).splitlines()[0]}", remove)
+        yield Finding(folder, f"cannot be read: {str(fault).splitlines()[0]}", remove)

@@ -16,8 +16,9 @@ from catalog.queryfiles import ANALYSIS_RATE_HZ, read_queries
 from ops.errors import KinedexError
 from ops.search.preselection import TakeRanges
 from ops.words import I64, TakeWords
-from pipelines.searching.lists import lists_of_store
-from pipelines.searching.resident import resident_words
+from pipelines.executors import cores
+from pipelines.searching.resident import resident_store, resident_words
+from storage import index
 from storage.schemas import result_schema
 from storage.store import Store
 from storage.writer import StoreWriter
@@ -34,11 +35,11 @@ class SearchedTakes:
     @classmethod
     def of_store(cls, store: Store, take_filter: str | None) -> SearchedTakes:
         """The takes of a store for which a SQL filter holds; all of them for None."""
-        takes = store.takes(take_filter).sort("take_id")
+        takes = store.takes_table(take_filter).sort_by("take_id")
         return cls(
-            takes["take_id"].to_numpy().astype(np.int64),
-            takes["name"].to_list(),
-            takes["frames"].to_numpy().astype(np.int64),
+            takes.column("take_id").to_numpy().astype(np.int64),
+            takes.column("name").to_pylist(),
+            takes.column("frames").to_numpy().astype(np.int64),
         )
 
     def chosen(self, store: Store, query: KeyframeQuery) -> npt.NDArray[np.bool_]:
@@ -46,7 +47,7 @@ class SearchedTakes:
         if query.takes is None:
             return np.ones(len(self.ids), bool)
         try:
-            return np.isin(self.ids, store.takes(query.takes)["take_id"].to_numpy())
+            return np.isin(self.ids, store.takes_table(query.takes).column("take_id").to_numpy())
         except KinedexError as fault:
             raise KinedexError(f"query '{query.name}': {fault}") from None
 
@@ -67,9 +68,13 @@ def load_query_file(
 
 
 def search_store(
-    store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None, run: str = ""
+    store: Store,
+    queries: Sequence[KeyframeQuery],
+    take_filter: str | None = None,
+    run: str = "",
+    threads: int | None = None,
 ) -> pa.Table:
-    """Search the published index of a store, reading no more of it than the words that the queries ask for.
+    """Search the published index of a store, reading no more of it than the queries ask for.
 
     Parameters
     ----------
@@ -77,6 +82,7 @@ def search_store(
     queries: keyframe queries over the store's feature set.
     take_filter: a SQL filter over the columns of takes; None searches all. A query's own filter holds besides.
     run: what the column `run` says.
+    threads: how many may search; None takes one for every core. The hits do not depend on it.
 
     Returns
     -------
@@ -89,8 +95,10 @@ def search_store(
     StoreError: the index is missing or stale; the message says how to build it.
     """
     takes = SearchedTakes.of_store(store, take_filter)
-    lists = lists_of_store(store, queries, takes.ids)
-    hits = {query.name: of_these_takes(lists.search(query), query, store, takes) for query in queries}
+    found = resident_store(store).of(takes.ids).search(queries, cores() if threads is None else threads)
+    hits = {
+        query.name: of_these_takes(ranges, query, store, takes) for query, ranges in zip(queries, found, strict=True)
+    }
     return hits_table(hits, takes.ids, takes.names, store.rate_hz, run)
 
 
@@ -117,6 +125,21 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> None:
         writer.commit()
 
 
+def preselect_stored(store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]) -> dict[str, TakeRanges]:
+    """Search takes of a store as `preselect` does: in the slices of its index, which all workers share, where it has
+    one; else in the words.
+
+    Parameters
+    ----------
+    words: of the takes to search, as `Store.words` gives them.
+    """
+    if not queries or index.current(store.path, store.manifest) is None:
+        return preselect(words, store.feature_set, queries)
+    _refuse_filters(queries)
+    found = resident_store(store).of(words.take_ids).search(queries)
+    return {query.name: ranges for query, ranges in zip(queries, found, strict=True)}
+
+
 def preselect(words: TakeWords, feature_set: FeatureSet, queries: Sequence[KeyframeQuery]) -> dict[str, TakeRanges]:
     """Search words in memory: query name → its ranges in each take, from first to last keyframe, without margins.
 
@@ -124,16 +147,20 @@ def preselect(words: TakeWords, feature_set: FeatureSet, queries: Sequence[Keyfr
     ------
     KinedexError: a query with a filter over takes, of which words in memory say nothing.
     """
+    _refuse_filters(queries)
+    if not queries:
+        return {}
+    resident = resident_words(words, feature_set)
+    return {query.name: resident.search(query) for query in queries}
+
+
+def _refuse_filters(queries: Sequence[KeyframeQuery]) -> None:
     for query in queries:
         if query.takes is not None:
             raise KinedexError(
                 f"query '{query.name}' has a filter over takes (`takes: {query.takes}`), which preselection does not "
                 "know; choose the takes by the stage's own filter, and leave it out of the query"
             )
-    if not queries:
-        return {}
-    resident = resident_words(words, feature_set)
-    return {query.name: resident.search(query) for query in queries}
 
 
 def hits_table(

@@ -1,7 +1,8 @@
 """The index: word runs, feature runs and vocabulary of a store's takes, in one DuckDB file per published generation.
 
 Its rows lie in shards, each made from the words of some frames parts. A new generation is a copy of the one before in
-which only the shards change whose parts have changed.
+which only the shards change whose parts have changed. Beside the DuckDB file every shard has a file with the bit slices
+of its words, which keyframe search maps into memory.
 """
 
 from storage.index.builder import build
@@ -12,9 +13,12 @@ from storage.index.generations import (
     INDEX_VERSION,
     Generation,
     current,
+    file_digest,
+    files,
     missing,
     read_generation,
 )
+from storage.index.slices import ShardSlices, open_slices
 from storage.index.tables import features_table, help_table
 
 __all__ = [
@@ -23,10 +27,14 @@ __all__ = [
     "GENERATION",
     "INDEX_VERSION",
     "Generation",
+    "ShardSlices",
     "build",
     "current",
     "features_table",
+    "file_digest",
+    "files",
     "help_table",
     "missing",
+    "open_slices",
     "read_generation",
 ]

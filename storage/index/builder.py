@@ -11,10 +11,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from ops.errors import StoreError
+from ops.search.bitslices import slice_words
 from storage import duck
 from storage.disk import sync_folder, writing
 from storage.frames import read_words
@@ -28,11 +30,14 @@ from storage.index.generations import (
     Generation,
     Shard,
     current,
+    file_digest,
     generations,
     is_whole,
     read_generation,
+    slices_name,
 )
 from storage.index.plan import SHARD_FRAMES, Plan, plan, shard_parts
+from storage.index.slices import write_slices
 from storage.lock import Lock
 from storage.manifest import Part, now
 
@@ -113,9 +118,14 @@ def _stands(store: Store, generation: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Start:
-    """What a build begins with: the shards of an earlier generation that was copied, or none in an empty file."""
+    """What a build begins with: the shards of an earlier generation that was copied, or none in an empty file.
 
+    generation: its folder. shards: those that can be kept. lost: numbers of those whose bit slices are damaged.
+    """
+
+    generation: Path | None = None
     shards: tuple[Shard, ...] = ()
+    lost: tuple[int, ...] = ()
     surface: str = ""
     whole_bytes_per_frame: float | None = None
 
@@ -129,14 +139,17 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
     connection = duck.connect(threads, memory_mb)
     try:
         # this storage version is read by DuckDB 1.5 as well as by 2.x
-        version = "" if start.shards else "(STORAGE_VERSION 'v1.5.0')"
+        version = "" if start.generation else "(STORAGE_VERSION 'v1.5.0')"
         connection.execute(f"ATTACH {duck.quote(str(file))} AS building {version}")
         connection.execute("USE building")
         connection.execute("BEGIN")
-        if not start.shards:
+        if not start.generation:
             tables.create(connection, store.feature_set)
-        tables.delete(connection, store.feature_set, work.removed, work.dropped)
-        fresh = _insert(connection, store, work, start, threads)
+        elif start.surface != surface:
+            tables.clear(connection)
+        tables.delete(connection, store.feature_set, work.removed + start.lost, work.dropped)
+        _link(work.kept, start.generation, folder)
+        fresh = _insert(connection, store, work, start, folder, threads)
         tables.describe(connection, store, anew=start.surface != surface)
         rows = tables.count(connection)
         valid = tables.valid_frames(connection, store.feature_set)
@@ -191,7 +204,16 @@ def _copied(store: Store, file: Path) -> _Start:
             and says.bytes <= MOST_WASTE * says.whole_bytes_per_frame * says.frames + SPARE_BYTES
         ):
             if _copy(generation / FILE, file) == says.sha256:
-                return _Start(says.shards, says.surface, says.whole_bytes_per_frame)
+                whole = [
+                    file_digest(generation / slices_name(shard.number)) == shard.slices_sha256 for shard in says.shards
+                ]
+                return _Start(
+                    generation,
+                    tuple(compress(says.shards, whole)),
+                    tuple(shard.number for shard, stays in zip(says.shards, whole, strict=True) if not stays),
+                    says.surface,
+                    says.whole_bytes_per_frame,
+                )
             # damaged: what is copied from it would get a checksum that fits
             file.unlink(missing_ok=True)
     return _Start()
@@ -210,26 +232,41 @@ def _copy(source: Path, target: Path) -> str:
     return digest.hexdigest()
 
 
+def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
+    """Take over the bit slices of shards that stay: one file in both generations, where the file system can."""
+    for shard in kept:
+        assert before is not None
+        name = slices_name(shard.number)
+        try:
+            os.link(before / name, folder / name)
+        except OSError:
+            shutil.copyfile(before / name, folder / name)
+
+
 def _insert(
-    connection: duck.Connection, store: Store, work: Plan, start: _Start, threads: int | None
+    connection: duck.Connection, store: Store, work: Plan, start: _Start, folder: Path, threads: int | None
 ) -> tuple[Shard, ...]:
-    """Make the new shards, several at a time, and store them in their order."""
+    """Make the new shards, several at a time, and store them in their order; bit slices go into files beside."""
+    features = len(store.feature_set.features)
 
-    def make(parts: tuple[Part, ...]) -> tables.ShardRows:
+    def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, tables.ShardRows]:
+        number, parts = item
         words = read_words(store.path, replace(store.manifest, frames=parts), None)
-        return tables.make_shard(words, store.feature_set)
+        slices = slice_words(words.words, words.offsets, features)
+        written = write_slices(folder / slices_name(number), words.take_ids, slices)
+        rows = tables.make_shard(words, store.feature_set)
+        return Shard(number, shard_parts(parts), rows.frames, rows.frames, *written), rows
 
-    number = max((shard.number for shard in start.shards), default=0)
+    before = max((*(shard.number for shard in start.shards), *start.lost), default=0)
     fresh: list[Shard] = []
     workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
-    for parts, rows in zip(work.fresh, _ahead(make, work.fresh, workers), strict=True):
-        number += 1
+    for shard, rows in _ahead(make, enumerate(work.fresh, before + 1), workers):
         if fresh:
             # one transaction for all would keep something of each: 1.6 GB instead of 0.7 at 400 hours
             connection.execute("COMMIT")
             connection.execute("BEGIN")
-        tables.insert(connection, number, rows)
-        fresh.append(Shard(number, shard_parts(parts), rows.frames, rows.frames))
+        tables.insert(connection, shard.number, rows)
+        fresh.append(shard)
     return tuple(fresh)
 
 

@@ -6,22 +6,49 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from catalog.features import FeatureSet
+from ops.search.bitslices import slice_words
 from storage import duck
 from storage.index import tables
-from storage.index.generations import FILE, Generation
+from storage.index.generations import FILE, Generation, Shard, slices_name
 from storage.index.plan import ids
+from storage.index.slices import ShardSlices, open_slices
 
 if TYPE_CHECKING:
     from storage.store import Store
 
 
-def problems(store: Store, generation: Path, says: Generation) -> Iterator[str]:
-    """What is wrong with the content of an index whose file is, byte by byte, the published one.
+def problems(store: Store, generation: Path, says: Generation, *, words: bool = True) -> Iterator[tuple[str, str]]:
+    """What is wrong with the content of an index whose files are, byte by byte, the published ones: file and problem.
 
     Every live take is in one shard; the tables have as many rows as they should; in every shard the lists of a feature
-    set have the runs and the frames that its vocabulary counts; the words of every set fill all frames that have one.
+    set have the runs and the frames that its vocabulary counts; the words of every set fill all frames that have one;
+    bit slices are those of the takes, and, where `words` can be read, of their words.
     """
+    for problem in _tables(store, generation, says):
+        yield FILE, problem
+    for shard, found in zip(says.shards, open_slices(generation, says), strict=True):
+        for problem in _slices(store, shard, found, words):
+            yield slices_name(shard.number), problem
+
+
+def _slices(store: Store, shard: Shard, found: ShardSlices, against_words: bool) -> Iterator[str]:
+    wanted = sorted(take for part in shard.parts for take in ids(part))
+    if found.take_ids[found.live].tolist() != wanted:
+        yield "its takes are not those of its shard"
+        return
+    if not against_words:
+        return
+    words = store.words(wanted)
+    expected = slice_words(words.words, words.offsets, len(store.feature_set.features))
+    blocks = np.repeat(found.live, np.diff(found.slices.first))
+    if not np.array_equal(found.slices.rows[:, blocks], expected.rows):
+        yield "its slices are not those of the takes' words"
+
+
+def _tables(store: Store, generation: Path, says: Generation) -> Iterator[str]:
     # by takes, not by parts: compaction has put them into other parts, and the index stays what it is
     held = sorted(take for shard in says.shards for part in shard.parts for take in ids(part))
     if held != list(store.manifest.live_takes):

@@ -11,8 +11,8 @@ from pathlib import Path
 from ops.errors import StoreError
 from storage.manifest import Manifest
 
-INDEX_VERSION = 2
-"""Version of the index's tables; an index of another version is stale."""
+INDEX_VERSION = 3
+"""Version of the index's tables and of its other files; an index of another version is built again."""
 
 BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
 
@@ -20,7 +20,7 @@ BUILDING, GENERATION = ".building-", "gen-"
 """How the folders of unfinished and of published indexes are named."""
 
 FILE, SAYS = "index.duckdb", "generation.json"
-"""The files of a generation: the index itself, and what it says of itself."""
+"""The files of a generation: the index itself, and what it says of itself; bit slices lie beside (`slices_name`)."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,16 @@ class Shard:
     """Rows of the index that were made together, from the live takes of some frames parts.
 
     number: what the column `shard` of its rows says. frames: of its takes. built_frames: when it was made; what it has
-    lost since was deleted.
+    lost since was deleted. slices_bytes, slices_sha256: the file of its bit slices (`storage.index.slices`), which
+    stays as it was made.
     """
 
     number: int
     parts: tuple[ShardPart, ...]
     frames: int
     built_frames: int
+    slices_bytes: int
+    slices_sha256: str
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,39 @@ def current(store: Path, manifest: Manifest) -> Path | None:
     content = manifest.content_digest()
     for generation in generations(store):
         says = read_generation(generation)
-        if says is not None and says.index_version == INDEX_VERSION and says.content == content:
-            file = generation / FILE
-            if file.is_file() and file.stat().st_size == says.bytes:
-                return generation
+        if says is not None and says.content == content and _sound(generation, says):
+            return generation
     return None
+
+
+_OTHER = "it is damaged, or was built by another version of kinedex"
+
+
+def _sound(generation: Path, says: Generation | None) -> bool:
+    """Whether a generation is of this version and has files of the right size."""
+    return (
+        says is not None
+        and says.index_version == INDEX_VERSION
+        and all(_size(generation / name) == size for name, (size, _) in files(says).items())
+    )
+
+
+def _size(file: Path) -> int | None:
+    try:
+        return file.stat().st_size
+    except FileNotFoundError:
+        return None
+
+
+def slices_name(number: int) -> str:
+    """The name of the file that holds the bit slices of a shard."""
+    return f"shard-{number:06d}.slices"
+
+
+def files(says: Generation) -> dict[str, tuple[int, str]]:
+    """The files of a generation that readers open: name → bytes and SHA-256."""
+    slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_sha256) for shard in says.shards}
+    return {FILE: (says.bytes, says.sha256), **slices}
 
 
 def read_generation(generation: Path) -> Generation | None:
@@ -116,18 +147,28 @@ def read_generation(generation: Path) -> Generation | None:
 
 
 def is_whole(generation: Path) -> bool:
-    """Whether the file is, byte by byte, the one that was published."""
+    """Whether the files are, byte by byte, those that were published."""
     says = read_generation(generation)
+    return says is not None and all(
+        file_digest(generation / name) == sha256 for name, (_, sha256) in files(says).items()
+    )
+
+
+def file_digest(file: Path) -> str:
+    """The SHA-256 of a file; an empty text where it cannot be read."""
     try:
-        with open(generation / FILE, "rb") as content:
-            return says is not None and hashlib.file_digest(content, "sha256").hexdigest() == says.sha256
+        with open(file, "rb") as content:
+            return hashlib.file_digest(content, "sha256").hexdigest()
     except OSError:
-        return False
+        return ""
 
 
 def missing(store: Path) -> StoreError:
     """The error for a store whose index is missing or does not fit its takes."""
-    state = "stale: the takes have changed since it was built" if generations(store) else "missing"
+    state = "missing"
+    if found := generations(store):
+        sound = _sound(found[0], read_generation(found[0]))
+        state = f"stale: {'the takes have changed since it was built' if sound else _OTHER}"
     return StoreError(f"{store}: the index is {state}; {BUILD}")
 
 

@@ -49,10 +49,15 @@ def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
 
 def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
     """Make the tables that hold the rows of shards."""
-    run = "take_id BIGINT, start INTEGER, frames INTEGER"
+    # what DuckDB chooses by itself, after having tried all others, which takes a fifth of the time of storing
+    packed, repeated = "USING COMPRESSION bitpacking", "USING COMPRESSION rle"
+    run = f"take_id BIGINT {packed}, start INTEGER {packed}, frames INTEGER {packed}"
     for name in feature_set.sets:
-        connection.execute(f"CREATE TABLE {lists_table(name)} (shard INTEGER, word UBIGINT, {run})")
-    connection.execute(f"CREATE TABLE stored_feature_runs (shard INTEGER, feature UTINYINT, {run})")
+        columns = f"shard INTEGER {repeated}, word UBIGINT, {run}"
+        connection.execute(f"CREATE TABLE {lists_table(name)} ({columns})")
+    connection.execute(
+        f"CREATE TABLE stored_feature_runs (shard INTEGER {repeated}, feature UTINYINT {repeated}, {run})"
+    )
     seen = "feature_set VARCHAR, word UBIGINT, runs BIGINT, frames BIGINT"
     connection.execute(f"CREATE TABLE stored_vocabulary (shard INTEGER, {seen})")
 
@@ -109,10 +114,9 @@ def delete(
 def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:
     """Make what stands beside the shards: takes and vocabulary, and, `anew`, also features, help, views and macros.
 
-    What an earlier generation had of them goes.
+    Of the latter nothing may be there; `clear` makes room.
     """
     if anew:
-        _clear(connection)
         _create_as(connection, "features", features_table(store), "ORDER BY number")
         _create_as(connection, "help", help_table(index_only=True), "")
     _create_as(connection, "takes", store.takes_table(), "ORDER BY name")
@@ -192,7 +196,7 @@ def _statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
     ]
 
 
-def _clear(connection: duck.Connection) -> None:
+def clear(connection: duck.Connection) -> None:
     """Drop what an earlier generation had beside the shards."""
     for source, kind, where in (
         ("duckdb_views()", "view_name, 'VIEW'", ""),

@@ -18,7 +18,7 @@ from ops.words import U64, TakeWords, pack
 from pipelines.searching.explaining import explain_search, explain_store
 from pipelines.searching.lists import lists_of_store, lists_of_words
 from pipelines.searching.resident import resident_store, resident_words
-from pipelines.searching.search import load_query_file, preselect, save_hits, search_store
+from pipelines.searching.search import load_query_file, preselect, preselect_stored, save_hits, search_store
 from pipelines.searching.windows import template_ranges, template_window
 from storage import index
 from storage.parts import FramesWriter
@@ -190,20 +190,34 @@ def test_words_in_memory_give_what_the_index_gives(store: Store) -> None:
     in_memory = lists_of_words(words, BODY, BODY.sets)
     stored = lists_of_store(store, queries, words.take_ids)
     sliced, resident = resident_words(words, BODY), resident_store(store)
-    np.testing.assert_array_equal(sliced.slices.bits, resident.slices.bits)
     np.testing.assert_array_equal(resident.take_ids, words.take_ids)
-    for query in queries:
+    shared = resident.search(queries)
+    for query, mapped in zip(queries, shared, strict=True):
         expected = ranges_of(in_memory.search(query))
-        for one in (stored, sliced, resident):
+        assert ranges_of(mapped) == expected
+        for one in (stored, sliced):
             assert ranges_of(one.search(query)) == expected
 
 
 def test_several_threads_share_resident_words(store: Store) -> None:
     resident = resident_store(store)
-    expected = [ranges_of(resident.search(query)) for query in QUERIES]
+    expected = list(map(ranges_of, resident.search(QUERIES)))
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(lambda _: [ranges_of(resident.search(query)) for query in QUERIES], range(40)))
+        found = list(threads.map(lambda _: list(map(ranges_of, resident.search(QUERIES))), range(40)))
     assert all(one == expected for one in found)
+
+
+def test_preselection_in_the_index_is_that_in_words(tmp_path: Path) -> None:
+    store = make_store(tmp_path / "store", TAKES, indexed=False)
+    chosen = store.words([1, 3])
+    expected = {name: ranges_of(found) for name, found in preselect(chosen, BODY, QUERIES).items()}
+    for _ in ("without an index", "with one"):
+        found = preselect_stored(store, chosen, QUERIES)
+        assert {name: ranges_of(one) for name, one in found.items()} == expected
+        index.build(store, threads=1)
+    with_filter = parse_queries("q: {takes: \"name <> 'zoe'\", keyframes: [{on: [body_low]}]}", BODY)
+    with pytest.raises(KinedexError, match="'q' has a filter over takes"):
+        preselect_stored(store, chosen, with_filter)
 
 
 def test_without_an_index_the_way_to_build_it_is_told(tmp_path: Path) -> None:

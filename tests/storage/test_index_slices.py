@@ -1,0 +1,141 @@
+"""The files of bit slices beside an index: what is in them, and what happens where one is damaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ops.errors import StoreError
+from ops.search.bitslices import slice_words
+from ops.words import NO_WORD
+from storage import index
+from storage.index.generations import Generation, Shard, ShardPart, slices_name
+from storage.index.slices import LAYOUT, MAGIC, ShardSlices, open_slices, write_slices
+from storage.store import Store, open_store
+from storage.verify import verify
+from storage.writer import StoreWriter
+from tests.storage.made_up import BODY, add, make_store
+
+NOTHING = Generation(3, 1, "", "", 30.0, "", (), {}, 0, 0, "", 0.0, "", 0, 0.0)
+
+
+def shard(size: int, sha256: str, *takes: tuple[int, int]) -> Shard:
+    return Shard(1, (ShardPart("", takes),), 0, 0, size, sha256)
+
+
+def opened(folder: Path, one: Shard) -> ShardSlices:
+    (found,) = open_slices(folder, replace(NOTHING, shards=(one,)))
+    return found
+
+
+@given(lengths=st.lists(st.integers(0, 200), max_size=6), features=st.integers(1, 63), seed=st.integers(0, 2**32))
+@settings(max_examples=40, deadline=None)
+def test_what_is_mapped_is_what_was_written(
+    tmp_path_factory: pytest.TempPathFactory, lengths: list[int], features: int, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("slices")
+    rng = np.random.default_rng(seed)
+    offsets = np.cumsum([0, *lengths])
+    words = rng.integers(0, 2**features, offsets[-1], dtype=np.uint64)
+    words[rng.random(len(words)) < 0.1] = NO_WORD
+    slices = slice_words(words, offsets, features)
+    take_ids = np.arange(5, 5 + 2 * len(lengths), 2)
+    size, sha256 = write_slices(folder / slices_name(1), take_ids, slices)
+    assert (folder / slices_name(1)).stat().st_size == size
+    assert index.file_digest(folder / slices_name(1)) == sha256
+    found = opened(folder, shard(size, sha256, (0, 6), (9, 10)))
+    assert found.take_ids.tolist() == take_ids.tolist()
+    assert found.live.tolist() == [take in (5, 9) for take in take_ids.tolist()]
+    assert found.slices.features == features
+    for name, array in slices.arrays.items():
+        np.testing.assert_array_equal(found.slices.arrays[name], array)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = open_store(make_store(tmp_path / "store", {"a": 70, "b": 130}))
+    index.build(store, threads=1)
+    return store
+
+
+def file_of(store: Store, number: int = 1) -> Path:
+    return store.index_path().parent / slices_name(number)
+
+
+def head(*counts: int, letters: bytes = MAGIC) -> bytes:
+    return letters + np.array(counts, "<u8").tobytes()
+
+
+@pytest.mark.parametrize(
+    ("at", "bytes_there", "said"),
+    [
+        (0, b"KDXslice", "does not begin as bit slices do"),
+        (0, head(LAYOUT + 1, 40, 2, 5), f"has layout {LAYOUT + 1}"),
+        (0, head(LAYOUT, 0, 2, 5), "has layout 1 and 0 features"),
+        (0, head(LAYOUT, 40, 2, 6), "is too short"),
+        (0, head(LAYOUT, 40, 2, 4), "is too long"),
+        (0, head(LAYOUT, 40, 2**63, 5), "has layout"),
+        (64 + 64, np.array([200], "<i8").tobytes(), "takes that do not fit together"),
+        (64 + 128 + 8, np.array([3], "<i8").tobytes(), "takes that do not fit together"),
+        (64 + 192, np.array([9], "<i4").tobytes(), "takes that do not fit together"),
+    ],
+)
+def test_a_damaged_file_is_told_and_never_searched(store: Store, at: int, bytes_there: bytes, said: str) -> None:
+    file = file_of(store)
+    content = bytearray(file.read_bytes())
+    content[at : at + len(bytes_there)] = bytes_there
+    file.write_bytes(content)
+    says = index.read_generation(file.parent)
+    assert says is not None
+    with pytest.raises(StoreError, match=rf"shard-000001\.slices: the index is damaged: the file .*{said}"):
+        open_slices(file.parent, says)
+
+
+def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) -> None:
+    with StoreWriter.open(store.path, BODY) as writer:
+        add(writer, {"c": 64})
+        writer.commit()
+    store = open_store(store.path)
+    index.build(store, threads=1)
+    file = file_of(store, 2)
+    content = file.read_bytes()
+    file.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
+    (finding,) = verify(store)
+    assert finding.fault
+    assert "shard-000002.slices: its content does not fit its checksum; remove the folder" in str(finding)
+    generation = index.build(store, threads=1)
+    says = index.read_generation(generation)
+    assert says is not None
+    assert (says.built_frames, len(says.shards), says.frames) == (64, 2, 264)
+    assert verify(store) == []
+
+
+def test_slices_that_are_not_those_of_the_words_are_found(store: Store) -> None:
+    file = file_of(store)
+    says = index.read_generation(file.parent)
+    assert says is not None
+    words = store.words()
+    changed = words.words ^ np.uint64(1)
+    file.unlink()
+    written = write_slices(file, words.take_ids, slice_words(changed, words.offsets, 40))
+    (first,) = says.shards
+    said = replace(says, shards=(replace(first, slices_bytes=written[0], slices_sha256=written[1]),))
+    (file.parent / "generation.json").write_text(said.to_json())
+    (finding,) = verify(store)
+    assert "shard-000001.slices: its slices are not those of the takes' words" in str(finding)
+
+
+def test_an_index_of_another_version_is_told_and_built_again(store: Store) -> None:
+    file = store.index_path().parent / "generation.json"
+    file.write_text(file.read_text().replace('"slices_sha256"', '"other"'))
+    with pytest.raises(StoreError, match="stale: it is damaged, or was built by another version of kinedex; run"):
+        store.index_path()
+    (finding,) = verify(store)
+    assert "the index is damaged or of another version" in finding.problem
+    index.build(store, threads=1)
+    assert verify(store) == []
