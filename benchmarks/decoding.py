@@ -23,7 +23,7 @@ from rich.table import Table
 from catalog.classes import load_classes
 from catalog.features import FeatureSet
 from ops.distances.background import SPLITS, background
-from ops.distances.decoding import Decoding, Explained, explain, lay_columns, margins
+from ops.distances.decoding import Decoding, Explained, confidences, explain, lay_columns
 from ops.measures.metrics import Counts, compare, pooled
 from ops.templates.templates import Learned, learn_soft
 from ops.words import NO_WORD, U64, TakeWords
@@ -129,7 +129,7 @@ class Trial:
         columns, classes = lay_columns(templates, usual, setting.decoding), np.arange(len(templates))
         for take in self.takes:
             found = explain(templates, usual, take.words, setting.decoding, columns=columns)
-            yield take, found, margins(found, templates, classes, usual, take.words, setting.decoding, columns)
+            yield take, found, confidences(found, templates, classes, usual, take.words, setting.decoding, columns)
 
     def best(self, setting: Setting) -> Counts:
         """How well the best explanation does."""
@@ -291,19 +291,21 @@ def grid(sets: Mapping[str, Sequence[Trial]], feature_set: FeatureSet) -> Table:
 def reliability(sets: Mapping[str, Sequence[Trial]]) -> Table:
     """Of the segments of each band of confidence, how many are of the class that most of their frames have."""
     table = Table(box=box.SIMPLE_HEAD, title="right, of segments by confidence", title_justify="left")
-    for name in ("confidence", *sets):
+    for name in ("confidence", *sets, "all"):
         table.add_column(name, justify="right")
-    found = {}
+    found: dict[str, tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]] = {}
     for name, trials in sets.items():
         sure, right = [], []
         for trial in trials:
-            for take, segments, confidences in trial.explained(Setting()):
-                for one, confidence in zip(segments, confidences.tolist(), strict=True):
+            for take, segments, sureness in trial.explained(Setting()):
+                for one, confidence in zip(segments, sureness.tolist(), strict=True):
                     label = trial.known[one.template][0]
                     own = sum(max(0, min(one.stop, b) - max(one.start, a)) for at, a, b in take.truth if at == label)
                     sure.append(confidence)
                     right.append(2 * own > one.stop - one.start)
         found[name] = np.digitize(sure, BANDS[1:-1]), np.array(right)
+    bands, rights = zip(*found.values(), strict=True)
+    found["all"] = np.concatenate(bands), np.concatenate(rights)
     for index, (low, high) in enumerate(pairwise(BANDS)):
         cells = [right[bands == index] for bands, right in found.values()]
         table.add_row(

@@ -21,10 +21,14 @@ from ops.errors import ParameterError
 from ops.templates.templates import Template
 from ops.words import NO_WORD, U64, bits
 
-__all__ = ["Decoding", "Explained", "background", "explain", "lay_columns", "log_ratios", "margins"]
+__all__ = ["Decoding", "Explained", "background", "confidences", "explain", "lay_columns", "log_ratios", "margins"]
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
+
+STANDING_OUT = 0.05
+"""Value per frame, in nats per feature, that makes a segment stand out from the background by 1 − 1 / e. Chosen so that
+confidences are shares of right labels, about: see `benchmarks.decoding`."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,27 @@ def explain(
     ]
 
 
+def confidences(
+    found: Sequence[Explained],
+    templates: Sequence[Template],
+    classes: I64,
+    usual: F64,
+    words: U64,
+    decoding: Decoding,
+    columns: Columns | None = None,
+) -> F64:
+    """How sure the labels are, from 0 to 1: what only their class can explain, and better than the background does.
+
+    Returns
+    -------
+    float64 (len(found),): `margins`, whose parameters these are, times 1 − exp(−v / `STANDING_OUT`), v being the value
+    of a segment per frame.
+    """
+    a_frame = np.array([one.value / (one.stop - one.start) for one in found])
+    sure = margins(found, templates, classes, usual, words, decoding, columns)
+    return sure * -np.expm1(-a_frame / STANDING_OUT)
+
+
 def margins(
     found: Sequence[Explained],
     templates: Sequence[Template],
@@ -172,7 +197,7 @@ def margins(
     decoding: Decoding,
     columns: Columns | None = None,
 ) -> F64:
-    """How much of a segment's value its class alone can give: the confidence in its label.
+    """How much of a segment's value its class alone can give.
 
     Parameters
     ----------

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.distances.decoding import Decoding, Explained, background, explain, log_ratios, margins
+from ops.distances.decoding import (
+    STANDING_OUT,
+    Decoding,
+    Explained,
+    background,
+    confidences,
+    explain,
+    log_ratios,
+    margins,
+)
 from ops.errors import ParameterError
 from ops.templates.templates import Template
 from ops.words import NO_WORD, bits, pack
@@ -149,6 +160,23 @@ def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> 
     # without class 0, which has templates 0 and 1, template 2 is next; where each is a class of its own, template 0
     assert margins(found, templates, np.array([0, 0, 1, 2]), usual, words, decoding) == pytest.approx([expected[2]])
     assert margins(found, templates, np.arange(4), usual, words, decoding) == pytest.approx([expected[0]])
+
+
+def test_a_label_is_as_sure_as_it_stands_out_from_other_classes_and_from_the_background() -> None:
+    clear, faint = template([(0.95, 0.95, 0.95)]), template([(0.6, 0.6, 0.6)])
+    words = np.array([0b111] * 6, np.uint64)
+    decoding = Decoding(entry=0.01, stay=0.0)
+    for one in (clear, faint):
+        found = explain([one], EVEN, words, decoding)
+        (sure,) = confidences(found, [one], np.array([0]), EVEN, words, decoding)
+        # nothing else explains the frames, so the margin is 1
+        assert sure == pytest.approx(1 - math.exp(-found[0].value / 6 / STANDING_OUT))
+    both = [clear, template([(0.95, 0.95, 0.5)])]
+    found = explain(both, EVEN, words, decoding)
+    classes = np.array([0, 1])
+    (sure,), (margin,) = (how(found, both, classes, EVEN, words, decoding) for how in (confidences, margins))
+    assert 0 < sure < margin < 1
+    assert confidences([], both, classes, EVEN, words, decoding).tolist() == []
 
 
 @pytest.mark.parametrize(
