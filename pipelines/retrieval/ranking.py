@@ -18,7 +18,7 @@ from ops.distances.ranking import Hits, rank
 from ops.errors import KinedexError
 from ops.templates.templates import QuantisedTemplate, quantise
 from pipelines.executors import cores
-from pipelines.searching.search import preselect
+from pipelines.searching.search import preselect_stored
 from pipelines.searching.windows import template_ranges
 from pipelines.templates.learning import SubclassTemplate
 from storage.schemas import result_schema
@@ -186,7 +186,7 @@ def _rank_batch(
     words = store.words(take_ids)
     coded = encode(words.words)
     queries = {query.name: query for one in templates for query in one.queries}
-    hits = preselect(words, store.feature_set, list(queries.values())) if queries else {}
+    hits = preselect_stored(store, words, list(queries.values()))
     ids = np.concatenate((words.take_ids, [len(words.words)])).astype(np.int64)
     for one, tau in zip(templates, taus, strict=True):
         ranges = None

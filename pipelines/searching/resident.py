@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -183,18 +185,32 @@ def resident_store(store: Store) -> SharedWords:
     ------
     StoreError: the index is missing, stale or damaged; the message says how to build it.
     """
-    while (generation := index.current(store.path, store.manifest)) is not None:
-        says = index.read_generation(generation)
-        try:
-            if says is None:
-                continue
-            found = index.open_slices(generation, says)
-        except FileNotFoundError:
-            # a build has put a newer generation in its place, or somebody removes the index
-            continue
-        take_ids = np.sort(np.concatenate([np.empty(0, np.int64), *(shard.take_ids[shard.live] for shard in found)]))
-        shards = tuple(
-            Shard(shard.slices, np.where(shard.live, np.searchsorted(take_ids, shard.take_ids), -1)) for shard in found
-        )
-        return SharedWords(take_ids, shards, store.feature_set)
-    raise index.missing(store.path)
+    shared = indexed_words(store)
+    if shared is None:
+        raise index.missing(store.path)
+    return shared
+
+
+_opened: WeakKeyDictionary[Store, SharedWords] = WeakKeyDictionary()
+"""What an open store has mapped before: it keeps showing one version."""
+
+
+def indexed_words(store: Store) -> SharedWords | None:
+    """The same; None where the index is missing or stale."""
+    if store not in _opened:
+        while (generation := index.current(store.path, store.manifest)) is not None:
+            says = index.read_generation(generation)
+            # a build puts a newer generation in its place, or somebody removes the index: look again
+            with suppress(FileNotFoundError):
+                if says is not None:
+                    _opened[store] = _shared(store, index.open_slices(generation, says))
+                    break
+    return _opened.get(store)
+
+
+def _shared(store: Store, found: Sequence[index.ShardSlices]) -> SharedWords:
+    take_ids = np.sort(np.concatenate([np.empty(0, np.int64), *(shard.take_ids[shard.live] for shard in found)]))
+    shards = tuple(
+        Shard(shard.slices, np.where(shard.live, np.searchsorted(take_ids, shard.take_ids), -1)) for shard in found
+    )
+    return SharedWords(take_ids, shards, store.feature_set)

@@ -17,8 +17,7 @@ from ops.errors import KinedexError
 from ops.search.preselection import TakeRanges
 from ops.words import I64, TakeWords
 from pipelines.executors import cores
-from pipelines.searching.resident import resident_store, resident_words
-from storage import index
+from pipelines.searching.resident import indexed_words, resident_store, resident_words
 from storage.schemas import result_schema
 from storage.store import Store
 from storage.writer import StoreWriter
@@ -133,10 +132,11 @@ def preselect_stored(store: Store, words: TakeWords, queries: Sequence[KeyframeQ
     ----------
     words: of the takes to search, as `Store.words` gives them.
     """
-    if not queries or index.current(store.path, store.manifest) is None:
+    shared = indexed_words(store) if queries else None
+    if shared is None:
         return preselect(words, store.feature_set, queries)
     _refuse_filters(queries)
-    found = resident_store(store).of(words.take_ids).search(queries)
+    found = shared.of(words.take_ids).search(queries)
     return {query.name: ranges for query, ranges in zip(queries, found, strict=True)}
 
 
