@@ -11,6 +11,12 @@ from hypothesis import settings
 settings.register_profile("kinedex", deadline=None)
 settings.load_profile("kinedex")
 
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the slow tests: one of them at the end would be waited for by all other processes."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

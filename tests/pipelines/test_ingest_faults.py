@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from ops.errors import KinedexError, StoreError
+from pipelines.cli import app
 from pipelines.executors import SerialExecutor, WorkerDied
 from pipelines.ingesting import reading
 from pipelines.stages import ingest
@@ -25,6 +26,7 @@ from storage.store import Store, open_store
 from storage.verify import verify
 from tests.pipelines.archives import context, human_amc, write_archive
 
+ROOT = Path(__file__).resolve().parents[2]
 TAKES = {f"x_{number}.amc": 9 + number for number in range(5)}
 
 
@@ -198,17 +200,27 @@ def test_a_disk_that_fills_up_ends_the_run_with_a_clear_error_and_the_next_run_g
     assert verify(open_store(store)) == []
 
 
-FULL_DISK = """
-mount -t tmpfs -o size=400k none "$1" || exit 77
-"$2" -m pipelines.cli ingest "$1/store" "$3" --executor serial --set ingest.batch_mb=1
-echo "code $?"
-find "$1/store" -name '.tmp-*'
-"$2" -m pipelines.cli verify "$1/store"
-mount -o remount,size=100m "$1"
-"$2" -m pipelines.cli ingest "$1/store" "$3" --executor serial
-echo "code $?"
-"$2" -m pipelines.cli verify "$1/store"
-"""
+def on_a_small_disk(disk: str, source: str) -> None:
+    """Ingest onto a disk that is too small, and again once it is larger; prints what happens, for the test below."""
+
+    def mount(*options: str) -> int:
+        return subprocess.run(["mount", *options, disk], check=False).returncode
+
+    def kinedex(*words: str) -> None:
+        try:
+            app([*words])
+        except SystemExit as end:
+            print(f"code {end.code} of {words[0]}", flush=True)
+
+    store = f"{disk}/store"
+    if mount("-t", "tmpfs", "-o", "size=400k", "none"):
+        sys.exit(77)
+    kinedex("ingest", store, source, "--executor", "serial", "--set", "ingest.batch_mb=1")
+    print(*Path(store).rglob(".tmp-*"))
+    kinedex("verify", store)
+    mount("-o", "remount,size=100m")
+    kinedex("ingest", store, source, "--executor", "serial")
+    kinedex("verify", store)
 
 
 @pytest.mark.slow
@@ -216,12 +228,15 @@ echo "code $?"
 def test_a_disk_that_is_really_full_costs_nothing_but_time(tmp_path: Path) -> None:
     source = write_archive(tmp_path / "source", {f"x_{number:02}.amc": 900 for number in range(8)})
     (tmp_path / "disk").mkdir()
-    words = ["unshare", "-rm", "sh", "-c", FULL_DISK, "sh", tmp_path / "disk", sys.executable, source]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    run = "import sys; from tests.pipelines import test_ingest_faults as t; t.on_a_small_disk(*sys.argv[1:])"
+    words = ["unshare", "-rm", sys.executable, "-c", run, tmp_path / "disk", source]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
     if done.returncode == 77 or "unshare failed" in done.stderr:
         pytest.skip("this machine lets nobody mount a small disk")
     codes = [line for line in done.stdout.splitlines() if line.startswith("code")]
-    assert codes == ["code 1", "code 0"], done.stderr
+    assert codes == [f"code {code}" for code in ("1 of ingest", "0 of verify", "0 of ingest", "0 of verify")], (
+        done.stderr
+    )
     assert "cannot be written: No space left on device; nothing was committed" in done.stderr
     assert "the same command again: it goes on where it was" in done.stderr
     assert ".tmp-" not in done.stdout

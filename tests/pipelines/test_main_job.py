@@ -18,9 +18,13 @@ from storage.verify import verify
 pytestmark = pytest.mark.slow
 
 
-def demo(store: Path, data: Path | None, minutes: float = 30.0) -> tuple[Outcome, str]:
+MINUTES = 15.0
+"""Of synthetic motion: half of what the demo makes unless told otherwise, as most of its time goes into making it."""
+
+
+def demo(store: Path, data: Path | None) -> tuple[Outcome, str]:
     said = io.StringIO()
-    outcome = run_demo(store, data, minutes, "processes", None, Console(file=said, width=160))
+    outcome = run_demo(store, data, MINUTES, "processes", None, Console(file=said, width=160))
     return outcome, said.getvalue()
 
 
@@ -41,7 +45,7 @@ def test_the_demo_annotates_what_it_has_not_seen(synthetic: tuple[Path, Outcome,
     assert outcome.left_out == 0
     assert metrics(store)["pooled"]["f1"] >= 0.85
     assert "leave one actor out" in said
-    assert metrics(store, "leave_one_out")["pooled"]["f1"] >= 0.5
+    assert metrics(store, "leave_one_out")["pooled"]["f1"] >= 0.8
     assert verify(open_store(store)) == []
 
 
