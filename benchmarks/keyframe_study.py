@@ -19,7 +19,8 @@ from ops.words import TakeWords
 from pipelines.config import load_pipeline
 from pipelines.executors import Executor, make_executor
 from pipelines.keyframes.background import mine
-from pipelines.keyframes.learning import Lesson, Outcome, hit_ranges, lessons
+from pipelines.keyframes.learning import Lesson, Outcome, lessons
+from pipelines.keyframes.margins import hit_ranges
 from pipelines.keyframes.runs import Rounds, learn
 from pipelines.stages.learn_keyframes import Params, setting_of
 from pipelines.stages.leave_one_out import without

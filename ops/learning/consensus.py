@@ -17,6 +17,8 @@ from ops.words import bits
 
 F64 = npt.NDArray[np.float64]
 
+AtLeast = Literal["median", "best"]
+
 AGREEMENTS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """Shares of the keyframes at a place that may have to fix an entry for it to be fixed; the fittest is taken."""
 
@@ -25,8 +27,8 @@ AGREEMENTS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 class Consensus:
     """What the runs agree on.
 
-    origin: "consensus", or "best run" where the consensus was less fit than the runs are in the median. query, fitness
-    and rank: of that origin. agreement: the share of keyframes that had to agree on an entry; 0 for a run.
+    origin: "consensus", or "best run" where the consensus was less fit than the median run, or than the best. query,
+    fitness and rank: of that origin. agreement: the share of keyframes that had to agree on an entry; 0 for a run.
     median, best: the rank of the median run and of the best one. matrix: float64 (N, f), see `agreement_matrix`.
     """
 
@@ -114,18 +116,23 @@ def _spaced(found: Sequence[tuple[float, int, int]]) -> Query:
 
 
 def consent(
-    material: Material, runs: Sequence[Run], evolution: Evolution, reach: int, seed: int | tuple[int, ...]
+    material: Material,
+    runs: Sequence[Run],
+    evolution: Evolution,
+    reach: int,
+    seed: int | tuple[int, ...],
+    at_least: AtLeast = "median",
 ) -> Consensus:
     """Make one query of many runs: what recurs most, with gaps tuned by the same mutations.
 
     Parameters
     ----------
     material, evolution: of the runs. runs: one or more.
-    reach: see `recurring`. seed: of the mutations.
+    reach: see `recurring`. seed: of the mutations. at_least: the consensus has to be as fit as this run.
 
     Returns
     -------
-    The consensus, or, where it is less fit than the median of the runs, the best run; of equally fit ones the first.
+    The consensus, or, where it is less fit than that, the best run; of equally fit ones the first.
     """
     if not runs:
         raise ParameterError("runs", "at least one", 0)
@@ -144,7 +151,8 @@ def consent(
         run = tune_gaps(material, query, evolution, seed)
         if tuned is None or run.rank > tuned[1].rank:
             tuned = agreement, run
-    if tuned is None or tuned[1].rank < median:
+    wanted = best.rank if at_least == "best" else median
+    if tuned is None or tuned[1].rank < wanted:
         return Consensus("best run", best.query, best.fitness, best.rank, 0.0, median, best.rank, matrix)
     agreement, run = tuned
     return Consensus("consensus", run.query, run.fitness, run.rank, agreement, median, best.rank, matrix)

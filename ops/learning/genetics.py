@@ -48,7 +48,7 @@ def evolve(material: Material, evolution: Evolution, seed: int | tuple[int, ...]
     sizes = (evolution.population, evolution.parents, evolution.generations)
     best, evaluated = _evolve(
         _random(seed), people, _clips(material), _columns(material), room, history, sizes, _breeding(evolution),
-        _judging(evolution),
+        _judging(evolution, material),
     )  # fmt: skip
     return _run(people, best, history, evaluated)
 
@@ -71,7 +71,7 @@ def tune_gaps(material: Material, query: Query, evolution: Evolution, seed: int 
     tries = evolution.offspring
     _tune(
         _random(seed), people, np.arange(2), _clips(material), room, history, tries, evolution.gap_step,
-        _judging(evolution),
+        _judging(evolution, material),
     )  # fmt: skip
     return _run(people, 0, history, 1 + tries * evolution.generations)
 
@@ -80,7 +80,7 @@ def judge(material: Material, query: Query, evolution: Evolution) -> tuple[float
     """The weight of positive and of negative clips that a query retrieves, its fitness and its rank, as in a run."""
     people = room_for_people(1, len(query))
     _put(people, 0, query)
-    _evaluate(people, 0, _clips(material), room_for(material.frames, len(query)), _judging(evolution))
+    _evaluate(people, 0, _clips(material), room_for(material.frames, len(query)), _judging(evolution, material))
     found, wrong, fitness, rank = people.results[0].tolist()
     return found, wrong, fitness, rank
 
@@ -101,12 +101,14 @@ class _Clips(NamedTuple):
 
 
 class _Judging(NamedTuple):
-    """The numbers by which individuals are judged."""
+    """The numbers by which individuals are judged. columns: of the template. outside_cost: of one column."""
 
     beta: float
     parsimony: float
     gap_cost: float
+    outside_cost: float
     tempo: float
+    columns: int
 
 
 def _random(seed: int | tuple[int, ...]) -> np.random.Generator:
@@ -135,9 +137,16 @@ def _breeding(evolution: Evolution) -> Breeding:
     )
 
 
-def _judging(evolution: Evolution) -> _Judging:
-    numbers = (evolution.beta, evolution.parsimony, evolution.gap_cost, evolution.tempo)
-    return _Judging(*(float(number) for number in numbers))
+def _judging(evolution: Evolution, material: Material) -> _Judging:
+    columns = len(material.masks)
+    return _Judging(
+        float(evolution.beta),
+        float(evolution.parsimony),
+        float(evolution.gap_cost),
+        evolution.outside_cost / columns,
+        float(evolution.tempo),
+        columns,
+    )
 
 
 def _run(people: People, row: int, history: F64, evaluated: int) -> Run:
@@ -255,7 +264,8 @@ def _evaluate(people, row, clips, room, judging):  # type: ignore[no-untyped-def
             else:
                 wrong += clips.weights[t]
     fitness = fitness_of(found, wrong, clips.wanted, judging.beta)
-    rank = fitness
+    outside = people.positions[row, 0] + judging.columns - 1 - people.positions[row, count - 1]
+    rank = fitness - judging.outside_cost * outside
     for k in range(count):
         rank -= judging.parsimony * count_bits(people.masks[row, k])
         if k < count - 1:

@@ -30,8 +30,9 @@ class Evolution:
     "printed", around half of it. gap_step: a mutation changes each end of a gap by up to this share of the spacing.
     open_share: a generalisation opens up to this share of a keyframe's entries at once; one where it is 0.
     parsimony, gap_cost: what each fixed entry of a query, and each frame between the ends of a gap, take off its
-    fitness when individuals are compared. tempo: a positive clip counts as retrieved only if it is so even with gaps
-    narrowed by this much, as if it were slower or faster.
+    fitness when individuals are compared. outside_cost: what the share of the template before the first and after the
+    last keyframe takes off likewise: it is what has to be searched around a hit. tempo: a positive clip counts as
+    retrieved only if it is so even with gaps narrowed by this much, as if it were slower or faster.
     """
 
     population: int = 50
@@ -48,6 +49,7 @@ class Evolution:
     open_share: float = 0.0
     parsimony: float = 0.0
     gap_cost: float = 0.0
+    outside_cost: float = 0.0
     tempo: float = 0.0
 
     def __post_init__(self) -> None:
@@ -65,6 +67,7 @@ class Evolution:
             ("open_share", 0 <= self.open_share <= 1, "between 0 and 1"),
             ("parsimony", self.parsimony >= 0, "0 or more"),
             ("gap_cost", self.gap_cost >= 0, "0 or more"),
+            ("outside_cost", self.outside_cost >= 0, "0 or more"),
             ("tempo", self.tempo >= 0, "0 or more"),
         )
         for name, holds, expected in checks:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ops.words import TakeWords
-from pipelines.keyframes.learning import Lesson, Outcome, hit_ranges
+from pipelines.keyframes.learning import Lesson, Outcome
+from pipelines.keyframes.margins import hit_ranges
 
 
 def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most: int) -> Lesson:

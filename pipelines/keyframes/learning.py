@@ -16,21 +16,17 @@ from catalog.classes import Classes
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from ops.errors import KinedexError
-from ops.learning.consensus import Consensus, consent
-from ops.learning.fitness import Bool, Query, training_frames
+from ops.learning.consensus import AtLeast, Consensus, consent
+from ops.learning.fitness import Query, training_frames
 from ops.learning.genetics import evolve, random_search
 from ops.learning.greedy import forward_selection
 from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
-from ops.search.bitslices import slice_words
-from ops.search.keyframes import from_axis
-from ops.search.preselection import margins as formula_margins
-from ops.search.slicesearch import search_slices
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
-from ops.words import I64, U64, TakeWords
+from ops.words import U64
+from pipelines.keyframes.margins import Margins, clips_hit, margins_of
 from pipelines.templates.learning import TrainingClips
 
 Learner = Literal["genetic", "random", "greedy"]
-Margins = Literal["learned", "formula", "wider"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +42,7 @@ class Setting:
     joins: int
     reach: float
     alternatives: int
+    at_least: AtLeast
     margins: Margins
     seed: int
 
@@ -67,7 +64,9 @@ class Lesson:
 
     def key(self, setting: Setting) -> str:
         """A hash of all that a run follows from except its number: runs of the same key need not be run again."""
-        same = replace(setting, margins="learned", alternatives=0, reach=0.0)  # what they say is about finished runs
+        same = replace(
+            setting, margins="learned", alternatives=0, at_least="median", reach=0.0
+        )  # what they say is about finished runs
         hasher = hashlib.sha256(repr((self.subclass, sorted(asdict(same).items(), key=str))).encode())
         for group in (self.positives, self.negatives, self.background):
             hasher.update(len(group).to_bytes(8, "little"))
@@ -231,17 +230,12 @@ def agree(task: AgreeTask) -> Outcome:
     material = _material(lesson, setting)
     reach = max(1, round(setting.reach * len(material.masks)))
     seed = (setting.seed, crc32(lesson.subclass.encode()), len(task.runs), 1)
-    found = consent(material, task.runs, setting.evolution, reach, seed)
-    queries = [found.query]
-    for run in sorted(task.runs, key=lambda run: -run.rank):
-        if len(queries) == setting.alternatives:
-            break
-        if all(run.query.masks.tolist() != other.masks.tolist() for other in queries):
-            queries.append(run.query)
+    found = consent(material, task.runs, setting.evolution, reach, seed, setting.at_least)
+    queries = _queries(found, task.runs, setting.alternatives)
     columns = len(material.masks)
-    chosen = tuple(Chosen(query, *margins_of(query, lesson, setting, columns)) for query in queries)
-    clips = [*lesson.positives, *lesson.negatives]
-    retrieved = np.any([hit_spans(clips, query, setting.features)[0] for query in queries], axis=0)
+    margins = margins_of(queries, lesson.positives, setting.features, columns, setting.margins)
+    chosen = tuple(Chosen(query, *pair) for query, pair in zip(queries, margins, strict=True))
+    retrieved = clips_hit([*lesson.positives, *lesson.negatives], queries, setting.features)
     right = int(retrieved[: len(lesson.positives)].sum())
     total = int(retrieved.sum())
     return Outcome(
@@ -250,40 +244,13 @@ def agree(task: AgreeTask) -> Outcome:
     )  # fmt: skip
 
 
-def hit_spans(clips: Sequence[U64], query: Query, features: int) -> tuple[Bool, I64, I64]:
-    """Search clips: which have a hit, bool (T,), where the first starts and where the last stops, int64 (T,)."""
-    offsets = np.concatenate([[0], np.cumsum([len(words) for words in clips])]).astype(np.int64)
-    takes, starts, stops = hit_ranges(TakeWords(np.arange(len(clips)), offsets, np.concatenate(clips)), query, features)
-    hit = np.zeros(len(clips), np.bool_)
-    hit[takes] = True
-    first, last = np.zeros(len(clips), np.int64), np.zeros(len(clips), np.int64)
-    first[takes[::-1]] = starts[::-1]
-    last[takes] = stops
-    return hit, first, last
-
-
-def hit_ranges(words: TakeWords, query: Query, features: int) -> tuple[I64, I64, I64]:
-    """Search takes: the index of the take, start and stop of each range that holds hits, int64 (n,)."""
-    slices = slice_words(words.words, words.offsets, features)
-    return from_axis(search_slices(slices, query.masks.tolist(), query.values.tolist(), query.gaps))
-
-
-def margins_of(query: Query, lesson: Lesson, setting: Setting, columns: int) -> tuple[int, int]:
-    """How many frames before and after a hit the motion may reach.
-
-    "formula": from the template's columns and the softest gap (`ops.search.preselection.margins`). "learned": as far
-    as the training clips reach from their first and their last hit, so that each that is hit is covered whole.
-    "wider": the larger of the two, on each side.
-    """
-    hit, starts, stops = hit_spans(lesson.positives, query, setting.features)
-    lengths = np.array([len(words) for words in lesson.positives])
-    left = int(starts[hit].max(initial=0))
-    right = int((lengths - stops)[hit].max(initial=0))
-    if setting.margins == "learned":
-        return left, right
-    stiffness = min((Gap(low, high).nominal_stiffness for low, high in query.gaps), default=0.0)
-    printed = formula_margins(int(query.positions[0]), int(query.positions[-1]), columns, stiffness)
-    return printed if setting.margins == "formula" else (max(left, printed[0]), max(right, printed[1]))
+def _queries(found: Consensus, runs: Sequence[Run], alternatives: int) -> list[Query]:
+    """What the runs agree on, then the fittest runs; each with other keyframes than those before."""
+    queries = [found.query]
+    for run in sorted(runs, key=lambda run: -run.rank):
+        if len(queries) < alternatives and all(run.query.masks.tolist() != one.masks.tolist() for one in queries):
+            queries.append(run.query)
+    return queries
 
 
 def keyframe_queries(outcome: Outcome, feature_set: FeatureSet) -> list[KeyframeQuery]:

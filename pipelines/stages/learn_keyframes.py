@@ -10,11 +10,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalog.classes import OWN, load_classes
 from catalog.configs import config_path
 from ops.errors import KinedexError
+from ops.learning.consensus import AtLeast
 from ops.learning.lessons import Evolution, InitialGaps
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.keyframes.background import mine
-from pipelines.keyframes.learning import Learner, Lesson, Margins, Setting, allowed_features, lessons
+from pipelines.keyframes.learning import Learner, Lesson, Setting, allowed_features, lessons
+from pipelines.keyframes.margins import Margins
 from pipelines.keyframes.runs import Course, Rounds, known_runs, learn, queries_table, runs_table
 from pipelines.report.keyframes import keyframes_page
 from pipelines.report.write import write_page
@@ -56,11 +58,17 @@ class Params(BaseModel):
     settled: float = Field(0.001, ge=0, description="rises of the outcome's rank up to this are no change")
     reach: float = Field(0.04, ge=0, le=1, description="share of the template within which keyframes are the same")
     alternatives: int = Field(1, ge=1, description="queries a subclass: the consensus, then the best different runs")
+    at_least: AtLeast = Field(
+        "median", description="the consensus counts if no less fit than the median run, or the best; else the best run"
+    )
 
     steady: int = Field(0, ge=0, description="frames before and after for which keyframes must hold in positive clips")
     tempo: float = Field(0.0, ge=0, description="positive clips count only if hit even when so much slower or faster")
     parsimony: float = Field(0.0, ge=0, description="what a fixed entry takes off the fitness")
     gap_cost: float = Field(0.0, ge=0, description="what a frame between the ends of a gap takes off the fitness")
+    outside_cost: float = Field(
+        0.0, ge=0, description="what the template's share before the first and after the last keyframe takes off"
+    )
     open_share: float = Field(0.0, ge=0, le=1, description="share of entries that a generalisation may open at once")
     joins: int = Field(0, ge=0, description="how often all negative clips are joined two by two as further negatives")
     background: str | None = Field(
@@ -68,7 +76,9 @@ class Params(BaseModel):
     )
     background_clips: int = Field(50, ge=1, description="at most so many of these for a subclass, the longest first")
     margins: Margins = Field(
-        "learned", description="frames around a hit: learned, formula (from the template), wider (of the two)"
+        "learned",
+        description="frames around a hit: learned, shared (by all queries of a subclass), formula (from the template), "
+        "wider (of learned and formula)",
     )
 
     def evolution(self) -> Evolution:
@@ -98,6 +108,7 @@ def setting_of(params: Params, store: Store) -> Setting:
         joins=params.joins,
         reach=params.reach,
         alternatives=params.alternatives,
+        at_least=params.at_least,
         margins=params.margins,
         seed=params.seed,
     )
@@ -130,7 +141,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     write_page(keyframes_page("Keyframe queries learned from clips", outcomes, finished, store.feature_set), path)
     context.say(f"report: {path.resolve()}")
     file = path.relative_to(context.store_path).as_posix()
-    return {**_summary(context, courses, takes, known=len(known)), "files": [file]}
+    return {**_summary(context, courses, takes, params.at_least, known=len(known)), "files": [file]}
 
 
 def _saver(context: StageContext) -> Callable[[list[Course]], None]:
@@ -162,11 +173,13 @@ def _with_background(
     return mined
 
 
-def _summary(context: StageContext, courses: list[Course], takes: pl.DataFrame, known: int) -> dict[str, object]:
+def _summary(
+    context: StageContext, courses: list[Course], takes: pl.DataFrame, at_least: AtLeast, known: int
+) -> dict[str, object]:
     outcomes = [course.outcomes[-1] for course in courses]
     best: list[str] = [one.subclass for one in outcomes if one.consensus.origin == "best run"]
     if best:
-        context.say(f"less fit than the median run, so the best run instead of the consensus: {few(best)}")
+        context.say(f"less fit than the {at_least} run, so the best run instead of the consensus: {few(best)}")
     lost = [one.subclass for one in outcomes if one.recall < 1.0]
     if lost:
         context.say(f"not every training clip is found: {few(lost)}")

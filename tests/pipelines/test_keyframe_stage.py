@@ -16,7 +16,8 @@ from ops.words import TakeWords
 from pipelines.cli import app
 from pipelines.keyframes import runs as keyframe_runs
 from pipelines.keyframes.background import mine
-from pipelines.keyframes.learning import allowed_features, hit_ranges, keyframe_queries
+from pipelines.keyframes.learning import allowed_features, keyframe_queries
+from pipelines.keyframes.margins import hit_ranges
 from pipelines.keyframes.runs import known_runs, outcomes_of
 from pipelines.searching.search import preselect
 from pipelines.searching.windows import template_window

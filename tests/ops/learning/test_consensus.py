@@ -75,6 +75,16 @@ def test_runs_with_nothing_in_common_have_the_best_of_them_instead() -> None:
     assert (found.origin, found.rank, found.query.key()) == ("best run", 6.0, runs[1].query.key())
 
 
+def test_the_consensus_may_have_to_be_as_fit_as_the_best_run() -> None:
+    given, evolution = material(seed=3), Evolution(generations=8)
+    made = [columns_of(given, *given.columns[[first, last]].tolist()) for first, last in ((0, 3), (0, 3), (1, 4))]
+    runs = [tune_gaps(given, query, evolution, seed) for seed, query in enumerate(made)]
+    better = [*runs, replace(runs[0], rank=2.0)]
+    assert consent(given, better, evolution, 1, 5).origin == "consensus"
+    found = consent(given, better, evolution, 1, 5, "best")
+    assert (found.origin, found.rank) == ("best run", 2.0)
+
+
 def test_without_runs_there_is_nothing_to_agree_on() -> None:
     with pytest.raises(ParameterError, match="runs must be at least one"):
         consent(material(), [], Evolution(), 1, 5)

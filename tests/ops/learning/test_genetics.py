@@ -221,8 +221,13 @@ def test_costs_prefer_open_entries_and_narrow_gaps_but_do_not_count_as_fitness()
     )
     fitness, rank = judge(given_, query, costly)[2:]
     assert rank == pytest.approx(fitness - 0.02 - 0.037)
+    # six of the template's 27 columns lie after the second keyframe, none before the first
+    assert judge(given_, query, Evolution(outside_cost=0.9))[2:] == pytest.approx((fitness, fitness - 0.9 * 6 / 27))
     free, cheap = evolve(given_, Evolution(generations=60), 5), evolve(given_, costly, 5)
     assert cheap.query.fixed < free.query.fixed
+    wide = evolve(given_, Evolution(generations=60, outside_cost=0.5), 5)
+    assert wide.fitness == 1.0
+    assert np.ptp(wide.query.positions) > np.ptp(free.query.positions)
 
 
 def test_a_tempo_asks_that_examples_be_found_even_if_they_were_slower_or_faster() -> None:
