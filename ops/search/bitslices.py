@@ -19,6 +19,8 @@ from ops.words import I64, MOST_FEATURES, NO_WORD, U64
 I32 = npt.NDArray[np.int32]
 
 BLOCK = 64
+SHIFT = 6
+"""Frames become blocks when they are moved by so many bits."""
 GRANULE = 8
 """How many frames have one bit of the coarse copy. Chosen by measurement: with 16 it is half as large, but twice as
 many blocks have to be looked at."""

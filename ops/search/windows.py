@@ -11,61 +11,29 @@ import numpy as np
 from numba import njit
 
 from ops.bits import count_bits
-from ops.search.bitslices import ALL_BITS, BLOCK, GRANULE, GRANULES, NO_BITS
+from ops.search.bitslices import ALL_BITS, BLOCK, GRANULE, GRANULES, NO_BITS, SHIFT
 
-_IN_WORD = BLOCK // GRANULES
+IN_WORD = BLOCK // GRANULES
 """The blocks whose granules make up a word of a coarse bitmap."""
 _OF_BLOCK = np.uint64(2**GRANULES - 1)
 
 
 @njit(cache=True, nogil=True)
-def coarse_plan(features, keyframes):  # type: ignore[no-untyped-def]
-    """Return the coarse rows that each keyframe asks for, and the order in which to look for keyframes.
+def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spare):  # type: ignore[no-untyped-def]
+    """Find the granules of blocks[0] .. blocks[1] in which a hit may begin; False where there are none.
 
     Parameters
     ----------
-    features: f. keyframes: int64 (2, K), masks and values.
-
-    Returns
-    -------
-    rows: int64, keyframe k has rows[edges[k]] .. rows[edges[k + 1]], filled up to whole quarters.
-    edges: int64 (K + 1,).
-    order: int64 (K,), those that ask for most first, since they are rare. Only the speed depends on it.
-    """
-    count = keyframes.shape[1]
-    rows = np.empty((features // 4 + 1) * 4 * count, np.int64)
-    edges, order = np.zeros(count + 1, np.int64), np.empty(count, np.int64)
-    n = 0
-    for k in range(count):
-        for feature in range(features):
-            if keyframes[0, k] >> feature & 1:
-                rows[n] = feature if keyframes[1, k] >> feature & 1 else features + feature
-                n += 1
-        while n % 4 or n == edges[k]:
-            rows[n] = 2 * features
-            n += 1
-        edges[k + 1] = n
-        i = k
-        while i > 0 and edges[order[i - 1] + 1] - edges[order[i - 1]] < n - edges[k]:
-            order[i] = order[i - 1]
-            i -= 1
-        order[i] = k
-    return rows, edges, order
-
-
-@njit(cache=True, nogil=True)
-def coarse_starts(coarse, features, begin, end, rows, edges, order, gaps, found, spare):  # type: ignore[no-untyped-def]
-    """Find the granules of the blocks begin .. end in which a hit may begin; False where there are none.
-
-    Parameters
-    ----------
-    coarse, features: of bit slices. rows, edges, order: from `coarse_plan`. gaps: int64 (K − 1, 2).
+    coarse, features: of bit slices. gaps: int64 (K − 1, 2).
+    rows: the coarse rows that keyframe k asks for are rows[edges[k]] .. rows[edges[k + 1]], whole quarters.
+    order: int64 (K,), in which keyframes are looked for.
     found: uint64 (K, n), written to: for each keyframe the granules in which it may be, from the word that holds those
-        of block `begin` on, where the rest of the query may be completed. spare: uint64 (2 or more, n).
+        of the first block on, where the rest of the query may be completed. spare: uint64 (2 or more, n).
     """
+    begin, end = blocks
     stride = len(coarse) // (2 * features + 1)
-    at = begin // _IN_WORD
-    size = (end + _IN_WORD - 1) // _IN_WORD - at
+    at = begin // IN_WORD
+    size = (end + IN_WORD - 1) // IN_WORD - at
     for k in order:
         if not _all_rows(coarse, stride, at, size, rows, edges[k], edges[k + 1], found[k]):
             return False
@@ -73,9 +41,9 @@ def coarse_starts(coarse, features, begin, end, rows, edges, order, gaps, found,
         if not _complete(found[k], found[k + 1], size, spare[0], spare[1], gaps[k, 0], gaps[k, 1]):
             return False
     # other takes than were asked for may have granules in the first and the last word
-    found[0, 0] &= ALL_BITS << np.uint64(begin % _IN_WORD * GRANULES)
-    if end % _IN_WORD:
-        found[0, size - 1] &= ALL_BITS >> np.uint64((_IN_WORD - end % _IN_WORD) * GRANULES)
+    found[0, 0] &= ALL_BITS << np.uint64(begin % IN_WORD * GRANULES)
+    if end % IN_WORD:
+        found[0, size - 1] &= ALL_BITS >> np.uint64((IN_WORD - end % IN_WORD) * GRANULES)
     return True
 
 
@@ -162,57 +130,51 @@ def _move(bitmap, size, moved, by):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def windows(found, left, begin, end, span, index, follow, marks):  # type: ignore[no-untyped-def]
+def windows(found, left, blocks, span, index, follow):  # type: ignore[no-untyped-def]
     """Collect the blocks that all hits lie in: from the granules that hits may begin in, as far as the gaps lead.
 
     Parameters
     ----------
-    found: uint64 (K, n), from `coarse_starts` for the blocks begin .. end. left: of bit slices.
+    found: uint64 (n,), of the first keyframe, from `coarse_starts` for blocks[0] .. blocks[1]. left: of bit slices.
     span: the sum of all gaps' upper bounds, in frames.
-    index: int64 (end − begin,), written to: the blocks, ascending. follow: int32, how many blocks of the window are
-        left after each. marks: uint8 (K, end − begin), the granules of each block in which a keyframe may be.
+    index: int64 (b or more,), written to: the blocks, ascending. follow: int32, how many blocks of the window are
+        left after each.
 
     Returns
     -------
-    How many blocks there are, and how many the longest window has. All keyframes may be in each window.
+    How many blocks there are, and how many the longest window has.
     """
-    at = begin // _IN_WORD
-    n, longest = 0, 0
-    opened, closed, last_of_take = -1, -1, -1
-    for i in range((end + _IN_WORD - 1) // _IN_WORD - at):
-        word = found[0, i]
+    begin, end = blocks
+    at = begin // IN_WORD * IN_WORD
+    n, after = 0, 0
+    for i in range(np.uint64((end - at + IN_WORD - 1) // IN_WORD)):
+        word = found[i]
         while word:
             place = lowest(word) // GRANULES
             granules = (word >> np.uint64(place * GRANULES)) & _OF_BLOCK
             word &= ~(_OF_BLOCK << np.uint64(place * GRANULES))
-            block = (at + i) * _IN_WORD + place
-            if block > last_of_take or block > closed + 1:
-                n, longest = _keep(found, at, opened, closed, index, follow, marks, n, longest)
-                opened = block
-            last_of_take = block + left[block]
-            frame = (highest(granules) + 1) * GRANULE - 1
-            closed = min(last_of_take, block + (frame + span) // BLOCK)
-    return _keep(found, at, opened, closed, index, follow, marks, n, longest)
+            block = at + np.int64(i) * IN_WORD + place
+            frame = (_highest_of_block(granules) + 1) * GRANULE - 1
+            stop = block + 1 + min(left[block], frame + span >> SHIFT)
+            after = max(after, block)
+            while after < stop:
+                index[n] = after
+                after += 1
+                n += 1
+    longest, follows = 0, 0
+    for i in range(n - 1, -1, -1):
+        block = index[i]
+        follows = follows + 1 if i + 1 < n and index[i + 1] == block + 1 and left[block] > 0 else 0
+        follow[i] = follows
+        longest = max(longest, follows + 1)
+    return n, longest
 
 
 @njit(cache=True, nogil=True)
-def _keep(found, at, opened, closed, index, follow, marks, n, longest):  # type: ignore[no-untyped-def]
-    # One window, the blocks opened .. closed, both included, unless a keyframe cannot be in it.
-    if opened < 0:
-        return n, longest
-    size = closed + 1 - opened
-    for k in range(len(found)):
-        some = NO_BITS
-        for i in range(size):
-            block = opened + i
-            granules = (found[k, block // _IN_WORD - at] >> np.uint64(block % _IN_WORD * GRANULES)) & _OF_BLOCK
-            marks[k, n + i] = granules
-            some |= granules
-        if some == NO_BITS:
-            return n, longest
-    for i in range(size):
-        index[n + i], follow[n + i] = opened + i, size - 1 - i
-    return n + size, max(longest, size)
+def _highest_of_block(granules):  # type: ignore[no-untyped-def]
+    granules |= granules >> np.uint64(1)
+    granules |= granules >> np.uint64(2)
+    return count_bits(granules | granules >> np.uint64(4)) - 1
 
 
 @njit(cache=True, nogil=True)

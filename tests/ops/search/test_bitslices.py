@@ -218,6 +218,36 @@ def test_sets_cut_from_words_are_stretches_of_their_rows() -> None:
     assert by_take(found, 1) == by_take(expected, 1)
 
 
+@pytest.mark.parametrize("chunk", [1, 70, 4096])
+def test_rare_poses_far_apart_in_long_takes_are_all_found(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slicesearch, "CHUNK", chunk)
+    rng = np.random.default_rng(6)
+    takes = []
+    for length in (9000, 40, 64, 5000, 1, 700, 7000):
+        take = rng.choice([0, 1, 2, 4], length, p=[0.994, 0.002, 0.002, 0.002]).astype(np.uint64)
+        takes.append(take)
+    runs = word_runs(np.concatenate(takes), offsets_of(takes))
+    starts, stops = to_axis(runs.take, runs.start), to_axis(runs.take, runs.stop)
+    poses = [1, 2, 4]
+    lists = [keyframe_list(starts, stops, runs.word, pose, pose) for pose in poses]
+    for gaps in (
+        [(0, 100), (300, 700)],
+        [(500, 520), (0, UNBOUNDED)],
+        [(64, 64), (0, 4000)],
+        [(2048, 4096), (512, 513)],
+    ):
+        found, expected = search_slices(slices_of(takes), poses, poses, gaps), search(lists, gaps)
+        np.testing.assert_array_equal(found.starts, expected.starts)
+        np.testing.assert_array_equal(found.stops, expected.stops)
+        assert len(found) or gaps[0] == (64, 64)
+
+
+def test_a_gap_longer_than_any_number_of_the_machine_has_no_bound() -> None:
+    take = np.array([1, 0, 0, 2], np.uint64)
+    assert by_take(search_slices(slices_of([take]), [1, 2], [1, 2], [(3, 2**80)]), 1) == [[(0, 4)]]
+    assert by_take(search_slices(slices_of([take]), [1, 2], [1, 2], [(4, 2**80)]), 1) == [[]]
+
+
 def test_an_archive_without_takes_has_no_hits() -> None:
     assert len(search_slices(slices_of([]), [1], [1], [])) == 0
 
@@ -230,6 +260,11 @@ def test_an_archive_without_takes_has_no_hits() -> None:
         ([1], [2], []),
         ([1 << FEATURES], [0], []),
         ([-1], [0], []),
+        ([2**64], [0], []),
+        ([1], [2**70], []),
+        ([-(2**70)], [0], []),
+        ([1, 1], [1, 1], [(-1, 2)]),
+        ([1, 1], [1, 1], [(1, 2), (1, 2)]),
         ([1, 1], [1, 1], []),
         ([1, 1], [1, 1], [(2, 1)]),
     ],
