@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 from rich.console import Console
 
 from catalog.features import FeatureSet, load_feature_set
@@ -16,10 +17,10 @@ from catalog.units import body_height
 from ops.body import kinematics
 from ops.body.gaps import find_gaps
 from ops.errors import KinedexError, SourceError
-from ops.words import NO_WORD
+from pipelines.holding import holding
 from pipelines.ingesting.analysis import analyse, blind
 from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
-from pipelines.tables import pairs
+from pipelines.tables import Shown, pairs
 from storage.acclaim import INCH_M, read_asf
 from storage.amass import parse_amass
 from storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
@@ -54,12 +55,14 @@ class Inspection:
     """What was found out about a file.
 
     lines: (what, text) in order. fault: why the file does not come in, None where it does.
-    figure: what to draw, None where nothing is known of places.
+    figure: what to draw, None where nothing is known of places. features: how often each holds (`holding`), None where
+    there are no words.
     """
 
     lines: list[tuple[str, str]] = field(default_factory=list)
     fault: KinedexError | None = None
     figure: Figure | None = None
+    features: pa.Table | None = None
 
     def say(self, what: str, text: str) -> None:
         """Add a line."""
@@ -129,9 +132,11 @@ def write_picture(found: Inspection, path: Path) -> bool:
     return True
 
 
-def show(found: Inspection, console: Console) -> None:
-    """Print what was found."""
+def show(found: Inspection, console: Console, features: bool = False) -> None:
+    """Print what was found; with a table of the features where that is wanted, and there is one."""
     console.print(pairs(found.lines))
+    if features and found.features is not None:
+        console.print(Shown(found.features))
 
 
 def _asf(found: Inspection, amc: Path, source: Path | None) -> Path:
@@ -281,21 +286,19 @@ def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Giv
     for i, warning in enumerate(warnings or ["none"]):
         found.say("warnings" if i == 0 else "", warning)
     _, _, words = analyse(body, feature_set, _RATE_HZ)
-    words = words[words != NO_WORD]
-    shares = {
-        feature.number: float(np.mean((words >> np.uint64(feature.number - 1)) & np.uint64(1))) if len(words) else 0.0
-        for feature in feature_set.features
-    }
-    on = sorted((n for n, share in shares.items() if share > 0), key=lambda n: -shares[n])
-    names = [f"F{n} {feature_set.feature(n).name} {_percent(shares[n])}" for n in on]
-    found.say("features on", ", ".join(names) or "none in any frame")
-    never = [f"F{n}" for n, share in shares.items() if share == 0]
+    found.features = holding(words, _RATE_HZ, feature_set, body.unknown)
+    shares = dict(zip(*(found.features.column(name).to_pylist() for name in ("feature", "percent")), strict=True))
+    names = {f"F{feature.number}": feature.name for feature in feature_set.features}
+    on = sorted((name for name, share in shares.items() if share > 0), key=lambda name: -shares[name])
+    text = ", ".join(f"{name} {names[name]} {_percent(shares[name])}" for name in on)
+    found.say("features on", text or "none in any frame")
+    never = [name for name, share in shares.items() if share == 0]
     if never:
         found.say("never on", " ".join(never))
 
 
 def _percent(share: float) -> str:
-    return "<1%" if share < 0.01 else f"{100 * share:.0f}%"
+    return "<1%" if share < 1 else f"{share:.0f}%"
 
 
 def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:

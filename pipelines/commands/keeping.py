@@ -26,6 +26,10 @@ def inspect(
     body_model: Annotated[
         str | None, typer.Option(help="body model of an AMASS file: model.npz of SMPL-H, or its joints at rest")
     ] = None,
+    features: Annotated[
+        bool,
+        typer.Option("--features", help="also how often each feature holds, and which are off for want of a joint"),
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
     ] = None,
@@ -38,7 +42,7 @@ def inspect(
     path = picture or Path(f"{file.stem}.png")
     if write_picture(found, path):
         found.say("picture", str(path))
-    show(found, make_console())
+    show(found, make_console(), features)
     if found.fault is not None:
         raise found.fault
 

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image, ImageColor
+from typer.testing import CliRunner
 
 from catalog.features import load_feature_set
+from catalog.skeletons import load_mappings
 from ops.errors import KinedexError, SourceError
+from ops.words import NO_WORD
+from pipelines.cli import app
+from pipelines.holding import holding
+from pipelines.ingesting.analysis import analyse
 from pipelines.inspect import Inspection, inspect_file, write_picture
 from pipelines.picture import LEFT, MIDDLE, RIGHT
-from storage.bodies import Given
+from storage.bodies import Given, read_body
 from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
@@ -146,6 +154,34 @@ def test_markers_are_described_and_drawn_in_frames_that_are_whole(tmp_path: Path
     assert other.figure.views[0][0] == "x to the right, z up"
 
 
+def test_features_are_counted_as_the_word_of_every_frame_says(tmp_path: Path) -> None:
+    path = write_bvh(tmp_path / "wave.bvh", frames=200)
+    found = inspect_file(path)
+    assert found.features is not None
+    body = read_body(path, None, load_mappings("auto", JOINTS), JOINTS)
+    _, _, words = analyse(body, load_feature_set(), 30.0)
+    for number, row in enumerate(found.features.to_pylist(), 1):
+        bits = [bool(int(word) >> (number - 1) & 1) for word in words]
+        stretches = [len(list(group)) for holds, group in groupby(bits) if holds]
+        assert row["feature"] == f"F{number}"
+        assert row["percent"] == pytest.approx(100 * sum(bits) / len(bits))
+        assert (row["runs"], row["longest_seconds"]) == (len(stretches), max(stretches, default=0) / 30)
+        assert row["remark"] is None
+
+
+def test_features_that_miss_a_joint_say_which() -> None:
+    words = np.array([3, NO_WORD, 1, 2], np.uint64)
+    rows = {row["name"]: row for row in holding(words, 30.0, load_feature_set(), ["ltoes"]).to_pylist()}
+    assert rows["rhand_forwards"]["percent"] == pytest.approx(200 / 3)
+    assert rows["rhand_forwards"]["runs"] == 2
+    off = [name for name, row in rows.items() if row["remark"] == "off in every frame: no ltoes"]
+    without = [name for name, row in rows.items() if row["remark"] == "without ltoes"]
+    assert (off, without) == tuple(
+        [feature.name for feature in several] for several in load_feature_set().without(["ltoes"])
+    )
+    assert off
+
+
 def test_joint_angles_are_described_with_and_without_a_body_model(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", poses=np.zeros((9, 156)), trans=np.zeros((9, 3)), mocap_framerate=120)
     found = inspect_file(tmp_path / "a.npz")
@@ -168,6 +204,10 @@ def test_what_is_no_motion_file_is_refused_with_the_way_out(tmp_path: Path) -> N
 
 def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Path) -> None:
     write_bvh(tmp_path / "odd.bvh", LeftUpLeg="ThighL")
+    shown = CliRunner().invoke(
+        app, ["inspect", str(write_bvh(tmp_path / "w.bvh")), "--features", "--picture", str(tmp_path / "w.png")]
+    )
+    assert re.search(r"F13 +rhand_fast +100 +1 +1\.333 +–", shown.stdout)
     command = [sys.executable, "-m", "pipelines.cli", "inspect", str(tmp_path / "odd.bvh"), "--picture"]
     done = subprocess.run([*command, str(tmp_path / "o.png")], capture_output=True, text=True, check=False)
     assert done.returncode == 1

@@ -1,0 +1,61 @@
+"""How often each feature holds in a take: shares of its frames, runs, and what is off for want of a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from catalog.features import Feature, FeatureSet
+from ops.search.runs import feature_runs
+from ops.words import NO_WORD
+
+
+def holding(
+    words: npt.NDArray[np.uint64], rate_hz: float, feature_set: FeatureSet, unknown: Collection[str] = ()
+) -> pa.Table:
+    """Count, for every feature, where it holds.
+
+    Parameters
+    ----------
+    words: uint64 (T,), the words of one take at `rate_hz`; `NO_WORD` in invalid frames. unknown: joints that the take's
+        skeleton does not have.
+
+    Returns
+    -------
+    A row for each feature, in order: `feature` (F1, …), `name`, `percent` of the valid frames, `runs`,
+    `longest_seconds` of a run, and `remark`: why it is off in all frames, or what it does without; NULL else.
+    """
+    count = len(feature_set.features)
+    found = feature_runs(words, np.array([0, len(words)]), count)
+    lengths = (found.stop - found.start).astype(np.float64)
+    place = found.feature - 1
+    runs = np.bincount(place, minlength=count)
+    frames = np.bincount(place, lengths, minlength=count)
+    longest = np.zeros(count)
+    np.maximum.at(longest, place, lengths)
+    valid = int(np.count_nonzero(words != NO_WORD))
+    return pa.table(
+        {
+            "feature": [f"F{feature.number}" for feature in feature_set.features],
+            "name": [feature.name for feature in feature_set.features],
+            "percent": 100 * frames / max(valid, 1),
+            "runs": runs,
+            "longest_seconds": longest / rate_hz,
+            "remark": pa.array(
+                [_remark(feature, feature_set.joints, set(unknown)) for feature in feature_set.features], pa.string()
+            ),
+        }
+    )
+
+
+def _remark(feature: Feature, joints: tuple[str, ...], unknown: set[str]) -> str | None:
+    """What a feature misses, as `FeatureSet.without` has it."""
+    fixed, several = ([joints[i] for i in sorted(which)] for which in feature.rule.joints(range(len(joints))))
+    if needed := [joint for joint in fixed if joint in unknown]:
+        return f"off in every frame: no {', '.join(needed)}"
+    if wanted := [joint for joint in several if joint in unknown]:
+        return f"without {', '.join(wanted)}"
+    return None
