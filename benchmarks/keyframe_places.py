@@ -1,0 +1,135 @@
+"""Where learned keyframe queries are tested: takes with known segments, and what is hit, kept, and labelled there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.classes import load_classes
+from ops.measures.metrics import Counts, compare, pooled
+from ops.words import I64, TakeWords
+from pipelines.annotation.annotating import annotate_words, make_annotator
+from pipelines.executors import Executor
+from pipelines.keyframes.learning import Outcome, keyframe_queries
+from pipelines.keyframes.margins import hit_ranges
+from pipelines.templates.learning import TrainingClips, learn_templates
+from storage.store import Store
+
+CLIPS_A_TAKE = 9
+DELTA, TAU = 0.05, 0.13
+"""Of the annotation; the thesis's."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """Takes to search: words, and for each take its segments (class, start, stop)."""
+
+    words: TakeWords
+    segments: tuple[tuple[tuple[str, int, int], ...], ...]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """How one class's queries did.
+
+    hit: int64 (n, 2), for each of its n segments whether a hit touches it, and 1. kept: int64 (T, 2), of each take the
+    frames kept and all frames. covered: the share of a segment that is kept, on average. own: the class's share of the
+    frames.
+    """
+
+    label: str
+    hit: I64
+    kept: I64
+    covered: float
+    own: float
+
+    @property
+    def hit_share(self) -> float:
+        """The share of the segments that are hit."""
+        return float(self.hit[:, 0].mean())
+
+    @property
+    def kept_share(self) -> float:
+        """The share of the frames that are kept."""
+        return float(self.kept[:, 0].sum() / self.kept[:, 1].sum())
+
+
+def joined(clips: Sequence[TrainingClips], seed: int) -> Searched:
+    """Clips one after the other in random order, as takes of `CLIPS_A_TAKE`."""
+    every = [(one.subclass, words) for one in clips for words in one.words]
+    order = np.random.default_rng(seed).permutation(len(every)).tolist()
+    pieces, segments = [], []
+    for begin in range(0, len(order), CLIPS_A_TAKE):
+        at, words, labels = 0, [], []
+        for index in order[begin : begin + CLIPS_A_TAKE]:
+            label, part = every[index]
+            labels.append((label, at, at + len(part)))
+            words.append(part)
+            at += len(part)
+        pieces.append(np.concatenate(words))
+        segments.append(tuple(labels))
+    offsets = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
+    return Searched(TakeWords(np.arange(len(pieces)), offsets, np.concatenate(pieces)), tuple(segments))
+
+
+def with_ground_truth(store: Store) -> Searched | None:
+    """The takes of the store that have manual labels, as an evaluation has stored them."""
+    rows = store.result("ground_truth").to_pylist()
+    ids = sorted({row["take_id"] for row in rows})
+    if not ids:
+        return None
+    segments = [
+        tuple((row["class"], row["start"], row["stop"]) for row in rows if row["take_id"] == take_id) for take_id in ids
+    ]
+    return Searched(store.words(ids), tuple(segments))
+
+
+def measured(outcome: Outcome, searched: Searched, features: int) -> Measured | None:
+    """Search one class's queries, and compare with the segments of the class; None where it has none."""
+    words = searched.words
+    hits = np.zeros(len(words.words), bool)
+    kept = np.zeros_like(hits)
+    for chosen in outcome.chosen:
+        ranges = hit_ranges(words, chosen.query, features)
+        for take, start, stop in zip(*(part.tolist() for part in ranges), strict=True):
+            first, end = int(words.offsets[take]), int(words.offsets[take + 1])
+            hits[first + start : first + stop] = True
+            kept[max(first, first + start - chosen.left) : min(end, first + stop + chosen.right)] = True
+    own = [
+        slice(int(words.offsets[take]) + start, int(words.offsets[take]) + stop)
+        for take, segments in enumerate(searched.segments)
+        for label, start, stop in segments
+        if label == outcome.subclass
+    ]
+    if not own:
+        return None
+    frames = np.diff(words.offsets)
+    return Measured(
+        outcome.subclass,
+        np.array([[hits[piece].any(), 1] for piece in own], np.int64),
+        np.stack([np.add.reduceat(kept.astype(np.int64), words.offsets[:-1]), frames], axis=1),
+        float(np.mean([kept[piece].mean() for piece in own])),
+        sum(piece.stop - piece.start for piece in own) / int(frames.sum()),
+    )
+
+
+def annotated(
+    store: Store, clips: Sequence[TrainingClips], outcomes: Sequence[Outcome], searched: Searched, executor: Executor
+) -> Counts:
+    """Label the takes by the thesis's method, within what the queries keep, or everywhere where there are none."""
+    templates = [one for part in learn_templates(clips, ["soft"], _features(store), executor) for one in part]
+    classes = load_classes("own", [one.subclass for one in clips])
+    queries = [query for outcome in outcomes for query in keyframe_queries(outcome, store.feature_set)]
+    annotator = make_annotator(store.feature_set, templates, classes, DELTA, TAU, queries)
+    found = []
+    for take, segments in zip(annotate_words(annotator, searched.words), searched.segments, strict=True):
+        for index, name in enumerate(annotator.classes):
+            automatic = [(one.start, one.stop) for one in take.segments if one.class_index == index]
+            found.append(compare(automatic, [(start, stop) for label, start, stop in segments if label == name]))
+    return pooled(found)
+
+
+def _features(store: Store) -> int:
+    return len(store.feature_set.features)
