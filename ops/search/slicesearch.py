@@ -92,9 +92,8 @@ def _as_array(bits: list[int], bounds: list[int]) -> I64:
         return np.array([*bits, *bounds], np.int64)
     except OverflowError:
         # no gap needs to be longer than UNBOUNDED, and no keyframe has so many bits: -1 is refused as well
-        return np.array(
-            [*(one if one < 2**63 else -1 for one in bits), *(min(one, UNBOUNDED) for one in bounds)], np.int64
-        )
+        small = [bit if 0 <= bit < 2**63 else -1 for bit in bits]
+        return np.array([*small, *(max(-1, min(bound, UNBOUNDED)) for bound in bounds)], np.int64)
 
 
 def _what_makes_no_sense(

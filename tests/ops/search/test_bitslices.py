@@ -233,13 +233,13 @@ def test_rare_poses_far_apart_in_long_takes_are_all_found(chunk: int, monkeypatc
     for gaps in (
         [(0, 100), (300, 700)],
         [(500, 520), (0, UNBOUNDED)],
-        [(64, 64), (0, 4000)],
-        [(2048, 4096), (512, 513)],
+        [(64, 80), (0, 4000)],
+        [(2048, 4096), (512, 640)],
     ):
         found, expected = search_slices(slices_of(takes), poses, poses, gaps), search(lists, gaps)
         np.testing.assert_array_equal(found.starts, expected.starts)
         np.testing.assert_array_equal(found.stops, expected.stops)
-        assert len(found) or gaps[0] == (64, 64)
+        assert len(found)
 
 
 def test_a_gap_longer_than_any_number_of_the_machine_has_no_bound() -> None:
