@@ -1,8 +1,14 @@
-"""From distance curves to annotated segments (thesis, Chapter 5.2)."""
+"""From the minima of distance curves to annotated segments (thesis, Chapter 5.2).
+
+Templates fit in few places: a class's modified curve is ∞ nearly everywhere. It is kept where it is finite only, island
+by island, and whatever is decided frame by frame is decided there.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numba as nb
 import numpy as np
@@ -12,8 +18,11 @@ from ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
 
 TOLERANCE = 1e-9
+
+_BLOCK = 64  # frames that are passed over together where nothing lies in them
 
 
 @dataclass(frozen=True, order=True)
@@ -30,6 +39,36 @@ class Segment:
     cost: float
     subclass: int
     confidence: float = field(default=1.0, compare=False)
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Where templates fit: the local minima of each one's distance curve below its threshold.
+
+    offsets: int64 (S + 1,), template s has the minima offsets[s] .. offsets[s + 1] − 1. starts, ends: int64 (M,), first
+    and last frame of the best path, both included, by ascending ends within a template. costs: float64 (M,), distances.
+    """
+
+    offsets: I64
+    starts: I64
+    ends: I64
+    costs: F64
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def parts(self) -> list[tuple[I64, I64, F64]]:
+        """The starts, ends and costs of each template."""
+        pieces = [slice(start, stop) for start, stop in pairwise(self.offsets.tolist())]
+        return [(self.starts[piece], self.ends[piece], self.costs[piece]) for piece in pieces]
+
+    @staticmethod
+    def of(parts: Sequence[tuple[I64, I64, F64]]) -> Matches:
+        """Put the starts, ends and costs of templates together."""
+        offsets = np.cumsum([0, *(len(costs) for _, _, costs in parts)]).astype(np.int64)
+        starts = np.concatenate([np.empty(0, np.int64), *(one for one, _, _ in parts)])
+        ends = np.concatenate([np.empty(0, np.int64), *(one for _, one, _ in parts)])
+        return Matches(offsets, starts, ends, np.concatenate([np.empty(0), *(one for _, _, one in parts)]))
 
 
 def local_minima(curve: F64, threshold: float) -> I64:
@@ -56,116 +95,205 @@ def local_minima(curve: F64, threshold: float) -> I64:
     return np.flatnonzero(low).astype(np.int64)
 
 
-def spread_minima(curve: F64, starts: I64, ends: I64) -> F64:
-    """Give all frames from start to end of each minimum its distance at most: the modified curve (Eq. 5.4).
+def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F64 = np.inf) -> list[list[Segment]]:
+    """Label every frame with the class that explains it best, and grow the labelled runs (Eq. 5.4 to 5.7).
 
-    Parameters
-    ----------
-    curve: float64 (L,), the distance curve.
-    starts, ends: int64 (M,), first and last frame of each minimum's best path, both included.
-
-    Returns
-    -------
-    float64 (L,), ∞ where no minimum reaches.
-    """
-    if len(starts) != len(ends) or np.any(starts > ends):
-        raise ParameterError("starts", "one for each end, and not after it", (len(starts), len(ends)))
-    spread = np.full(len(curve), np.inf)
-    lower_stretches(spread, np.asarray(starts, np.int64), np.asarray(ends, np.int64), curve[ends])
-    return spread
-
-
-def annotate(modified: F64, classes: I64, threshold: float | F64 = np.inf) -> list[Segment]:
-    """Label every frame with the class that explains it best, and grow the labelled runs (Eq. 5.5 to 5.7).
-
-    A class takes the least of its subclasses' modified curves; ties go to the first class, and within it to the
+    A template's modified curve is at most the cost of a minimum from the start to the end of its path (Eq. 5.4). A
+    class takes the least of its subclasses' modified curves; ties go to the first class, and within it to the
     first subclass. A run of a label grows to the left while the class's modified curve, read leftwards, does not
-    rise, and to the right likewise. Grown segments of one class that overlap or touch are one.
+    rise, and to the right likewise, never into ∞. Grown segments of one class that overlap or touch are one.
 
     Parameters
     ----------
-    modified: float64 (S, L), the modified curve of each subclass (see `spread_minima`).
+    matches: the minima of each of S subclasses, in frames of takes laid end to end.
     classes: int64 (S,), the class of each subclass, 0 … P − 1.
+    offsets: int64 (T + 1,), where the takes begin, and the end. No path and no segment reaches over such a place.
     threshold: τ, or float64 with one for each class, which the confidence is measured against where no other class is
         nearer: 1 − cost / rival, the rival being the mean over the segment's frames of the nearest other class's
         modified curve, or the class's own τ where that is less.
 
     Returns
     -------
-    Segments ordered by start, stop and class; those of different classes may overlap.
+    For each take its segments in frames of the take, ordered by start, stop and class; those of different classes may
+    overlap.
+
+    Raises
+    ------
+    ParameterError: classes or thresholds that are not one for each.
     """
-    subclasses, frames = modified.shape
-    if len(classes) != subclasses or (subclasses and classes.min() < 0):
-        raise ParameterError("classes", f"one index for each of {subclasses} subclasses", len(classes))
-    if not subclasses or not frames:
-        return []
-    curves, best = _class_curves(modified, classes)
-    taus = np.broadcast_to(np.asarray(threshold, np.float64), np.shape(threshold) or (len(curves),)).tolist()
-    labels = _labels(curves)
-    segments = []
-    for class_index in np.unique(labels[labels >= 0]).tolist():
-        for start, stop in grow(curves[class_index], labels == class_index):
-            at = start + int(np.argmin(curves[class_index, start:stop]))
-            cost = float(curves[class_index, at])
-            sure = _confidence(curves, class_index, slice(start, stop), cost, taus[class_index])
-            segments.append(Segment(start, stop, class_index, cost, int(best[class_index, at]), sure))
-    return sorted(segments)
-
-
-def _confidence(curves: F64, class_index: int, frames: slice, cost: float, threshold: float) -> float:
-    before = curves[:class_index, frames].min(axis=0, initial=threshold)
-    after = curves[class_index + 1 :, frames].min(axis=0, initial=threshold)
-    rival = float(np.minimum(before, after).mean())
-    return 1.0 - min(cost / rival, 1.0) if rival > 0 else 0.0
-
-
-def _class_curves(modified: F64, classes: I64) -> tuple[F64, I64]:
-    """Return the least modified curve of each class, and which subclass it comes from."""
-    count = int(classes.max()) + 1
-    curves = np.full((count, modified.shape[1]), np.inf)
-    best = np.zeros((count, modified.shape[1]), np.int64)
-    for class_index in range(count):
-        members = np.flatnonzero(classes == class_index)
-        if len(members) == 1:
-            curves[class_index], best[class_index] = modified[members[0]], members[0]
-        elif len(members):
-            curves[class_index] = modified[members].min(axis=0)
-            best[class_index] = members[np.argmax(modified[members] <= curves[class_index] + TOLERANCE, axis=0)]
-    return curves, best
-
-
-def _labels(curves: F64) -> I64:
-    """Return the first class of least cost at every frame, −1 where all are ∞."""
-    least = curves.min(axis=0)
-    labels = np.argmax(curves <= least + TOLERANCE, axis=0).astype(np.int64)
-    labels[np.isinf(least)] = -1
-    return labels
-
-
-def grow(curve: F64, labelled: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Grow the runs of labelled frames along a modified curve, and merge what overlaps or touches (Eq. 5.7)."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], labelled, [False])).astype(np.int8)))
-    # rises[n]: the curve rises from frame n to n + 1; ∞ − ∞ is no rise, and no run comes to stand on ∞.
-    ahead, behind = curve[1:], curve[:-1]
-    rises = np.flatnonzero(ahead > behind + TOLERANCE)
-    falls = np.flatnonzero(behind > ahead + TOLERANCE)
-    grown: list[tuple[int, int]] = []
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        wall = np.searchsorted(falls, start)  # leftwards it rises where, read forwards, it falls
-        left = int(falls[wall - 1]) + 1 if wall > 0 else 0
-        wall = np.searchsorted(rises, stop - 1)
-        right = int(rises[wall]) + 1 if wall < len(rises) else len(curve)
-        if grown and left <= grown[-1][1]:
-            grown[-1] = (min(left, grown[-1][0]), max(right, grown[-1][1]))
-        else:
-            grown.append((left, right))
-    return grown
+    if len(classes) != len(matches) or (len(classes) and classes.min() < 0):
+        raise ParameterError("classes", f"one index for each of {len(matches)} subclasses", len(classes))
+    count = int(classes.max()) + 1 if len(classes) else 0
+    given = np.asarray(threshold, np.float64)
+    if given.ndim and len(given) < count:
+        raise ParameterError("threshold", f"one for each of {count} classes", len(given))
+    taus = np.ascontiguousarray(given if given.ndim else np.full(count, given))
+    members = np.argsort(classes, kind="stable")
+    edges = np.searchsorted(classes[members], np.arange(count + 1)).astype(np.int64)
+    begins = np.zeros(int(offsets[-1]) + 1, np.bool_)
+    begins[offsets] = True
+    islands, curves = class_curves(matches.offsets, matches.starts, matches.ends, matches.costs, members, edges, begins)
+    labels, *nearest = nearest_classes(islands, curves, int(offsets[-1]))
+    places, costs, sure = grown(islands, curves, labels, *nearest, taus)
+    homes = np.searchsorted(offsets, places[:, 1], side="right") - 1
+    subclasses = first_members(
+        places, costs, matches.offsets, matches.starts, matches.ends, matches.costs, members, edges
+    )
+    order = np.lexsort((places[:, 0], places[:, 2], places[:, 1]))
+    bounds = np.searchsorted(homes[order], np.arange(len(offsets)))
+    rows = zip(
+        (places[order, 1] - offsets[homes[order]]).tolist(), (places[order, 2] - offsets[homes[order]]).tolist(),
+        places[order, 0].tolist(), costs[order].tolist(), subclasses[order].tolist(), sure[order].tolist(), strict=True,
+    )  # fmt: skip
+    segments = [Segment(*row) for row in rows]
+    return [segments[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
 
 
 @nb.njit(cache=True, nogil=True)
-def lower_stretches(curve: F64, starts: I64, ends: I64, costs: F64) -> None:
-    """Lower the curve to each stretch's cost, from its start to its end, in place (kernel)."""
-    for place in range(len(starts)):
-        for frame in range(starts[place], ends[place] + 1):
-            if costs[place] < curve[frame]:
-                curve[frame] = costs[place]
+def class_curves(
+    offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64, begins: Bool
+) -> tuple[I64, F64]:
+    """The modified curves of classes where they are finite (kernel).
+
+    members: int64 (S,), subclasses by class; those of class p from edges[p] to edges[p + 1]. begins: bool (L + 1,),
+    where a take begins, and the end.
+
+    Returns
+    -------
+    int64 (I, 4): class, first frame, frame behind the last, and place of the first value of each island, by class and
+    frame. float64: the values of all islands.
+    """
+    frames = len(begins) - 1
+    curve, touched = np.full(frames, np.inf), np.zeros(frames // _BLOCK + 1, np.bool_)
+    islands, found = np.empty((256, 4), np.int64), 0
+    values, filled = np.empty(4096), 0
+    for p in range(len(edges) - 1):
+        for member in range(edges[p], edges[p + 1]):
+            s = members[member]
+            for place in range(offsets[s], offsets[s + 1]):
+                start, end, cost = starts[place], ends[place], costs[place]
+                for frame in range(start, end + 1):
+                    curve[frame] = min(curve[frame], cost)
+                touched[start // _BLOCK : end // _BLOCK + 1] = True
+        inside = False
+        for block in range(len(touched)):
+            if not touched[block]:
+                inside = False
+                continue
+            touched[block] = False
+            if filled + _BLOCK > len(values):
+                values = np.concatenate((values, values))
+            if found + _BLOCK > len(islands):
+                islands = np.concatenate((islands, islands))
+            for frame in range(block * _BLOCK, min((block + 1) * _BLOCK, frames)):
+                if curve[frame] == np.inf:
+                    inside = False
+                    continue
+                if not inside or begins[frame]:
+                    islands[found, 0], islands[found, 1], islands[found, 3] = p, frame, filled
+                    found += 1
+                    inside = True
+                islands[found - 1, 2] = frame + 1
+                values[filled] = curve[frame]
+                filled += 1
+                curve[frame] = np.inf
+    return islands[:found].copy(), values[:filled].copy()
+
+
+@nb.njit(cache=True, nogil=True)
+def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F64, F64]:
+    """Of each frame: its label, −1 for none; the class of the least cost, that cost, and the next class's (kernel)."""
+    labels, nearest = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
+    least, second = np.full(frames, np.inf), np.full(frames, np.inf)
+    for island in range(len(islands)):
+        shift = islands[island, 3] - islands[island, 1]
+        for frame in range(islands[island, 1], islands[island, 2]):
+            value = values[frame + shift]
+            if value < least[frame]:
+                second[frame] = least[frame]
+                least[frame], nearest[frame] = value, islands[island, 0]
+            elif value < second[frame]:
+                second[frame] = value
+    for island in range(len(islands)):
+        shift = islands[island, 3] - islands[island, 1]
+        for frame in range(islands[island, 1], islands[island, 2]):
+            if labels[frame] < 0 and values[frame + shift] <= least[frame] + TOLERANCE:
+                labels[frame] = islands[island, 0]
+    return labels, nearest, least, second
+
+
+@nb.njit(cache=True, nogil=True)
+def grown(
+    islands: I64, values: F64, labels: I64, nearest: I64, least: F64, second: F64, taus: F64
+) -> tuple[I64, F64, F64]:
+    """Grow the runs of labels (kernel).
+
+    Returns
+    -------
+    int64 (R, 4): class, first frame, frame behind the last, and the first frame of the least cost, of each segment.
+    float64 (R,): that cost. float64 (R,): the confidence.
+    """
+    places, found = np.empty((256, 4), np.int64), 0
+    for island in range(len(islands)):
+        p, begin, stop = islands[island, 0], islands[island, 1], islands[island, 2]
+        curve = values[islands[island, 3] : islands[island, 3] + stop - begin]
+        before = found
+        frame = begin
+        while frame < stop:
+            if labels[frame] != p:
+                frame += 1
+                continue
+            left, right = frame, frame + 1
+            while right < stop and labels[right] == p:
+                right += 1
+            frame = right
+            # What grows into the segment before it has the same end as that, or one further right.
+            wall = places[found - 1, 2] if found > before else begin
+            while left > wall and not curve[left - 1 - begin] > curve[left - begin] + TOLERANCE:
+                left -= 1
+            right = max(right, wall)
+            while right < stop and not curve[right - begin] > curve[right - 1 - begin] + TOLERANCE:
+                right += 1
+            if found > before and left <= wall:
+                places[found - 1, 2] = right
+                continue
+            if found == len(places):
+                places = np.concatenate((places, places))
+            places[found, 0], places[found, 1], places[found, 2], places[found, 3] = p, left, right, island
+            found += 1
+    costs, sure = np.empty(found), np.empty(found)
+    for place in range(found):
+        p, island = places[place, 0], places[place, 3]
+        shift = islands[island, 3] - islands[island, 1]
+        at, rivals = places[place, 1], 0.0
+        for frame in range(places[place, 1], places[place, 2]):
+            if values[frame + shift] < values[at + shift]:
+                at = frame
+            rivals += min(second[frame] if nearest[frame] == p else least[frame], taus[p])
+        rival = rivals / (places[place, 2] - places[place, 1])
+        costs[place] = values[at + shift]
+        sure[place] = 1.0 - min(costs[place] / rival, 1.0) if rival > 0 else 0.0
+        places[place, 3] = at
+    return places[:found].copy(), costs, sure
+
+
+@nb.njit(cache=True, nogil=True)
+def first_members(
+    places: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
+) -> I64:
+    """The first subclass of each segment's class that reaches the least cost where it lies (kernel)."""
+    longest = np.zeros(len(offsets) - 1, np.int64)
+    for s in range(len(longest)):
+        for place in range(offsets[s], offsets[s + 1]):
+            longest[s] = max(longest[s], ends[place] - starts[place])
+    result = np.full(len(places), -1, np.int64)
+    for segment in range(len(places)):
+        p, at = places[segment, 0], places[segment, 3]
+        for member in range(edges[p], edges[p + 1]):
+            s = members[member]
+            place = offsets[s] + np.searchsorted(ends[offsets[s] : offsets[s + 1]], at)
+            while result[segment] < 0 and place < offsets[s + 1] and ends[place] <= at + longest[s]:
+                if starts[place] <= at and costs[place] <= least[segment] + TOLERANCE:
+                    result[segment] = s
+                place += 1
+    return result

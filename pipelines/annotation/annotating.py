@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +16,18 @@ import pyarrow as pa
 from catalog.classes import Classes
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery
-from ops.distances.annotation import Segment, annotate, lower_stretches
+from ops.distances.annotation import Matches, Segment, annotate
 from ops.distances.costs import encode
 from ops.distances.decoding import Decoding, explain, margins
 from ops.distances.dtw import distance_curves
 from ops.distances.pruning import minima_below
+from ops.distances.within import minima_within, ranges_around, united
 from ops.errors import KinedexError, did_you_mean
 from ops.templates.templates import QuantisedTemplate, Template, quantise
 from ops.words import U64, TakeWords
 from pipelines.executors import Executor
 from pipelines.searching.search import preselect
-from pipelines.searching.windows import template_ranges
+from pipelines.searching.windows import template_window
 from pipelines.templates.learning import SubclassTemplate, run_of
 from pipelines.wording import few
 from storage.schemas import result_schema
@@ -36,6 +39,9 @@ I64 = npt.NDArray[np.int64]
 
 BATCH_FRAMES = 50_000
 """Analysis frames (28 minutes) whose curves are held at once, 400 kB a subclass."""
+
+NARROW = 4
+"""A template is matched range by range where its ranges are no more than one frame in so many."""
 
 VAGUE = 1.0
 """Fixed entries a column, on average, below which a template hardly tells motions apart: one feature of forty. (At
@@ -82,6 +88,22 @@ class Annotator:
     def thresholds(self) -> F64:
         """The threshold of each class, float64 (P,)."""
         return np.full(len(self.classes), self.tau) if self.taus is None else self.taus
+
+    @cached_property
+    def reach(self) -> tuple[tuple[tuple[int, int], ...], ...]:
+        """How far each template reaches out of the hits of each of its queries, to the left and to the right.
+
+        The hits of a query with alternatives get the widest of their margins, since any of them may have found a hit.
+        """
+        found = []
+        for template, queries in zip(self.templates, self.queries, strict=True):
+            columns = template.values(len(self.feature_set.features)) if queries else np.empty((0, 0))
+            own = []
+            for query in queries:
+                windows = [template_window(chain, columns, self.feature_set) for chain in query.chains]
+                own.append((max(one.left for one in windows), max(one.right for one in windows)))
+            found.append(tuple(own))
+        return tuple(found)
 
     @property
     def method(self) -> str:
@@ -199,6 +221,7 @@ def annotate_takes(
     store: Path, annotator: Annotator, takes: pl.DataFrame, executor: Executor, keep_curves: bool
 ) -> Iterator[list[TakeAnnotation]]:
     """Annotate takes batch by batch; each batch in order of take_id."""
+    annotator.reach  # noqa: B018 - found once, and goes with the annotator to the workers
     batches = [
         Batch(store, annotator, take_ids, keep_curves)
         for take_ids in split_takes(takes["take_id"].to_list(), takes["frames"].to_list())
@@ -272,44 +295,56 @@ def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
 def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = False) -> list[TakeAnnotation]:
     """Annotate takes, all templates against all words at once."""
     ranges = _ranges(annotator, words)
-    modified = _modified(annotator, words, ranges) if annotator.row is None else None
+    together = annotator.row is not None
     # minima below τ are found without the curves, which are only drawn, and give rows their costs
-    curves = _curves(annotator, words, ranges) if keep_curves or modified is None else np.empty((0, len(words.words)))
+    curves = _curves(annotator, words, ranges) if keep_curves or together else None
+    if together:
+        assert curves is not None
+        segments = _explained_takes(annotator, words, ranges, curves)
+    else:
+        matches = _matches(annotator, words, ranges)
+        segments = annotate(matches, annotator.class_index, words.offsets, annotator.thresholds)
     kept = np.array([_frames_within(one, words.offsets) for one in ranges], np.float64)
     found = []
     for index, take_id in enumerate(words.take_ids.tolist()):
         piece = slice(int(words.offsets[index]), int(words.offsets[index + 1]))
-        if modified is None:
-            segments = _explained(annotator, words.words[piece], ranges, curves[:, piece], piece)
-        else:
-            segments = annotate(modified[:, piece], annotator.class_index, annotator.thresholds)
-        segments = [one for one in segments if one.stop - one.start >= annotator.min_frames]
         found.append(
             TakeAnnotation(
                 take_id,
-                tuple(segments),
+                tuple(one for one in segments[index] if one.stop - one.start >= annotator.min_frames),
                 kept[:, index] / max(piece.stop - piece.start, 1),
-                curves[:, piece].astype(np.float32) if keep_curves else None,
+                curves[:, piece].astype(np.float32) if keep_curves and curves is not None else None,
             )
         )
     return found
 
 
-def _modified(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F64:
-    """The modified curves of all templates (thesis, Eq. 5.4).
+def _matches(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> Matches:
+    """The minima of all templates below the thresholds of their classes.
 
     A neighbour at τ or above never keeps a frame from being a minimum below τ, so the minima are those of the curves.
     """
-    modified = np.full((len(annotator.templates), len(words.words)), np.inf)
+    taus = annotator.thresholds[annotator.class_index]
+    narrow = np.array([NARROW * int((own[:, 1] - own[:, 0]).sum()) <= len(words.words) for own in ranges], np.bool_)
     coded = encode(words.words)
-    taus = annotator.thresholds[annotator.class_index].tolist()
-    for subclass, template in enumerate(annotator.templates):
-        own = ranges[subclass]
-        # blocks are looked at in all words, which costs more than it saves where keyframes leave few of them
-        prune = 4 * int((own[:, 1] - own[:, 0]).sum()) > len(words.words)
-        minima = minima_below(template, words.words, taus[subclass], own, coded, prune)
-        lower_stretches(modified[subclass], minima.starts, minima.ends, minima.costs)
-    return modified
+    if narrow.all():
+        return minima_within(annotator.templates, words.words, taus, ranges, coded)
+    chosen = np.flatnonzero(narrow).tolist()
+    within = minima_within(
+        [annotator.templates[s] for s in chosen], words.words, taus[chosen], [ranges[s] for s in chosen], coded
+    )
+    parts = dict(zip(chosen, within.parts(), strict=True))
+    for s in np.flatnonzero(~narrow).tolist():
+        minima = minima_below(annotator.templates[s], words.words, float(taus[s]), ranges[s], coded)
+        parts[s] = minima.starts, minima.ends, minima.costs
+    return Matches.of([parts[s] for s in range(len(ranges))])
+
+
+def _explained_takes(annotator: Annotator, words: TakeWords, ranges: Sequence[I64], curves: F64) -> list[list[Segment]]:
+    """The segments of the best explanation of each take."""
+    edges = words.offsets.tolist()
+    pieces = [slice(start, stop) for start, stop in pairwise(edges)]
+    return [_explained(annotator, words.words[piece], ranges, curves[:, piece], piece) for piece in pieces]
 
 
 def _explained(annotator: Annotator, words: U64, ranges: Sequence[I64], curves: F64, piece: slice) -> list[Segment]:
@@ -338,14 +373,15 @@ def _ranges(annotator: Annotator, words: TakeWords) -> list[I64]:
     every = {query.name: query for queries in annotator.queries for query in queries}
     hits = preselect(words, annotator.feature_set, list(every.values()))
     ranges = []
-    for template, queries in zip(annotator.templates, annotator.queries, strict=True):
+    for queries, reach in zip(annotator.queries, annotator.reach, strict=True):
         if not queries:
             ranges.append(whole)
             continue
-        columns = template.values(len(annotator.feature_set.features))
-        found = template_ranges(hits, queries, columns, annotator.feature_set, words.frames)
-        shift = np.repeat(words.offsets[:-1], np.diff(found.offsets))
-        ranges.append(np.stack([found.starts + shift, found.stops + shift], axis=1))
+        several = [
+            ranges_around(found.starts, found.stops, found.offsets, words.offsets, left, right)
+            for found, (left, right) in zip((hits[query.name] for query in queries), reach, strict=True)
+        ]
+        ranges.append(several[0] if len(several) == 1 else united(several, words.offsets))
     return ranges
 
 

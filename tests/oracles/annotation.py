@@ -29,8 +29,10 @@ def modified(curve: Curve, starts: dict[int, int], tau: float) -> Curve:
     return result
 
 
-def annotate(curves: list[Curve], classes: list[int]) -> list[tuple[int, int, int, float, int]]:
-    """Return (start, stop, class, cost, subclass) of every segment; `curves` are modified ones."""
+def annotate(
+    curves: list[Curve], classes: list[int], taus: float | list[float] = INF
+) -> list[tuple[int, int, int, float, int, float]]:
+    """Return (start, stop, class, cost, subclass, confidence) of every segment; `curves` are modified ones."""
     if not curves or not curves[0]:
         return []
     length = len(curves[0])
@@ -61,5 +63,8 @@ def annotate(curves: list[Curve], classes: list[int]) -> list[tuple[int, int, in
             cost = min(of_class[p][start:stop])
             at = of_class[p].index(cost, start)
             nearest = next(s for s in range(len(curves)) if classes[s] == p and curves[s][at] <= cost + CLOSE)
-            segments.append((start, stop, p, cost, nearest))
+            tau = taus if isinstance(taus, float) else taus[p]
+            others = [curve for q, curve in enumerate(of_class) if q != p]
+            rival = sum(min([tau, *(curve[n] for curve in others)]) for n in range(start, stop)) / (stop - start)
+            segments.append((start, stop, p, cost, nearest, 1 - min(cost / rival, 1) if rival > 0 else 0.0))
     return sorted(segments)

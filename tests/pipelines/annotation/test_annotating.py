@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from catalog.classes import Classes, MotionClass, load_classes
 from catalog.queries import Gap, Keyframe, KeyframeQuery
-from ops.distances.annotation import local_minima, spread_minima
+from ops.distances.annotation import local_minima
 from ops.distances.decoding import background
 from ops.distances.dtw import distance_curves, start_frames
 from ops.errors import KinedexError
@@ -20,7 +20,10 @@ from ops.templates.templates import Learned, Template, learn_soft
 from ops.words import TakeWords
 from pipelines.annotation import annotating
 from pipelines.annotation.annotating import Annotator, annotate_words, make_annotator, split_takes, targets_unknown
+from pipelines.searching.search import preselect
+from pipelines.searching.windows import template_ranges
 from pipelines.templates.learning import SubclassTemplate
+from tests.oracles import annotation as naive
 from tests.pipelines.labelled import BODY, POSES, motion
 
 
@@ -187,20 +190,45 @@ def test_frames_within_ranges_are_counted_take_by_take(lengths: list[int], steps
 
 
 @settings(max_examples=40)
-@given(words_of_takes, st.booleans(), st.sampled_from([0.02, 0.13, 0.5]))
-def test_modified_curves_are_those_of_whole_curves(takes: list[np.ndarray], with_keyframes: bool, tau: float):
-    queries = (KICK,) if with_keyframes else ()
-    templates = [template("kick", 3), template("walk", 3), template("rest", 1)]
-    one = make_annotator(BODY, templates, load_classes("own", [one.subclass for one in templates]), 0.05, tau, queries)
+@given(words_of_takes, st.sampled_from([0, 1, 2]), st.sampled_from([0.02, 0.13, 0.5]), st.sampled_from([0, 1, 10**9]))
+def test_segments_are_those_of_whole_curves_labelled_frame_by_frame(
+    takes: list[np.ndarray], with_keyframes: int, tau: float, narrow: int
+):
+    queries = (KICK, replace(KICK, name="its start", keyframes=KICK.keyframes[:1], gaps=()))[:with_keyframes]
+    templates = [template("kick", 3), template("walk", 3), template("rest", 1)]  # the last has a single column
+    classes = Classes((MotionClass("legs", "", ("rest", "kick")), MotionClass("walk", "", ("walk",))))
+    one = make_annotator(BODY, templates, classes, 0.05, tau, queries)
     words = laid_out(takes)
-    ranges = annotating._ranges(one, words)
-    found = annotating._modified(one, words, ranges)
-    for row, quantised, stretches in zip(found, one.templates, ranges, strict=True):
+    ranges = template_ranges_of(one, words)
+    pieces = list(pairwise(words.offsets.tolist()))
+    modified: list[list[list[float]]] = [[] for _ in pieces]
+    for quantised, stretches in zip(one.templates, ranges, strict=True):
         (curve,) = distance_curves([quantised], words.words, stretches)
-        minima = [
-            local_minima(curve[start:stop], tau) + start
-            for start, stop in zip(words.offsets[:-1], words.offsets[1:], strict=True)
-        ]
-        ends = np.concatenate(minima)
-        starts = start_frames(quantised, words.words, ends, stretches)
-        np.testing.assert_allclose(row, spread_minima(curve, starts, ends), rtol=0, atol=1e-12)
+        for own, (start, stop) in zip(modified, pieces, strict=True):
+            ends = local_minima(curve[start:stop], tau)
+            begins = start_frames(quantised, words.words, ends + start, stretches) - start
+            starts = dict(zip(ends.tolist(), begins.tolist(), strict=True))
+            own.append(naive.modified(curve[start:stop].tolist(), starts, tau))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(annotating, "NARROW", narrow)
+        found = annotate_words(one, words)
+    for take, own in zip(found, modified, strict=True):
+        expected = naive.annotate(own, one.class_index.tolist(), tau)
+        labels = [(s.start, s.stop, s.class_index, s.subclass) for s in take.segments]
+        assert labels == [(*s[:3], s[4]) for s in expected]
+        assert [s.cost for s in take.segments] == pytest.approx([s[3] for s in expected], abs=1e-9)
+        assert [s.confidence for s in take.segments] == pytest.approx([s[5] for s in expected], abs=1e-9)
+
+
+def template_ranges_of(one: Annotator, words: TakeWords) -> list[np.ndarray]:
+    """The ranges of each template, as `template_ranges` has them take by take."""
+    hits = preselect(words, BODY, [query for queries in one.queries for query in queries])
+    found = []
+    for quantised, queries in zip(one.templates, one.queries, strict=True):
+        if not queries:
+            found.append(np.stack([words.offsets[:-1], words.offsets[1:]], axis=1))
+            continue
+        own = template_ranges(hits, queries, quantised.values(40), BODY, words.frames)
+        shift = np.repeat(words.offsets[:-1], np.diff(own.offsets))
+        found.append(np.stack([own.starts + shift, own.stops + shift], axis=1))
+    return found

@@ -1,0 +1,222 @@
+"""Minima of distance curves within short ranges, such as keyframes leave: all sums of a range fit into the cache.
+
+Where ranges are long or many, `ops.distances.pruning` rules most frames out by bounds, and goes over what remains
+twice, for distances and for paths. Within a few hundred frames that is more work than the distances themselves: here
+every sum is computed once, kept while its range lasts, and paths are read from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba as nb
+import numpy as np
+
+from ops.distances.annotation import TOLERANCE, Matches
+from ops.distances.costs import F64, I32, I64, CodedWords, contradictions, encode, lay_out
+from ops.distances.dtw import check_ranges
+from ops.errors import ParameterError
+from ops.templates.templates import QuantisedTemplate
+from ops.words import NO_WORD, U64
+
+_NO_WORD = np.uint64(NO_WORD)
+_PIECE = 512  # frames of a range whose sums are kept at once, besides those that lead in
+_ROWS = 4096  # words whose costs are kept at once
+
+
+def minima_within(
+    templates: Sequence[QuantisedTemplate],
+    words: U64,
+    thresholds: F64,
+    ranges: Sequence[I64],
+    coded: CodedWords | None = None,
+) -> Matches:
+    """Find the local minima of distance curves below a threshold within ranges, with the paths that lead to them.
+
+    They are those of `ops.distances.pruning.minima_below`, to the bit.
+
+    Parameters
+    ----------
+    templates: T templates. words: uint64 (L,). thresholds: float64 (T,), τ > 0 of each template.
+    ranges: for each template int64 (R, 2), half-open stretches of frames, ascending and apart; each is computed as if
+        it were a take of its own.
+    coded: `ops.distances.costs.encode(words)`, where it is known.
+
+    Raises
+    ------
+    ParameterError: a threshold that is not above 0, or wrong ranges.
+    """
+    if len(thresholds) != len(templates) or len(ranges) != len(templates) or not np.all(thresholds > 0):
+        raise ParameterError("thresholds", f"above 0, one for each of {len(templates)} templates", thresholds.tolist())
+    if not templates:
+        return Matches.of([])
+    stretches = [check_ranges(own, len(words)) for own in ranges]
+    edges = np.cumsum([0, *map(len, stretches)]).astype(np.int64)
+    layout = lay_out(templates)
+    counted = np.maximum(np.bitwise_count(layout.masks), 1).astype(np.float64)
+    coded = encode(words) if coded is None else coded
+    found = fill_matches(
+        coded.vocabulary, coded.codes, layout.values, layout.masks, counted, layout.firsts,
+        layout.lengths, np.ascontiguousarray(thresholds, np.float64), np.concatenate(stretches), edges,
+    )  # fmt: skip
+    return Matches(*found)
+
+
+def ranges_around(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, right: int) -> I64:
+    """Extend the hits of a query by margins, within their takes, and unite those that then overlap or touch.
+
+    Parameters
+    ----------
+    starts, stops: int64 (H,), frames of a take, half-open, ascending within each. takes: int64 (T + 1,), take i has
+        the hits takes[i] .. takes[i + 1] − 1. offsets: int64 (T + 1,), where the takes lie among words laid end to
+        end. left, right: frames to add.
+
+    Returns
+    -------
+    int64 (R, 2), ranges of the words.
+    """
+    ranges = np.empty((len(starts), 2), np.int64)
+    return ranges[: extend_hits(starts, stops, takes, offsets, left, right, ranges)]
+
+
+def united(several: Sequence[I64], offsets: I64) -> I64:
+    """Unite ranges of words; those that overlap, or touch within a take, become one.
+
+    Parameters
+    ----------
+    several: one or more of int64 (R, 2), as `ranges_around` returns them. offsets: int64 (T + 1,), where takes lie.
+    """
+    ranges = np.concatenate(several)
+    ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
+    starts, reach = ranges[:, 0], np.maximum.accumulate(ranges[:, 1])
+    fresh = np.ones(len(ranges), np.bool_)
+    fresh[1:] = (starts[1:] > reach[:-1]) | ((starts[1:] == reach[:-1]) & np.isin(starts[1:], offsets))
+    firsts = np.flatnonzero(fresh)
+    lasts = np.append(firsts[1:], len(ranges))[: len(firsts)] - 1
+    return np.stack([starts[firsts], reach[lasts]], axis=1)
+
+
+@nb.njit(cache=True, nogil=True)
+def extend_hits(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, right: int, ranges: I64) -> int:
+    """Fill the ranges of `ranges_around`; return how many there are (kernel)."""
+    count = 0
+    for take in range(len(takes) - 1):
+        fresh = True  # no range reaches from one take into the next
+        for hit in range(takes[take], takes[take + 1]):
+            start = max(offsets[take] + starts[hit] - left, offsets[take])
+            stop = min(offsets[take] + stops[hit] + right, offsets[take + 1])
+            if not fresh and start <= ranges[count - 1, 1]:
+                ranges[count - 1, 1] = max(stop, ranges[count - 1, 1])
+            else:
+                ranges[count, 0], ranges[count, 1] = start, stop
+                count += 1
+                fresh = False
+    return count
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_matches(
+    vocabulary: U64, codes: I32, values: U64, masks: U64, counted: F64, firsts: I64, lengths: I64,
+    thresholds: F64, stretches: I64, edges: I64,
+) -> tuple[I64, I64, I64, F64]:  # fmt: skip
+    """Go over the ranges of all templates, and return the parts of `Matches` (kernel).
+
+    values … lengths: of a `Layout`. stretches: int64 (R, 2), those of template t from edges[t] to edges[t + 1].
+    """
+    longest, room = lengths.max(), _PIECE + 2 * lengths.max()
+    # Two rows and two columns of ∞ are before the first frame and the first column, so that no step asks for the edge.
+    sums = np.full((room + 2, longest + 2), np.inf)
+    # Few of the words occur in the ranges of a template, and those again and again: each costs one row.
+    table, used = np.empty((max(room, _ROWS), longest)), 0
+    row_of, filled_in, turn = np.empty(len(vocabulary), np.int32), np.full(len(vocabulary), -1, np.int64), 0
+    rows = np.empty(room, np.int32)
+    offsets = np.zeros(len(lengths) + 1, np.int64)
+    starts, ends, distances = np.empty(1024, np.int64), np.empty(1024, np.int64), np.empty(1024)
+    count = 0
+    for t in range(len(lengths)):
+        columns, used, turn = lengths[t], 0, turn + 1
+        own = slice(firsts[t], firsts[t] + columns)
+        own_values, own_masks, own_counted = values[own], masks[own], counted[own]
+        for place in range(edges[t], edges[t + 1]):
+            opens, closes = stretches[place]
+            for begin in range(opens, closes, _PIECE):
+                stop = min(begin + _PIECE, closes)
+                # A path that ends in the frame before the piece, a neighbour of its first one, leads in from here.
+                first = max(begin - 1 - 2 * (columns - 1), opens)
+                frames = min(stop + 1, closes) - first
+                if used + frames > len(table):
+                    used, turn = 0, turn + 1
+                for frame in range(frames):
+                    code = codes[first + frame]
+                    if filled_in[code] != turn:
+                        fill_row(vocabulary[code], own_masks, own_values, own_counted, table[used])
+                        if vocabulary[code] == _NO_WORD:
+                            table[used, :] = np.inf
+                        filled_in[code], row_of[code] = turn, used
+                        used += 1
+                    rows[frame] = row_of[code]
+                fill_sums(table, rows[:frames], columns, sums)
+                while count + stop - begin > len(ends):
+                    starts, ends = np.concatenate((starts, starts)), np.concatenate((ends, ends))
+                    distances = np.concatenate((distances, distances))
+                for frame in range(begin - first, stop - first):
+                    distance = sums[frame + 2, columns + 1] / columns
+                    if not distance < thresholds[t] - TOLERANCE:
+                        continue
+                    if distance > sums[frame + 1, columns + 1] / columns + TOLERANCE:
+                        continue
+                    if frame + 1 < frames and distance > sums[frame + 3, columns + 1] / columns + TOLERANCE:
+                        continue
+                    ends[count], distances[count] = first + frame, distance
+                    starts[count] = first + begin_of(table, rows, columns, sums, frame)
+                    count += 1
+        offsets[t + 1] = count
+    return offsets, starts[:count].copy(), ends[:count].copy(), distances[:count].copy()
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_row(word: np.uint64, masks: U64, values: U64, counted: F64, row: F64) -> None:
+    """Fill the local costs of a word in the columns of a template (kernel)."""
+    for n in range(len(counted)):
+        row[n] = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
+    """Fill the costs of the best paths that end in each column at each frame, in row frame + 2 (kernel).
+
+    The sums are those of `ops.distances.sweep.sweep`, added in the same order. Left out are cells that no path comes to
+    (a frame leads on by two columns at most), which are ∞, and those that lead to no end.
+    """
+    for frame in range(len(rows)):
+        least, most = max(0, columns - 1 - 2 * (len(rows) - 1 - frame)), min(columns - 1, 2 * frame)
+        # Views that begin with the first cell: the compiler then sees that no index is below 0, and vectorises.
+        before, behind, here = sums[frame, least + 1 :], sums[frame + 1, least:], sums[frame + 2, least + 2 :]
+        cost = table[rows[frame], least:]
+        for n in range(most + 1 - least):
+            one, two = behind[n + 1], before[n]
+            single = (one if one < two else two) + cost[n]
+            double = behind[n] + (cost[n] + cost[n])
+            here[n] = double if double < single else single
+        for n in range(most + 1 - least, columns - least):
+            here[n] = np.inf
+        if least == 0:
+            here[0] = cost[0]
+
+
+@nb.njit(cache=True, nogil=True)
+def begin_of(table: F64, rows: I32, columns: int, sums: F64, frame: int) -> int:
+    """The frame in which the best path begins that ends at a frame; of equal ones as in `best_paths` (kernel)."""
+    n = columns - 1
+    while n > 0:
+        cost = table[rows[frame], n]
+        straight = sums[frame + 1, n + 1] + cost
+        skipped = sums[frame, n + 1] + cost
+        doubled = sums[frame + 1, n] + (cost + cost)
+        if doubled < straight and doubled < skipped:
+            frame, n = frame - 1, n - 2
+        elif skipped < straight:
+            frame, n = frame - 2, n - 1
+        else:
+            frame, n = frame - 1, n - 1
+    return frame
