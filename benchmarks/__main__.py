@@ -1,23 +1,42 @@
-"""`python -m benchmarks`: all benchmarks, a table on the terminal, and JSON in build/bench."""
+"""`python -m benchmarks [PART …]`: all benchmarks or some parts, a table on the terminal, and JSON in build/bench."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Sequence
+
 from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching
 from benchmarks.archive import BUILD, store
-from benchmarks.harness import calibrate, show, write
+from benchmarks.harness import Figure, calibrate, show, write
+from ops.errors import did_you_mean
 from pipelines.terminal import make_console
+from storage.store import Store
+
+PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
+    "reading": lambda _: list(reading.figures()),
+    "indexing": indexing.figures,
+    "searching": searching.figures,
+    "learning": learning.figures,
+    "keyframes": keyframes.figures,
+    "ranking": ranking.figures,
+    "annotating": annotating.figures,
+}
 
 
-def main() -> None:
-    """Run everything on one core, with a calibration before and after."""
+def main(parts: Sequence[str]) -> None:
+    """Run everything, or these parts, on one core, with a calibration before and after."""
+    for part in parts:
+        if part not in PARTS:
+            sys.exit(f"{part}: no part of the benchmarks{did_you_mean(part, PARTS)}")
     opened = store()
-    figures = [calibrate(), *reading.figures(), *indexing.figures(opened), *searching.figures(opened)]
-    figures += [*learning.figures(opened), *keyframes.figures(opened), *ranking.figures(opened)]
-    figures += [*annotating.figures(opened), calibrate()]
+    figures = [calibrate()]
+    for part in parts or PARTS:
+        figures += PARTS[part](opened)
+    figures.append(calibrate())
     console = make_console()
     console.print(show(figures))
     console.print(f"written to {write(figures, BUILD)}", markup=False)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -25,7 +25,10 @@ class Figure:
     """One benchmark: how much work of what unit was done in how many seconds, and how long the other way took.
 
     seconds, other_seconds: the best of several runs. other: what it is compared with, done on the same work in the
-    same run; where nothing could be timed, why.
+    same run, or what is asked for; where nothing could be timed, why.
+
+    Memory, a slope, nanoseconds a run have no rate: for these seconds is None, amount is what was found, and
+    other_amount what it is compared with. Less is better.
     """
 
     name: str
@@ -34,6 +37,7 @@ class Figure:
     seconds: float | None
     other: str = ""
     other_seconds: float | None = None
+    other_amount: float | None = None
 
     @property
     def rate(self) -> float | None:
@@ -42,10 +46,17 @@ class Figure:
 
     @property
     def ratio(self) -> float | None:
-        """How many times as fast as the other way."""
-        if self.seconds is None or self.other_seconds is None:
-            return None
-        return self.other_seconds / self.seconds
+        """How many times as fast as the other way; where nothing is timed, how many times as small."""
+        if self.seconds is not None:
+            return None if self.other_seconds is None else self.other_seconds / self.seconds
+        return self.other_amount / self.amount if self.other_amount is not None and self.amount else None
+
+    @property
+    def shown(self) -> str:
+        """The rate, or where nothing is timed the amount, with its unit."""
+        if self.rate is not None:
+            return f"{self.rate:,.4g} {self.unit}/s"
+        return f"{self.amount:,.4g} {self.unit}".rstrip() if self.amount else "–"
 
 
 def seconds(work: Callable[[], object], runs: int = 5) -> float:
@@ -76,13 +87,13 @@ def calibrate() -> Figure:
 def show(figures: list[Figure]) -> Table:
     """The figures as a table for the terminal."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("benchmark", "rate", "seconds", "beside it, in the same run", "times as fast"):
+    for column in ("benchmark", "rate or amount", "seconds", "beside it, in the same run", "times as fast or small"):
         table.add_column(column, justify="left" if column[:2] == "be" else "right", no_wrap=True)
     for figure in figures:
         table.add_row(
             figure.name,
-            f"{figure.rate:,.4g} {figure.unit}/s" if figure.rate is not None else "–",
-            f"{figure.seconds:.4f}" if figure.seconds is not None else "–",
+            figure.shown,
+            f"{figure.seconds:.4g}" if figure.seconds is not None else "–",
             figure.other or "–",
             f"{figure.ratio:,.1f}" if figure.ratio is not None else "–",
         )

@@ -37,7 +37,7 @@ def figures(store: Store) -> list[Figure]:
             f"words to a published index, {HOURS:g} h", frames, "M frames", whole,
             "word runs alone, by SQL", seconds(lambda: _by_sql(large), 1),
         ),
-        Figure("the same in a process of its own", _peak_mb(large) / 1024, "GiB at most", 1.0),
+        Figure("the same in a process of its own", _peak_mb(large) / 1024, "GiB at most", None),
         _ten_more(large, whole),
     ]  # fmt: skip
 
