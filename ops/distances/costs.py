@@ -17,12 +17,13 @@ from ops.words import NO_WORD, U64
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
-Table = npt.NDArray[Any]  # float32, float64, or uint16 of lower bounds
+Table = npt.NDArray[Any]  # float32, float64, or uint16 and uint8 of lower bounds
 
 PADDING = 32
 """Tables are a multiple of this many columns wide, so that the loops over columns leave no rest behind."""
 
 _NO_WORD = np.uint64(NO_WORD)
+_SHAVE = 1 - 1e-9  # of a unit, see `bound_table`
 _LOWER, _SPREAD, _SPREAD_TOO = np.uint64(0xFFFF_FFFF), np.uint64(0x9E37_79B9), np.uint64(0x85EB_CA6B)
 _32 = np.uint64(32)
 
@@ -45,8 +46,13 @@ class CodedWords:
 class Layout:
     """The columns of several templates side by side, one column of infinite cost between two, padded at the end.
 
+    The features of a template are grouped by their weight, into G groups at most; without weights there is one. A
+    column's cost is Σ_g worths_g · (the bits of group g that a word contradicts) / counted.
+
     masks, values: uint64 (S,), S a multiple of `PADDING`. firsts, lasts: int64 (T,), the first and the last column of
-    each template. padding: int64, the columns that belong to none.
+    each template. padding: int64, the columns that belong to none. parts: uint64 (G, S), the bits of each group that
+    are fixed. worths: float64 (G, S), the weight of each. counted: float64 (S,), the weight of all fixed bits, 1 where
+    there is none.
     """
 
     masks: U64
@@ -54,6 +60,9 @@ class Layout:
     firsts: I64
     lasts: I64
     padding: I64
+    parts: U64
+    worths: F64
+    counted: F64
 
     @property
     def lengths(self) -> I64:
@@ -82,27 +91,66 @@ def lay_out(templates: Sequence[QuantisedTemplate]) -> Layout:
     lasts = firsts + lengths - 1
     width = -(-(int(lasts[-1]) + 1) // PADDING) * PADDING
     masks, values, own = np.zeros(width, np.uint64), np.zeros(width, np.uint64), np.zeros(width, np.bool_)
-    for template, first, last in zip(templates, firsts.tolist(), lasts.tolist(), strict=True):
+    grouped = [_groups(template) for template in templates]
+    most = max(len(bits) for bits, _ in grouped)
+    parts, worths = np.zeros((most, width), np.uint64), np.ones((most, width))
+    for template, (bits, weights), first, last in zip(templates, grouped, firsts.tolist(), lasts.tolist(), strict=True):
         masks[first : last + 1], values[first : last + 1] = template.mask, template.value
         own[first : last + 1] = True
-    return Layout(masks, values, firsts, lasts, np.flatnonzero(~own))
+        parts[: len(bits), first : last + 1] = template.mask & bits[:, None]
+        worths[: len(bits), first : last + 1] = weights[:, None]
+    counted = (worths * np.bitwise_count(parts)).sum(axis=0)
+    counted[counted == 0] = 1.0
+    return Layout(masks, values, firsts, lasts, np.flatnonzero(~own), parts, worths, counted)
+
+
+def _groups(template: QuantisedTemplate) -> tuple[U64, F64]:
+    """The features of each weight, as bits: uint64 (G,), and the weights, float64 (G,)."""
+    if template.feature_weights is None:
+        return np.array([~np.uint64(0)]), np.ones(1)
+    weights, home = np.unique(template.feature_weights, return_inverse=True)
+    bits = np.zeros(len(weights), np.uint64)
+    np.bitwise_or.at(bits, home, np.uint64(1) << np.arange(len(home), dtype=np.uint64))
+    return bits[weights > 0], weights[weights > 0]
 
 
 def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = np.float64) -> Table:
     """Tabulate the local cost of every word against every column, word-major.
 
-    A cost is the share of a column's bits that the word contradicts, 0 for a column of wildcards alone, ∞ for `NO_WORD`
-    and in columns that belong to no template. In float32 costs are rounded to the grid of `grid_step`.
+    A cost is the weight of a column's bits that the word contradicts as a share of the weight of all its bits (without
+    weights: the share of its bits), 0 for a column of wildcards alone, ∞ for `NO_WORD` and in columns that belong to no
+    template. In float32 costs are rounded to the grid of `grid_step`.
 
     Returns
     -------
     dtype (W, S).
     """
-    counted = np.maximum(np.bitwise_count(layout.masks), 1).astype(np.float64)
     step = grid_step(int(layout.lengths.max())) if dtype is np.float32 else 0.0
     table = np.empty((len(vocabulary), len(layout.masks)), dtype)
-    fill_costs(vocabulary, layout.masks, layout.values, counted, step, table)
+    fill_costs(vocabulary, layout.values, layout.parts, layout.worths, layout.counted, step, table)
     table[:, layout.padding] = np.inf
+    return table
+
+
+def bound_table(layout: Layout, vocabulary: U64, units: F64, most: int, dtype: type[np.unsignedinteger[Any]]) -> Table:
+    """Tabulate whole units that local costs hold at least: ⌊cost / unit⌋, and `most` where it is more or no cost.
+
+    Units are counted a little low, so that rounding never makes a bound too high.
+
+    Parameters
+    ----------
+    units: float64 (T,), what a unit of each template is worth, as a cost.
+
+    Returns
+    -------
+    dtype (W, S).
+    """
+    scale = np.zeros(len(layout.masks))
+    for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
+        scale[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
+    table = np.empty((len(vocabulary), len(layout.masks)), dtype)
+    fill_bounds(vocabulary, layout.values, layout.parts, layout.worths * scale, most, table)
+    table[:, layout.padding] = most
     return table
 
 
@@ -156,33 +204,64 @@ def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.int
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_costs(vocabulary: U64, masks: U64, values: U64, counted: F64, step: float, table: Table) -> None:
-    """Fill a table with costs, rounded to multiples of a step where that is not 0 (kernel)."""
-    for w in range(len(vocabulary)):
-        word = vocabulary[w]
-        if word == _NO_WORD:
-            table[w, :] = np.inf
-        elif step == 0.0:
-            for n in range(len(masks)):
-                table[w, n] = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
-        else:
-            for n in range(len(masks)):
-                cost = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
-                table[w, n] = np.rint(cost / step) * step
+def column_costs(word: np.uint64, values: U64, parts: U64, worths: F64, counted: F64, costs: F64) -> None:
+    """Fill the costs of columns against a word that is one, as `Layout` says (kernel).
+
+    values, counted, costs: of so many columns; parts, worths: (G, columns).
+    """
+    part, worth = parts[0], worths[0]
+    if len(parts) == 1:
+        for n in range(len(costs)):
+            costs[n] = np.float64(contradictions(word, part[n], values[n])) * worth[n] / counted[n]
+        return
+    add_units(word, values, parts, worths, costs)
+    for n in range(len(costs)):
+        costs[n] /= counted[n]
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_bounds(vocabulary: U64, masks: U64, values: U64, units: F64, cap: int, table: npt.NDArray[np.uint16]) -> None:
+def add_units(word: np.uint64, values: U64, parts: U64, units: F64, sums: F64) -> None:
+    """Fill the sums, over the groups, of contradictions and what one is worth (kernel)."""
+    for g in range(len(parts)):
+        part, unit = parts[g], units[g]
+        if g == 0:
+            for n in range(len(sums)):
+                sums[n] = np.float64(contradictions(word, part[n], values[n])) * unit[n]
+        else:
+            for n in range(len(sums)):
+                sums[n] += np.float64(contradictions(word, part[n], values[n])) * unit[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_costs(vocabulary: U64, values: U64, parts: U64, worths: F64, counted: F64, step: float, table: Table) -> None:
+    """Fill a table with costs, rounded to multiples of a step where that is not 0 (kernel)."""
+    costs = np.empty(len(values))
+    for w in range(len(vocabulary)):
+        if vocabulary[w] == _NO_WORD:
+            table[w, :] = np.inf
+            continue
+        column_costs(vocabulary[w], values, parts, worths, counted, costs)
+        if step == 0.0:
+            table[w, :] = costs
+        else:
+            for n in range(len(costs)):
+                table[w, n] = np.rint(costs[n] / step) * step
+
+
+@nb.njit(cache=True, nogil=True)
+def fill_bounds(vocabulary: U64, values: U64, parts: U64, units: F64, cap: int, table: Table) -> None:
     """Fill a table with whole units that a cost holds at least, `cap` where it is more (kernel).
 
-    units: float64 (S,), the units that one contradiction of a column is worth.
+    units: float64 (G, S), the units that one contradiction of each group of a column is worth.
     """
     most = np.float64(cap)
+    costs = np.empty(len(values))
     for w in range(len(vocabulary)):
         word = vocabulary[w]
         if word == _NO_WORD:
             table[w, :] = cap
             continue
-        for n in range(len(masks)):
-            whole = np.float64(contradictions(word, masks[n], values[n])) * units[n]
-            table[w, n] = np.uint16(whole if whole < most else most)
+        add_units(word, values, parts, units, costs)
+        row = table[w]
+        for n in range(len(costs)):
+            row[n] = np.uint16(costs[n] if costs[n] < most else most)

@@ -26,8 +26,9 @@ def distance_curves(
 ) -> npt.NDArray[Any]:
     """Return the distance curve of every template (thesis, Eq. 5.1 to 5.3).
 
-    The local cost of a column against a frame is the share of the column's bits that the frame contradicts, 0
-    for a column of wildcards alone, ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a
+    The local cost of a column against a frame is the share of the column's bits that the frame contradicts, of their
+    weight where features have weights (Σ_f weight_f · contradicted_f / Σ_f weight_f over the fixed entries f), 0 for
+    a column of wildcards alone, ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a
     (2,1) step counts the local cost twice. A path starts at any frame, in the template's first column. Time is
     proportional to columns × frames; memory (besides the result) is bounded, however long the take and however
     many its words.
@@ -131,8 +132,11 @@ def best_paths(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 |
     block = ends // max(reach + 1, _TABLE_CELLS // columns)
     apart = (np.diff(ends) > 0.75 * columns) | (home[1:] != home[:-1]) | (block[1:] != block[:-1])
     groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(ends)])).astype(np.int64)
-    counted = np.maximum(np.bitwise_count(template.mask), 1).astype(np.float64)
-    trace_paths(np.ascontiguousarray(words), template.mask, template.value, counted, ends, opens, groups, starts, sums)
+    layout = lay_out([template])
+    trace_paths(
+        np.ascontiguousarray(words), layout.values[:columns], layout.parts, layout.worths, layout.counted, ends, opens,
+        groups, np.full(len(groups) - 1, np.inf), starts, sums,
+    )  # fmt: skip
     return starts, sums / columns
 
 

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numba as nb
 import numpy as np
 import numpy.typing as npt
 
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I64, CodedWords, encode
+from ops.distances.costs import F64, I64, CodedWords, encode, lay_out
 from ops.distances.dtw import check_ranges
-from ops.distances.pruning import bounds_below, possible_minima
-from ops.distances.sweep import CAP, U16, trace_group, workspace
+from ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
+from ops.distances.sweep import CAP, U16, sum_group, walk_back, workspace
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords
+
+_MARGIN = 0.12
+"""By what share of τ the best hits are looked for beyond their coarse bounds, which are that much too low at times."""
 
 _KEYS = 1e9
 """Costs are compared as whole billionths: those that are closer are equal, and the earlier frame comes first."""
@@ -28,7 +32,7 @@ class Hits:
 
     takes: int64 (H,), which of the takes. starts, stops: int64 (H,), frames of the take, half-open. costs: float64
     (H,), the distance at the last frame. frames: how many frames the takes (or ranges) have; computed: in how many of
-    them a bound was computed column by column (see `ops.distances.pruning.Minima`).
+    them a bound was computed column by column in 16 bits (see `ops.distances.pruning.Minima`), twice if twice.
     """
 
     takes: I64
@@ -49,6 +53,7 @@ def rank(
     most: int | None = None,
     ranges: I64 | None = None,
     coded: CodedWords | None = None,
+    coarse: Coarse | None = None,
 ) -> Hits:
     """Rank the hits of a template: local minima of its distance curve below a threshold, the best first.
 
@@ -60,13 +65,18 @@ def rank(
     with a lower bound (`ops.distances.pruning`); the most promising is taken up, computed, and put back with its
     true cost; when it comes up again, nothing better is left. Those that a taken hit rules out are never computed.
 
+    Where only the best hits are asked for, they are looked for below a lower threshold first, which the coarse bound
+    suggests. Hits below it are the first ones below τ: they come in the order of their costs, and only a better one
+    rules one out. If they are enough, they are the answer; if not, the threshold rises.
+
     Parameters
     ----------
     template: N columns. words: the takes.
     threshold: τ > 0. most: how many hits at most; None for all.
     ranges: int64 (R, 2), half-open stretches of the words laid end to end, ascending, apart, and each within a take,
         that paths must not leave; None: the takes.
-    coded: `encode(words.words)`, where several templates share it.
+    coded: `encode(words.words)`, where several templates share it. coarse: this template's coarse bound for τ or
+        more on these words and ranges, where it is known.
 
     Raises
     ------
@@ -74,26 +84,92 @@ def rank(
     """
     if most is not None and most < 1:
         raise ParameterError("most", "at least 1, or None", most)
+    if not threshold > 0:
+        raise ParameterError("threshold", "above 0", threshold)
+    stretches = _stretches(words, ranges)
+    coded = encode(words.words) if coded is None else coded
+    if coarse is None:
+        coarse = coarse_bound(template, coded, threshold, stretches)
+    computed = 0
+    for tau in [threshold] if coarse is None else _rising(coarse, threshold, most, len(template)):
+        hits = _rank_below(template, words, tau, most, stretches, coded, coarse)
+        computed += hits.computed
+        # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
+        if most is not None and len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
+            break
+    return replace(hits, computed=computed)
+
+
+def rank_together(
+    templates: Sequence[QuantisedTemplate],
+    words: TakeWords,
+    thresholds: F64,
+    most: int | None = None,
+    coded: CodedWords | None = None,
+) -> list[Hits]:
+    """Rank the hits of several templates, with one pass over the words for the coarse bounds of all of them.
+
+    The hits are those of `rank` of each. thresholds: float64 (T,), the other parameters as there.
+    """
+    coded = encode(words.words) if coded is None else coded
+    if len(templates) == 1:
+        return [rank(templates[0], words, float(thresholds[0]), most, None, coded)]
+    bounds = coarse_bounds(templates, coded, thresholds, _stretches(words, None))
+    return [
+        rank(template, words, tau, most, None, coded, coarse)
+        for template, tau, coarse in zip(templates, np.asarray(thresholds).tolist(), bounds, strict=True)
+    ]
+
+
+def _stretches(words: TakeWords, ranges: I64 | None) -> I64:
+    """The stretches that paths must not leave: the takes, or ranges, which are checked."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     stretches = check_ranges(whole if ranges is None else ranges, len(words.words))
     homes = np.searchsorted(words.offsets, stretches[:, 0], side="right") - 1
     if len(stretches) and np.any(stretches[:, 1] > words.offsets[homes + 1]):
         raise ParameterError("ranges", "each within a take", stretches[stretches[:, 1] > words.offsets[homes + 1]][:4])
-    coded = encode(words.words) if coded is None else coded
-    bounds = bounds_below(template, coded, threshold, stretches)
-    candidates, possible = possible_minima(bounds.units, stretches, bounds.slack)
+    return stretches
+
+
+def _rising(coarse: Coarse, threshold: float, most: int | None, columns: int) -> list[float]:
+    """Thresholds below which to look, one after the other: the first is likely to be enough, the last is τ.
+
+    A stretch of as many frames as the template has columns holds a hit or two, the best of which its least bound tells.
+    """
+    places = np.arange(0, len(coarse.sums), max(columns, 1))
+    if most is None or most >= len(places) // 4:
+        return [threshold]
+    least = np.minimum.reduceat(coarse.sums, places)
+    first = (int(np.partition(least, most)[most]) + 1) * coarse.unit + _MARGIN * threshold
+    return [*(tau for tau in (first, first + 2 * _MARGIN * threshold) if tau < 0.9 * threshold), threshold]
+
+
+def _rank_below(
+    template: QuantisedTemplate,
+    words: TakeWords,
+    threshold: float,
+    most: int | None,
+    stretches: I64,
+    coded: CodedWords,
+    coarse: Coarse | None,
+) -> Hits:
+    """The hits below a threshold, all of them or the best."""
+    bounds = bounds_below(template, coded, threshold, stretches, coarse)
+    candidates, possible = possible_minima(bounds.units, bounds.spans, bounds.slack)
     place = np.searchsorted(stretches[:, 0], candidates, side="right") - 1
+    homes = np.searchsorted(words.offsets, stretches[place, 0], side="right") - 1
     apart = (np.diff(candidates) > len(template) // 8 + 1) | (np.diff(place) > 0)
     apart |= np.diff(candidates // (len(template) + 8)) > 0
     # A plateau is cut where a window grows long, but never between neighbours, which decide about each other.
     apart &= (np.diff(candidates) > 1) | (np.diff(place) > 0)
     groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)
-    counted = np.maximum(np.bitwise_count(template.mask), 1).astype(np.float64)
+    layout = lay_out([template])
     limit = len(candidates) if most is None else min(most, len(candidates))
     starts, ends, costs = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit)
     found = take_best(
-        words.words, template.mask, template.value, counted, threshold, bounds.units, bounds.unit, candidates, possible,
-        groups if len(candidates) else groups[:1], stretches[place, 0], homes[place], len(words), starts, ends, costs,
+        words.words, layout.values[: len(template)], layout.parts, layout.worths, layout.counted, threshold,
+        bounds.units, bounds.unit, candidates, possible, groups if len(candidates) else groups[:1],
+        stretches[place, 0], homes, len(words), starts, ends, costs,
     )  # fmt: skip
     starts, ends, costs = starts[:found], ends[:found], costs[:found]
     takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
@@ -103,9 +179,9 @@ def rank(
 
 @nb.njit(cache=True, nogil=True)
 def take_best(
-    words: U64, masks: U64, values: U64, counted: F64, threshold: float, units: U16, unit: float, candidates: I64,
-    possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int, starts: I64, ends: I64,
-    costs: F64,
+    words: U64, values: U64, parts: U64, worths: F64, counted: F64, threshold: float, units: U16, unit: float,
+    candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int, starts: I64,
+    ends: I64, costs: F64,
 ) -> int:  # fmt: skip
     """Take hits, the best first, until there are enough or none is left; return how many (kernel).
 
@@ -113,7 +189,7 @@ def take_best(
     are computed together. begins, homes: int64 (C,), where the stretch of each begins, and its take. starts, ends,
     costs: what is found; their length is how many are enough.
     """
-    columns = len(masks)
+    columns = len(values)
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
@@ -142,7 +218,13 @@ def take_best(
             continue
         begin = max(candidates[first] - 2 * (columns - 1), begins[first])
         inside = candidates[first:stop]
-        trace_group(words, masks, values, counted, inside, begin, grid, local, paths[first:stop], exact[first:stop])
+        # A path that has the least units costs less than these and N more; no more is of interest.
+        units_there = 0
+        for i in range(first, stop):
+            if possible[i]:
+                units_there = max(units_there, int(units[candidates[i]]))
+        limit = (units_there + columns + 1) * unit * columns
+        sum_group(words, values, parts, worths, counted, inside, begin, limit, grid, local, exact[first:stop])
         exact[first:stop] /= columns
         for i in range(first, stop):
             low = possible[i] and exact[i] < threshold - TOLERANCE
@@ -151,6 +233,7 @@ def take_best(
             if i + 1 < stop and candidates[i + 1] == candidates[i] + 1:
                 low &= exact[i] <= exact[i + 1] + TOLERANCE
             if low:
+                paths[i] = begin + walk_back(grid, local, candidates[i] - begin)
                 heapq.heappush(heap, (np.int64(np.rint(exact[i] * _KEYS)), np.int64(1), np.int64(i)))
     return count
 

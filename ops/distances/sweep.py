@@ -6,9 +6,10 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import F64, I32, I64, Table, contradictions
+from ops.distances.costs import F64, I32, I64, Table, column_costs
 from ops.words import NO_WORD, U64
 
+U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 
 _NO_WORD = np.uint64(NO_WORD)
@@ -22,6 +23,9 @@ CHUNK = 512
 
 CAP = 21845
 """Sums of whole units stop here: with a (2,1) step of the dearest cost on top, a third of 65,535 still fits 16 bits."""
+
+COARSE_CAP = 255
+"""Sums of coarse units stop here, the greatest number of 8 bits: every addition stops there by itself."""
 
 
 def pieces_of(stretches: I64, longest: int, reach: int) -> I64:
@@ -155,27 +159,69 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
 
 
 @nb.njit(cache=True, nogil=True)
+def sweep_coarse(table: U8, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: U8) -> None:
+    """Fill lower bounds in coarse units of all templates of a layout: uint8 (T, L), `COARSE_CAP` for all no less.
+
+    The same as `sweep` with sums in 8 bits, four times as many at once: what would go beyond 255 stays there. (kernel)
+    """
+    columns = table.shape[1]
+    cap = np.uint8(COARSE_CAP)
+    state = np.full((3, LANES, columns + 2), cap, np.uint8)
+    found = np.empty((len(firsts), LANES, CHUNK), np.uint8)
+    lanes = np.zeros((LANES, 3), np.int64)
+    previous, last, here = 0, 1, 2
+    following, steps = refill(pieces, 0, lanes, state, COARSE_CAP)
+    while steps > 0:
+        before, behind, now = state[previous], state[last], state[here]
+        for step in range(steps):
+            for k in range(LANES):
+                cost = table[codes[lanes[k, 0] + step]]
+                a, b, c = before[k], behind[k], now[k]
+                for n in range(columns):
+                    one, two, own = b[n + 1], a[n + 1], cost[n]
+                    near = one if one < two else two
+                    single = np.uint8(near + own)
+                    single = single if single >= own else cap
+                    twice = np.uint8(own + own)
+                    twice = twice if twice >= own else cap
+                    double = np.uint8(b[n] + twice)
+                    double = double if double >= twice else cap
+                    c[n + 2] = double if double < single else single
+                for t in range(len(firsts)):
+                    c[firsts[t] + 2] = cost[firsts[t]]
+                for t in range(len(firsts)):
+                    found[t, k, step] = c[lasts[t] + 2]
+            before, behind, now = behind, now, before
+        turn = steps % 3
+        previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
+        keep(lanes, steps, found, sums)
+        following, steps = refill(pieces, following, lanes, state, COARSE_CAP)
+
+
+@nb.njit(cache=True, nogil=True)
 def trace_paths(
-    words: U64, masks: U64, values: U64, counted: F64, ends: I64, opens: I64, groups: I64, starts: I64, sums: F64
-) -> None:
+    words: U64, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, opens: I64, groups: I64, limits: F64,
+    starts: I64, sums: F64,
+) -> None:  # fmt: skip
     """Find the best path that ends at each of some frames, in float64 (kernel).
 
     ends: int64 (E,), ascending frames. opens: int64 (E,), where the window of each begins, 2(N − 1) frames before or
-    where its stretch does. groups: int64 (G + 1,): ends groups[g] to groups[g + 1] − 1 share a window. starts (E,) gets
-    the first frame of each path, −1 where there is none; sums (E,) its cost.
-
-    Cells from which no end of the group can be reached are left out: from frame f the columns N − 1 − 2(e − f)
-    to N − 1 − (e − f)/2 lead to the end e, so that over a group those from the last end's least to the first end's
-    most count. Every step back from a cell of these leads to another one, or out of the window.
+    where its stretch does. groups: int64 (G + 1,): ends groups[g] to groups[g + 1] − 1 share a window. limits: float64
+    (G,), of no interest are paths of a group that cost more. starts (E,) gets the first frame of each path, −1 where
+    there is none; sums (E,) its cost.
     """
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, ends[groups[g + 1] - 1] + 1 - opens[groups[g]])
-    grid, cost = workspace(longest, len(masks))
+    grid, cost = workspace(longest, len(values))
     for g in range(len(groups) - 1):
         own = slice(groups[g], groups[g + 1])
         begin = opens[groups[g]]
-        trace_group(words, masks, values, counted, ends[own], begin, grid, cost, starts[own], sums[own])
+        sum_group(words, values, parts, worths, counted, ends[own], begin, limits[g], grid, cost, sums[own])
+        for place in range(groups[g], groups[g + 1]):
+            starts[place] = -1
+            if sums[place] < np.inf:
+                starts[place] = begin + walk_back(grid, cost, ends[place] - begin)
 
 
 @nb.njit(cache=True, nogil=True)
@@ -183,50 +229,79 @@ def workspace(frames: int, columns: int) -> tuple[F64, F64]:
     """Room for the sums and the costs of a window (kernel)."""
     grid = np.empty((frames + 2, columns + 2))
     grid[:2, :] = np.inf
-    grid[:, :2] = np.inf
     return grid, np.empty((frames, columns))
 
 
 @nb.njit(cache=True, nogil=True)
-def trace_group(
-    words: U64, masks: U64, values: U64, counted: F64, ends: I64, begin: int, grid: F64, cost: F64, starts: I64,
-    sums: F64,
+def sum_group(
+    words: U64, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, begin: int, limit: float, grid: F64,
+    cost: F64, sums: F64,
 ) -> None:  # fmt: skip
-    """Find the best paths to ends that share the window that opens at frame `begin`; see `trace_paths` (kernel)."""
-    columns = len(masks)
+    """Add up the costs of the paths to ends that share the window that opens at frame `begin` (kernel).
+
+    Cells from which no end of the group can be reached are left out: from frame f the columns N − 1 − 2(e − f)
+    to N − 1 − (e − f)/2 lead to the end e, so that over a group those from the last end's least to the first end's
+    most count. Every step back from a cell of these leads to another one, or out of the window. So are cells that are
+    reached only by paths that cost more than the limit: costs only grow along a path, so that one within the limit
+    has no such cell. What is left out is ∞; sums above the limit may be too high, or ∞.
+    """
+    columns = len(values)
     lowest, highest = ends[0] - begin, ends[len(ends) - 1] - begin
+    low, high, lower, higher = (
+        columns,
+        -1,
+        columns,
+        -1,
+    )  # cells within the limit of the frame before, and of that before
     for frame in range(highest + 1):
-        here, last, previous, own = grid[frame + 2], grid[frame + 1], grid[frame], cost[frame]
+        whole = grid[frame + 2]
+        whole[:] = np.inf
         least = max(0, columns - 1 - 2 * (highest - frame))
         most = columns - 1 - max(0, (lowest - frame + 1) // 2)
+        first = 0 if least == 0 else max(least, min(low, lower) + 1)
+        last = min(most, max(high + 2, higher + 1, 0))
+        lower, higher = low, high
+        if last < first:
+            low, high = columns, -1
+            continue
+        # All of these begin at the first column, so that the loops over columns need not ask where they are.
+        behind, here = grid[frame + 1, first:], whole[first + 2 : last + 3]
+        near, far = behind[1:], grid[frame, first + 1 :]
+        own = cost[frame, first : last + 1]
         word = words[begin + frame]
         if word == _NO_WORD:
-            own[least : most + 1] = np.inf
+            own[:] = np.inf
         else:
-            for n in range(least, most + 1):
-                own[n] = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
-        for n in range(least, most + 1):
-            one, two = last[n + 1], previous[n + 1]
+            column_costs(word, values[first:], parts[:, first:], worths[:, first:], counted[first:], own)
+        for n in range(len(own)):
+            one, two = near[n], far[n]
             single = (one if one < two else two) + own[n]
-            double = last[n] + (own[n] + own[n])
-            here[n + 2] = double if double < single else single
-        if least == 0 and most >= 0:
-            here[2] = own[0]
+            double = behind[n] + (own[n] + own[n])
+            here[n] = double if double < single else single
+        if first == 0:
+            here[0] = own[0]
+        while first <= last and not whole[first + 2] <= limit:
+            first += 1
+        while last >= first and not whole[last + 2] <= limit:
+            last -= 1
+        low, high = (first, last) if first <= last else (columns, -1)
     for place in range(len(ends)):
-        frame, n = ends[place] - begin, columns - 1
-        sums[place] = grid[frame + 2, n + 2]
-        if sums[place] == np.inf:
-            starts[place] = -1
-            continue
-        while n > 0:
-            dear = cost[frame, n]
-            best = grid[frame + 1, n + 1] + dear
-            skipped = grid[frame, n + 1] + dear
-            doubled = grid[frame + 1, n] + (dear + dear)
-            if doubled < best and doubled < skipped:
-                frame, n = frame - 1, n - 2
-            elif skipped < best:
-                frame, n = frame - 2, n - 1
-            else:
-                frame, n = frame - 1, n - 1
-        starts[place] = frame + begin
+        sums[place] = grid[ends[place] - begin + 2, columns + 1]
+
+
+@nb.njit(cache=True, nogil=True)
+def walk_back(grid: F64, cost: F64, frame: int) -> int:
+    """Return the frame where the best path begins that ends in the last column at a frame of the window (kernel)."""
+    n = cost.shape[1] - 1
+    while n > 0:
+        dear = cost[frame, n]
+        best = grid[frame + 1, n + 1] + dear
+        skipped = grid[frame, n + 1] + dear
+        doubled = grid[frame + 1, n] + (dear + dear)
+        if doubled < best and doubled < skipped:
+            frame, n = frame - 1, n - 2
+        elif skipped < best:
+            frame, n = frame - 2, n - 1
+        else:
+            frame, n = frame - 1, n - 1
+    return frame

@@ -43,17 +43,25 @@ class Template:
 class QuantisedTemplate:
     """A template of 0, 1 and wildcards: bit i − 1 of `mask` says that F_i counts, of `value` what it is.
 
-    mask, value: uint64 (N,); value has no bit outside mask.
+    mask, value: uint64 (N,); value has no bit outside mask. feature_weights: float64 (f,), how much each feature
+    counts in a distance curve, above 0 wherever mask has its bit; None: all alike.
     """
 
     mask: U64
     value: U64
+    feature_weights: F64 | None = None
 
     def __post_init__(self) -> None:
         if len(self.mask) != len(self.value) or not len(self.mask):
             raise ParameterError("template", "one mask and one value per column", (len(self.mask), len(self.value)))
         if np.any(self.value & ~self.mask):
             raise ParameterError("value", "0 wherever mask is 0", "a value behind a wildcard")
+        if self.feature_weights is not None:
+            counting = np.flatnonzero(bits(np.bitwise_or.reduce(self.mask, keepdims=True), MOST_FEATURES)[0])
+            known = counting[counting < len(self.feature_weights)]
+            own = self.feature_weights[known]
+            if len(known) < len(counting) or not (np.isfinite(own) & (own > 0)).all():
+                raise ParameterError("feature_weights", "above 0 for every feature that counts", own.tolist())
 
     def __len__(self) -> int:
         return len(self.mask)
@@ -188,19 +196,22 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
 
     Parameters
     ----------
-    template: at most 63 features. A feature of weight 0 is a wildcard everywhere; other weights are for learning only:
-        in a distance curve all entries that are fixed count alike.
+    template: at most 63 features. A feature of weight 0 is a wildcard everywhere; other weights go along, and a fixed
+        entry counts by them in distance curves.
     delta: 0 ≤ delta < 0.5; 0 keeps only what does not vary at all. Compared with a tolerance of 1e-9.
     """
     if not 0 <= delta < 0.5:
         raise ParameterError("delta", "at least 0 and below 0.5", delta)
     shifts = np.arange(template.values.shape[1], dtype=np.uint64)
-    counts = np.ones(len(shifts), np.bool_) if template.feature_weights is None else template.feature_weights > 0
+    weights = template.feature_weights
+    counts = np.ones(len(shifts), np.bool_) if weights is None else weights > 0
     ones = (template.values >= 1 - delta - TOLERANCE) & counts
     zeros = (template.values <= delta + TOLERANCE) & counts
     value = np.bitwise_or.reduce(ones.astype(np.uint64) << shifts, axis=1)
     mask = np.bitwise_or.reduce((ones | zeros).astype(np.uint64) << shifts, axis=1)
-    return QuantisedTemplate(mask, value)
+    # Where all that count count alike, the templates are the same as without weights, and as fast.
+    alike = weights is None or len(np.unique(weights[counts])) <= 1
+    return QuantisedTemplate(mask, value, None if alike else weights)
 
 
 def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int) -> Paths:

@@ -9,18 +9,22 @@ Column = list[int | None]  # 0, 1 or None for a wildcard
 Matrix = list[list[float]]
 
 
-def local_cost(column: Column, frame: list[int] | None) -> float:
+def local_cost(column: Column, frame: list[int] | None, weights: list[float] | None = None) -> float:
     if frame is None:
         return math.inf
     counted = [i for i, value in enumerate(column) if value is not None]
     if not counted:
         return 0.0
-    return sum(abs(column[i] - frame[i]) for i in counted) / len(counted)
+    if weights is None:
+        return sum(abs(column[i] - frame[i]) for i in counted) / len(counted)
+    return sum(weights[i] * abs(column[i] - frame[i]) for i in counted) / sum(weights[i] for i in counted)
 
 
-def accumulated(template: list[Column], take: list[list[int]]) -> tuple[Matrix, Matrix]:
+def accumulated(
+    template: list[Column], take: list[list[int]], weights: list[float] | None = None
+) -> tuple[Matrix, Matrix]:
     """Return the local costs and D[n][l]: the cost of the best path that ends in column n and frame l."""
-    cost = [[local_cost(column, frame) for frame in take] for column in template]
+    cost = [[local_cost(column, frame, weights) for frame in take] for column in template]
     total = [[math.inf] * len(take) for _ in template]
     for n in range(len(template)):
         for frame in range(len(take)):
@@ -38,9 +42,11 @@ def _ways(n: int, frame: int, cost: float) -> list[tuple[int, int, float]]:
     return [(k, m, c) for k, m, c in steps if k >= 0 and m >= 0]
 
 
-def curve_and_starts(template: list[Column], take: list[list[int]]) -> tuple[list[float], list[int | None]]:
+def curve_and_starts(
+    template: list[Column], take: list[list[int]], weights: list[float] | None = None
+) -> tuple[list[float], list[int | None]]:
     """Return the distance curve and, for each frame, where its best path starts (None where there is none)."""
-    cost, total = accumulated(template, take)
+    cost, total = accumulated(template, take, weights)
     last = len(template) - 1
     starts: list[int | None] = []
     for end in range(len(take)):

@@ -9,12 +9,15 @@ from tests.oracles.dtw import Column, curve_and_starts
 
 
 def ranked(
-    template: list[Column], takes: list[list[list[int] | None]], threshold: float
+    template: list[Column],
+    takes: list[list[list[int] | None]],
+    threshold: float,
+    weights: list[float] | None = None,
 ) -> list[tuple[int, int, int, float]]:
     """All hits as (take, start, stop, cost), best first, none ruled out by a better one."""
     found = []
     for index, take in enumerate(takes):
-        curve, starts = curve_and_starts(template, take)
+        curve, starts = curve_and_starts(template, take, weights)
         for end, cost in enumerate(curve):
             beside = [curve[i] for i in (end - 1, end + 1) if 0 <= i < len(curve)]
             if cost < threshold - 1e-9 and all(cost <= other + 1e-9 for other in beside):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ops.distances.costs import cost_table, error_bound
 from ops.distances.dtw import best_paths, distance_curves, start_frames
 from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
+from ops.templates.templates import QuantisedTemplate, Template, quantise
 from ops.words import NO_WORD, pack
 from tests.oracles import dtw as naive
 
@@ -28,9 +28,13 @@ takes = st.lists(st.tuples(frames, st.integers(1, 5)), max_size=9).map(
 )
 
 
-def quantised(template: list[list[int | None]]) -> QuantisedTemplate:
+def quantised(template: list[list[int | None]], weights: list[float] | None = None) -> QuantisedTemplate:
     mask = np.array([[value is not None for value in column] for column in template])
-    return QuantisedTemplate(pack(mask), pack(np.array([[value == 1 for value in column] for column in template])))
+    values = pack(np.array([[value == 1 for value in column] for column in template]))
+    return QuantisedTemplate(pack(mask), values, None if weights is None else np.array(weights))
+
+
+feature_weights = st.lists(st.sampled_from([0.1, 0.5, 1.0, 3.0]), min_size=FEATURES, max_size=FEATURES)
 
 
 def as_words(take: list[list[int]]) -> np.ndarray:
@@ -43,6 +47,42 @@ def test_curves_equal_the_naive_twin(several: list[list[list[int | None]]], take
     assert curves.shape == (len(several), len(take))
     for template, curve in zip(several, curves, strict=True):
         np.testing.assert_allclose(curve, naive.curve_and_starts(template, take)[0], rtol=0, atol=1e-12)
+
+
+@given(st.lists(st.tuples(templates, st.none() | feature_weights), min_size=1, max_size=3), takes, st.booleans())
+def test_features_count_by_their_weights(
+    several: list[tuple[list[list[int | None]], list[float] | None]], take: list[list[int]], single: bool
+):
+    chosen = [quantised(template, weights) for template, weights in several]
+    curves = distance_curves(chosen, as_words(take), None, np.float32 if single else np.float64)
+    for (template, weights), one, curve in zip(several, chosen, curves, strict=True):
+        expected, starts = naive.curve_and_starts(template, take, weights)
+        np.testing.assert_allclose(curve, expected, rtol=0, atol=error_bound(9) if single else 1e-12)
+        found, distances = best_paths(one, as_words(take), np.arange(len(take)))
+        np.testing.assert_allclose(distances, expected, rtol=0, atol=1e-12)
+        if weights is None:
+            assert found.tolist() == [-1 if start is None else start for start in starts]
+
+
+@given(templates, takes, st.sampled_from([0.3, 1.0, 7.0]))
+def test_equal_weights_are_the_same_as_none_to_the_bit(
+    template: list[list[int | None]], take: list[list[int]], weight: float
+):
+    plain = quantised(template)
+    values = np.array([[0.5 if value is None else value for value in column] for column in template])
+    weighted = quantise(Template(values, np.ones(len(values)), np.full(FEATURES, weight)), 0.05)
+    assert weighted.feature_weights is None
+    np.testing.assert_array_equal(distance_curves([weighted], as_words(take)), distance_curves([plain], as_words(take)))
+
+
+def test_what_a_heavy_feature_denies_is_dearer():
+    template = QuantisedTemplate(np.array([3], np.uint64), np.array([3], np.uint64), np.array([3.0, 1.0]))
+    (curve,) = distance_curves([template], np.array([3, 2, 1, 0], np.uint64))
+    assert curve.tolist() == [0, 0.75, 0.25, 1]
+    with pytest.raises(ParameterError, match="feature_weights must be above 0 for every feature that counts"):
+        QuantisedTemplate(np.array([3], np.uint64), np.array([3], np.uint64), np.array([3.0, 0.0]))
+    with pytest.raises(ParameterError, match="feature_weights must be"):
+        QuantisedTemplate(np.array([3], np.uint64), np.array([3], np.uint64), np.array([3.0]))
 
 
 @given(templates, takes)

@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances import pruning
+from ops.distances import pruning, ranking
 from ops.distances.annotation import local_minima
+from ops.distances.costs import encode
 from ops.distances.dtw import distance_curves, start_frames
-from ops.distances.pruning import minima_below
-from ops.distances.ranking import rank
+from ops.distances.pruning import coarse_bounds, minima_below
+from ops.distances.ranking import Hits, rank, rank_together
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import NO_WORD, TakeWords
-from tests.ops.distances.test_dtw import as_words_with_gaps, quantised, takes_with_gaps, templates
+from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
 
 thresholds = st.sampled_from([0.05, 0.1, 0.3, 0.5, 1.0])
@@ -40,6 +41,64 @@ def test_hits_are_those_of_the_naive_twin(
     np.testing.assert_allclose(hits.costs, [one[3] for one in expected], rtol=0, atol=1e-12)
 
 
+@given(
+    st.lists(st.tuples(templates, st.none() | feature_weights, thresholds), min_size=1, max_size=4),
+    st.lists(takes_with_gaps, max_size=3),
+    st.sampled_from([None, 1, 2]),
+)
+def test_templates_ranked_together_have_the_hits_that_each_has_alone(
+    several: list[tuple[list[list[int | None]], list[float] | None, float]],
+    takes: list[list[list[int] | None]],
+    most: int | None,
+):
+    chosen = [quantised(template, weights) for template, weights, _ in several]
+    words = laid_out(takes)
+    together = rank_together(chosen, words, np.array([threshold for _, _, threshold in several]), most)
+    for one, hits, (template, weights, threshold) in zip(chosen, together, several, strict=True):
+        assert_same_hits(hits, rank(one, words, threshold, most))
+        costs = [cost for *_, cost in naive.ranked(template, takes, threshold, weights)[:most]]
+        if weights is None:
+            np.testing.assert_allclose(hits.costs, costs, rtol=0, atol=1e-12)
+        elif len(costs):
+            assert abs(hits.costs[0] - costs[0]) < 1e-9  # beyond, equal costs may be ordered by rounding
+
+
+def assert_same_hits(one: Hits, other: Hits) -> None:
+    for name in ("takes", "starts", "stops", "costs"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.frames == other.frames
+
+
+@given(
+    st.lists(st.tuples(templates, st.none() | feature_weights, thresholds), min_size=1, max_size=4),
+    takes_with_gaps,
+    st.data(),
+)
+def test_a_coarse_bound_is_never_above_the_curve(
+    several: list[tuple[list[list[int | None]], list[float] | None, float]],
+    take: list[list[int] | None],
+    data: st.DataObject,
+):
+    words = as_words_with_gaps(take)
+    chosen = [quantised(template, weights) for template, weights, _ in several]
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(take)), min_size=4, max_size=4)))
+    ranges = np.array(cuts, np.int64).reshape(2, 2)
+    curves = distance_curves(chosen, words, ranges)
+    kept = ranges[ranges[:, 0] < ranges[:, 1]]
+    taus = np.array([threshold for *_, threshold in several])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pruning, "_TABLE_CELLS", data.draw(st.sampled_from([1, 60 * len(words) + 1, 1 << 20])))
+        coarse = coarse_bounds(chosen, encode(words), taus, kept)
+    for one, curve, tau, template in zip(coarse, curves, taus.tolist(), chosen, strict=True):
+        assert (one.sums * one.unit <= curve + 1e-12).all()
+        for lower in (tau, tau / 2, tau / 10):
+            assert not (~one.below(lower) & (curve < lower)).any()
+            found = minima_below(template, words, lower, kept, coarse=one)
+            plain = minima_below(template, words, lower, kept, prune=False)
+            for name in ("starts", "ends", "costs"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
+
+
 def walk(rng: np.random.Generator, frames: int, bits: int) -> np.ndarray:
     """Words that change one bit at a time, now and then, as those of motions do."""
     flips = np.where(rng.random(frames) < 0.3, 1 << rng.integers(0, bits, frames), 0)
@@ -58,7 +117,7 @@ def spoiled(rng: np.random.Generator, words: np.ndarray, bits: int) -> Quantised
 def test_pruning_loses_no_minimum_and_says_what_it_skipped(
     seed: int, threshold: float, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(pruning, "_WORTH_A_LOOK", 2.0)  # blocks are looked at in any case
+    monkeypatch.setattr(pruning, "_WORTHWHILE", 1)  # coarse sums are looked at in any case
     rng = np.random.default_rng(seed)
     words = walk(rng, 60_000, 16)
     words[rng.integers(0, len(words), 20)] = NO_WORD
@@ -80,6 +139,32 @@ def test_pruning_loses_no_minimum_and_says_what_it_skipped(
             assert found.computed >= found.frames
     if threshold == 0.02:
         assert minima_below(template, words, threshold, ranges).skipped > 0.3
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_hits_are_the_first_of_all_hits(seed: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pruning, "_WORTHWHILE", 1)
+    rng = np.random.default_rng(seed)
+    words = walk(rng, 20_000, 12)
+    columns = int(rng.integers(20, 60))
+    template = spoiled(rng, words[5000 : 5000 + columns], 12)
+    for _ in range(40):  # good places and worse ones, more of them than are asked for
+        at, noise = int(rng.integers(0, len(words) - columns)), rng.random(columns) < rng.random() * 0.4
+        words[at : at + columns] = template.value ^ np.where(noise, 1 << rng.integers(0, 12, columns), 0).astype(
+            np.uint64
+        )
+    takes = TakeWords(np.arange(3), np.array([0, 7000, 15_000, len(words)]), words)
+    every = rank(template, takes, 0.15)
+    assert len(every) > 30
+    thresholds = []
+    below = ranking._rank_below
+    monkeypatch.setattr(ranking, "_rank_below", lambda *given: thresholds.append(given[2]) or below(*given))
+    for most in (1, 2, 7, 20, 30):
+        hits = rank(template, takes, 0.15, most)
+        for name in ("takes", "starts", "stops", "costs"):
+            np.testing.assert_array_equal(getattr(hits, name), getattr(every, name)[:most])
+    assert min(thresholds) < 0.15  # a lower one was tried
 
 
 def test_a_hit_of_ten_frames_rules_out_what_ends_or_starts_close_to_it():
