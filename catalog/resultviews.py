@@ -224,6 +224,19 @@ history    DOUBLE[]    four numbers for each generation"""),
         "GROUP BY query ORDER BY query",
     ),
     View(
+        "skeleton_files",
+        "results",
+        "The skeleton files that takes were read with, as they were when they were last looked at.",
+        columns(f"""{_RUN}
+source_root    VARCHAR    the folder that was ingested
+source    VARCHAR    the skeleton file, relative to it
+source_bytes    BIGINT    its size
+source_mtime_ns    BIGINT    its time of change, in nanoseconds since 1970
+checksum    VARCHAR    its SHA-256"""),
+        "SELECT t.name, t.skeleton_source, s.checksum FROM takes AS t JOIN skeleton_files AS s "
+        "ON (s.source_root, s.source) = (t.source_root, t.skeleton_source) ORDER BY t.name LIMIT 10",
+    ),
+    View(
         "ingest_log",
         "results",
         "Source files, or places in them, that could not be read.",

@@ -213,6 +213,14 @@ _RESULTS: dict[str, pa.Schema] = {
         *((name, pa.list_(pa.int32())) for name in ("starts", "stops")),
         ("confidences", pa.list_(pa.float64())),
     ),
+    "skeleton_files": _fields(
+        _RUN,
+        ("source_root", pa.string()),
+        ("source", pa.string()),
+        ("source_bytes", pa.int64()),
+        ("source_mtime_ns", pa.int64()),
+        ("checksum", pa.string()),
+    ),
     "ingest_log": _fields(
         _RUN,
         ("source", pa.string()),

@@ -10,11 +10,14 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import pyarrow as pa
+
 from catalog.features import FeatureSet
 from catalog.skeletons import Format, Mappings
 from ops.errors import SourceError
 from pipelines.ingesting.failures import Failure, failure, refusal
 from pipelines.ingesting.reading import Task
+from pipelines.ingesting.skeletonsums import SkeletonSums
 from pipelines.plan import code_digest
 from storage.bodies import FORMS, Given
 from storage.bodymodel import model_digest
@@ -31,7 +34,7 @@ class Changes:
 
     tasks: the files to read, in order of their take ids. unchanged: how many are as they were. restated: rows of those
     of them whose file lies elsewhere or has another time now. gone: ids of takes whose file is no more. failures: files
-    that cannot be placed.
+    that cannot be placed. skeletons: rows of `skeleton_files`.
     """
 
     tasks: list[Task]
@@ -39,6 +42,7 @@ class Changes:
     restated: list[dict[str, Any]]
     gone: list[int]
     failures: list[Failure]
+    skeletons: pa.Table
 
 
 def compare(
@@ -60,7 +64,7 @@ def compare(
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
     compiled = [re.compile(pattern) for pattern in patterns]
     recipes = _recipes(feature_set, mappings, given)
-    skeleton_sums: dict[str, str] = {}
+    skeleton_sums = SkeletonSums(writer.store.result("skeleton_files"))
     tasks: list[Task] = []
     restated: list[dict[str, Any]] = []
     failures = [refusal(refused) for refused in found.refused]
@@ -75,10 +79,8 @@ def compare(
             if len(names[name]) > 1:
                 raise _namesake(name, motion, names[name])
             skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
-            if skeleton is not None and skeleton.path not in skeleton_sums:
-                skeleton_sums[skeleton.path] = checksum(skeleton.absolute)
             groups = path_groups(motion.path, compiled)
-            of_skeleton = skeleton_sums[skeleton.path] if skeleton is not None else ""
+            of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = digest([recipes[motion.format], of_skeleton, sorted((groups or {}).items())])
             row = known.get(name)
             if row is not None and _moved(row, motion):
@@ -100,7 +102,7 @@ def compare(
         for name, row in known.items()
         if name not in names and row["source_root"] in former and not found.hidden(row["source"])
     ]
-    return Changes(tasks, unchanged, restated, gone, failures)
+    return Changes(tasks, unchanged, restated, gone, failures, skeleton_sums.table())
 
 
 def _recipes(feature_set: FeatureSet, mappings: Mappings, given: Given) -> dict[str, str]:

@@ -139,6 +139,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         if not (params.strict and failures):
             frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
         writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
+        writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
         if params.strict and failures:
             writer.commit()
             raise KinedexError(f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)")
