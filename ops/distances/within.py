@@ -198,7 +198,7 @@ def fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
             single = (one if one < two else two) + cost[n]
             double = behind[n] + (cost[n] + cost[n])
             here[n] = double if double < single else single
-        for n in range(most + 1 - least, columns - least):
+        for n in range(max(most + 1 - least, 0), columns - least):
             here[n] = np.inf
         if least == 0:
             here[0] = cost[0]
