@@ -26,7 +26,8 @@ def recursion(lists: list[Segments], gaps: list[tuple[int, int]]) -> Segments:
     return merge(found[0, :count].copy(), found[1, :count].copy())
 
 
-@njit(cache=True, nogil=True)
+# Not cached, either of them: what calls itself does not survive being read from numba's cache.
+@njit(nogil=True)
 def _all_matches(starts, stops, offsets, low, high, found):  # type: ignore[no-untyped-def]
     count = len(offsets) - 1
     pointers = offsets[:-1].copy()
@@ -42,7 +43,7 @@ def _all_matches(starts, stops, offsets, low, high, found):  # type: ignore[no-u
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _visit(k, starts, stops, offsets, low, high, pointers, cut, found, n):  # type: ignore[no-untyped-def]
     reach_start, reach_end = cut[0, k - 1] + low[k - 1], cut[1, k - 1] + high[k - 1]
     while pointers[k] < offsets[k + 1] and stops[pointers[k]] <= reach_start:
