@@ -19,6 +19,7 @@ from catalog.skeletons import load_skeleton
 from pipelines.cli import app
 from pipelines.config import load_pipeline
 from pipelines.stages import annotate, index, ingest, learn_templates
+from storage.schemas import RESULT_KINDS
 from storage.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 from tests.pipelines.labelled import Line
@@ -67,6 +68,11 @@ def test_links_lead_somewhere(name: str) -> None:
             assert anchor in {
                 _anchor(title) for title in re.findall(r"^#+ (.*)$", path.read_text("utf-8"), re.MULTILINE)
             }
+
+
+def test_the_page_of_formats_names_every_kind_of_result() -> None:
+    named = set(re.findall(r"`results/(\w+)/`", TEXTS["formats.md"]))
+    assert named == {*RESULT_KINDS}
 
 
 def test_the_index_names_every_page() -> None:
