@@ -18,9 +18,10 @@ from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery
 from ops.distances.annotation import Matches, Segment, annotate
 from ops.distances.costs import encode
-from ops.distances.decoding import Decoding, explain, margins
+from ops.distances.decoding import Decoding, confidences, explain, lay_columns
 from ops.distances.dtw import distance_curves
 from ops.distances.pruning import minima_below
+from ops.distances.stepping import Columns
 from ops.distances.within import minima_within, ranges_around, united
 from ops.errors import KinedexError, did_you_mean
 from ops.templates.templates import QuantisedTemplate, Template, quantise
@@ -52,7 +53,7 @@ VAGUE = 1.0
 class Row:
     """What labels all frames of a take together: see `ops.distances.decoding.explain`.
 
-    templates: S templates as learned. usual: float64 (f,), how often each feature is on.
+    templates: S templates as learned. usual: float64 (K, f), the usual postures.
     """
 
     templates: tuple[Template, ...]
@@ -150,8 +151,8 @@ def make_annotator(
         at no cost. Those with fewer than `VAGUE` fixed entries a column stay, with a remark.
     queries: a query whose target is a subclass preselects for it, one whose target is a class for those of its
         subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
-    usual: float64 (f,), how often each feature is on (`ops.distances.decoding.background`): all frames of a take are
-        labelled together, by the explanation of the greatest value. None: frame by frame, as in the thesis.
+    usual: float64 (K, f), the usual postures (`ops.distances.background.background`): all frames of a take are labelled
+        together, by the explanation of the greatest value. None: frame by frame, as in the thesis.
 
     Raises
     ------
@@ -294,7 +295,7 @@ def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
 
 def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = False) -> list[TakeAnnotation]:
     """Annotate takes, all templates against all words at once."""
-    ranges = _ranges(annotator, words)
+    ranges = ranges_of(annotator, words)
     together = annotator.row is not None
     # minima below τ are found without the curves, which are only drawn, and give rows their costs
     curves = _curves(annotator, words, ranges) if keep_curves or together else None
@@ -342,12 +343,16 @@ def _matches(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> M
 
 def _explained_takes(annotator: Annotator, words: TakeWords, ranges: Sequence[I64], curves: F64) -> list[list[Segment]]:
     """The segments of the best explanation of each take."""
+    assert annotator.row is not None
+    columns = lay_columns(annotator.row.templates, annotator.row.usual, annotator.row.decoding)
     edges = words.offsets.tolist()
     pieces = [slice(start, stop) for start, stop in pairwise(edges)]
-    return [_explained(annotator, words.words[piece], ranges, curves[:, piece], piece) for piece in pieces]
+    return [_explained(annotator, columns, words.words[piece], ranges, curves[:, piece], piece) for piece in pieces]
 
 
-def _explained(annotator: Annotator, words: U64, ranges: Sequence[I64], curves: F64, piece: slice) -> list[Segment]:
+def _explained(
+    annotator: Annotator, columns: Columns, words: U64, ranges: Sequence[I64], curves: F64, piece: slice
+) -> list[Segment]:
     """The segments of the best explanation of one take; cost: the least distance within, NaN where no path ends
     there."""
     row = annotator.row
@@ -356,8 +361,8 @@ def _explained(annotator: Annotator, words: U64, ranges: Sequence[I64], curves: 
     if any(annotator.queries):
         clipped = [np.clip(one - piece.start, 0, len(words)) for one in ranges]
         within = [one[one[:, 0] < one[:, 1]] for one in clipped]
-    found = explain(row.templates, row.usual, words, row.decoding, within)
-    sure = margins(found, row.templates, annotator.class_index, row.usual, words, row.decoding)
+    found = explain(row.templates, row.usual, words, row.decoding, within, columns)
+    sure = confidences(found, row.templates, annotator.class_index, row.usual, words, row.decoding, columns)
     segments = []
     for one, confidence in zip(found, sure.tolist(), strict=True):
         least = float(curves[one.template, one.start : one.stop].min())
@@ -367,8 +372,9 @@ def _explained(annotator: Annotator, words: U64, ranges: Sequence[I64], curves: 
     return segments
 
 
-def _ranges(annotator: Annotator, words: TakeWords) -> list[I64]:
-    """The frames of each template, on the words laid end to end: whole takes, or the extended hits of its queries."""
+def ranges_of(annotator: Annotator, words: TakeWords) -> list[I64]:
+    """The frames that each template is matched in, on the words laid end to end: whole takes, or the hits of its
+    queries with their margins."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     every = {query.name: query for queries in annotator.queries for query in queries}
     hits = preselect(words, annotator.feature_set, list(every.values()))
