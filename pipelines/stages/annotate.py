@@ -57,8 +57,9 @@ class Params(BaseModel):
     method: Literal["thesis", "best"] = Field(
         "thesis",
         description="thesis: where templates fit below tau, frames get the label of the nearest class, and its runs "
-        "grow to either side as long as the class does not fit worse there (labels may overlap); best: the templates in "
-        "a row, with background between them, that explain all frames of a take best together (tau does not matter then)",
+        "grow to either side as long as the class does not fit worse there (labels may overlap); best: the templates "
+        "in a row, with background between them, that explain all frames of a take best together (tau does not matter "
+        "then)",
     )
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
     delta: float = Field(
