@@ -23,13 +23,13 @@ class InvertedLists(NamedTuple):
     """The inverted lists of V distinct words, one after the other, R runs in all.
 
     words: uint64 (V,), ascending. offsets: int64 (V + 1,), the runs of words[v] are offsets[v] to offsets[v + 1].
-    take: int64 (R,), the position of the take. start: int32 (R,), the first frame. length: int32 (R,), in frames.
+    take: int32 (R,), the position of the take. start: int32 (R,), the first frame. length: int32 (R,), in frames.
     Within a list the runs are in order of take and start.
     """
 
     words: U64
     offsets: I64
-    take: I64
+    take: I32
     start: I32
     length: I32
 
@@ -75,7 +75,7 @@ def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) 
     present = np.flatnonzero(counts)
     ends = np.cumsum(counts)
     total = int(ends[-1])
-    take, start, length = np.empty(total, np.int64), np.empty(total, np.int32), np.empty(total, np.int32)
+    take, start, length = (np.empty(total, np.int32) for _ in range(3))
     _place(words, offsets, shift, mask, ends - counts, take, start, length)
     return InvertedLists(present.astype(np.uint64), np.concatenate([[0], ends[present]]), take, start, length)
 
@@ -87,7 +87,7 @@ def _sorted(words: U64, offsets: I64, first_feature: int, features: int) -> Inve
     return InvertedLists(
         distinct,
         np.concatenate([firsts, [len(order)]]).astype(np.int64),
-        runs.take[order],
+        runs.take[order].astype(np.int32),
         runs.start[order].astype(np.int32),
         (runs.stop - runs.start)[order].astype(np.int32),
     )
@@ -109,7 +109,7 @@ def _count(words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, counts: 
 
 @njit(cache=True, nogil=True)
 def _place(
-    words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, cursor: I64, take: I64, start: I32, length: I32
+    words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, cursor: I64, take: I32, start: I32, length: I32
 ) -> None:
     # every word's cursor walks through the stretch that its list gets, so the lists come out one after the other
     for t in range(len(offsets) - 1):

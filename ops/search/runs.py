@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ops.bits import count_bits
 from ops.errors import ParameterError
 from ops.words import MOST_FEATURES, NO_WORD
 
+I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 U64 = npt.NDArray[np.uint64]
 
@@ -30,13 +32,14 @@ class WordRuns(NamedTuple):
 class FeatureRuns(NamedTuple):
     """Runs of frames where a feature is on, in order of feature, take and start.
 
-    feature: int64 (R,), the feature's number, from 1. take, start, stop: int64 (R,), as in `WordRuns`.
+    feature: uint8 (R,), the feature's number, from 1. take: int32 (R,), the position of the take among the offsets.
+    start, stop: int32 (R,).
     """
 
-    feature: I64
-    take: I64
-    start: I64
-    stop: I64
+    feature: npt.NDArray[np.uint8]
+    take: I32
+    start: I32
+    stop: I32
 
 
 def word_runs(words: U64, offsets: I64) -> WordRuns:
@@ -71,7 +74,7 @@ def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
     ----------
     words: uint64 (N,), whole words; bit i − 1 is F_i. Bits from `features` on are ignored. In an invalid frame
         (`NO_WORD`) no feature is on.
-    offsets: int64 (T + 1,), as in `word_runs`.
+    offsets: int64 (T + 1,), as in `word_runs`; no take has 2^31 frames or more.
     features: number of features, 1 to 63.
 
     Returns
@@ -85,14 +88,16 @@ def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
     words, offsets = _checked(words, offsets)
     if not 1 <= features <= MOST_FEATURES:
         raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
+    if np.any(np.diff(offsets) > np.iinfo(np.int32).max):
+        raise ParameterError("offsets", "of takes of less than 2^31 frames", int(np.diff(offsets).max()))
     mask = np.uint64((1 << features) - 1)
     counts = np.zeros(features, np.int64)
     _count_feature_runs(words, offsets, mask, counts)
     total = int(counts.sum())
-    take, start, stop = (np.empty(total, np.int64) for _ in range(3))
+    take, start, stop = (np.empty(total, np.int32) for _ in range(3))
     cursor = np.cumsum(counts) - counts
     _fill_feature_runs(words, offsets, mask, cursor, take, start, stop)
-    feature = np.repeat(np.arange(1, features + 1, dtype=np.int64), counts)
+    feature = np.repeat(np.arange(1, features + 1, dtype=np.uint8), counts)
     return FeatureRuns(feature, take, start, stop)
 
 
@@ -134,15 +139,10 @@ def _fill_word_runs(words: U64, offsets: I64, take: I64, start: I64, stop: I64, 
             stop[run] = i - first + 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _lowest(bits: np.uint64) -> np.int64:
-    """The place of the lowest bit that is set, by halves; there is one."""
-    place = np.int64(0)
-    for half in (32, 16, 8, 4, 2, 1):
-        if not bits & np.uint64((1 << half) - 1):
-            bits >>= np.uint64(half)
-            place += half
-    return place
+    """The place of the lowest bit that is set: how many lie below it; there is one."""
+    return count_bits((bits - np.uint64(1)) & ~bits)
 
 
 @njit(cache=True, nogil=True)
@@ -160,7 +160,7 @@ def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) 
 
 @njit(cache=True, nogil=True)
 def _fill_feature_runs(
-    words: U64, offsets: I64, mask: np.uint64, cursor: I64, take: I64, start: I64, stop: I64
+    words: U64, offsets: I64, mask: np.uint64, cursor: I64, take: I32, start: I32, stop: I32
 ) -> None:
     # every feature writes into a stretch of its own, so the runs come out sorted by feature
     for t in range(len(offsets) - 1):

@@ -2,7 +2,8 @@
 
 `stored_word_runs_<set>`, `stored_feature_runs` and `stored_vocabulary` hold the rows of all shards, one shard after the
 other, each sorted; the column `shard` says whose a row is. A run is stored with its length, which takes a third of the
-room that its end would take. `word_runs`, `feature_runs` and `vocabulary` show them as `catalog.views` says.
+room that its end would take, and with its take's id in 32 bits. `word_runs`, `feature_runs` and `vocabulary` show them
+as `catalog.views` says.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import pyarrow as pa
 
 from catalog.features import FeatureSet
 from catalog.views import MACROS, VIEWS, help_rows
-from ops.search.inverted import InvertedLists, inverted_lists
+from ops.errors import StoreError
+from ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
 from ops.search.runs import FeatureRuns, feature_runs
 from ops.words import I64, TakeWords
 from storage import duck
@@ -38,7 +40,14 @@ class ShardRows(NamedTuple):
 
 
 def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
-    """Make the rows of a shard from the words of its takes; any thread may."""
+    """Make the rows of a shard from the words of its takes; any thread may.
+
+    Raises
+    ------
+    StoreError: an id of a take beyond 32 bits.
+    """
+    if len(words) and words.take_ids[-1] > np.iinfo(np.int32).max:
+        raise StoreError(f"take {words.take_ids[-1]}: the index holds takes up to {np.iinfo(np.int32).max}")
     lists = {
         name: inverted_lists(words.words, words.offsets, home.first, home.count)
         for name, home in feature_set.sets.items()
@@ -49,11 +58,13 @@ def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
 
 def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
     """Make the tables that hold the rows of shards."""
-    # what DuckDB chooses by itself, after having tried all others, which takes a fifth of the time of storing
+    # what DuckDB chooses by itself, after having tried all others, which takes a third of the time of storing
     packed, repeated = "USING COMPRESSION bitpacking", "USING COMPRESSION rle"
-    run = f"take_id BIGINT {packed}, start INTEGER {packed}, frames INTEGER {packed}"
-    for name in feature_set.sets:
-        columns = f"shard INTEGER {repeated}, word UBIGINT, {run}"
+    run = f"take_id INTEGER {packed}, start INTEGER {packed}, frames INTEGER {packed}"
+    for name, home in feature_set.sets.items():
+        # so few features make so few words that each has many runs in a shard
+        column = "UBIGINT" if home.count > MOST_COUNTED else f"UBIGINT {repeated}"
+        columns = f"shard INTEGER {repeated}, word {column}, {run}"
         connection.execute(f"CREATE TABLE {lists_table(name)} ({columns})")
     connection.execute(
         f"CREATE TABLE stored_feature_runs (shard INTEGER {repeated}, feature UTINYINT {repeated}, {run})"
@@ -64,10 +75,11 @@ def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
 
 def insert(connection: duck.Connection, number: int, rows: ShardRows) -> None:
     """Store the rows of a shard."""
+    take_ids = rows.take_ids.astype(np.int32)
     for name, lists in rows.lists.items():
         columns = {
             "word": np.repeat(lists.words, lists.runs),
-            "take_id": rows.take_ids[lists.take],
+            "take_id": take_ids[lists.take],
             "start": lists.start,
             "frames": lists.length,
         }
@@ -76,10 +88,10 @@ def insert(connection: duck.Connection, number: int, rows: ShardRows) -> None:
         _insert(connection, "stored_vocabulary", f"{number}, {duck.quote(name)}, *", seen)
     runs = rows.features
     columns = {
-        "feature": runs.feature.astype(np.uint8),
-        "take_id": rows.take_ids[runs.take],
-        "start": runs.start.astype(np.int32),
-        "frames": (runs.stop - runs.start).astype(np.int32),
+        "feature": runs.feature,
+        "take_id": take_ids[runs.take],
+        "start": runs.start,
+        "frames": runs.stop - runs.start,
     }
     _insert(connection, "stored_feature_runs", f"{number}, *", columns)
 
@@ -117,9 +129,9 @@ def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:
     Of the latter nothing may be there; `clear` makes room.
     """
     if anew:
-        _create_as(connection, "features", features_table(store), "ORDER BY number")
-        _create_as(connection, "help", help_table(index_only=True), "")
-    _create_as(connection, "takes", store.takes_table(), "ORDER BY name")
+        _create_as(connection, "features", features_table(store))
+        _create_as(connection, "help", help_table(index_only=True))
+    _create_as(connection, "takes", store.takes_table())  # sorted by name
     connection.execute(
         "CREATE OR REPLACE TABLE vocabulary AS "
         "SELECT feature_set, word, sum(runs)::BIGINT AS runs, sum(frames)::BIGINT AS frames "
@@ -183,14 +195,14 @@ def lists_table(feature_set: str) -> str:
 
 def _statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
     # every column with its table's name: a bare one would be taken for an argument of a macro that is called so
+    run = "s.take_id::BIGINT AS take_id, s.start, s.start + s.frames AS stop"
     lists = [
-        f"SELECT {duck.quote(name)} AS feature_set, s.word, s.take_id, s.start, s.start + s.frames AS stop "
-        f"FROM {lists_table(name)} AS s"
+        f"SELECT {duck.quote(name)} AS feature_set, s.word, {run} FROM {lists_table(name)} AS s"
         for name in sorted(feature_set.sets)
     ]
     return [
         f"CREATE VIEW word_runs AS {' UNION ALL '.join(lists)}",
-        "CREATE VIEW feature_runs AS SELECT s.feature, s.take_id, s.start, s.start + s.frames AS stop, "
+        f"CREATE VIEW feature_runs AS SELECT s.feature, {run}, "
         f"s.frames / {rate_hz!r}::DOUBLE AS seconds FROM stored_feature_runs AS s",
         *(macro.sql() for macro in MACROS if macro.needs == "index"),
     ]
@@ -212,9 +224,9 @@ def clear(connection: duck.Connection) -> None:
             connection.execute(f"DROP {what} {duck.name(name)}")
 
 
-def _create_as(connection: duck.Connection, table: str, source: pa.Table, order: str) -> None:
+def _create_as(connection: duck.Connection, table: str, source: pa.Table) -> None:
     connection.register("source", source)
-    connection.execute(f"CREATE OR REPLACE TABLE {table} AS SELECT * FROM source {order}")
+    connection.execute(f"CREATE OR REPLACE TABLE {table} AS SELECT * FROM source")
     connection.unregister("source")
 
 
