@@ -20,12 +20,12 @@ from ops.distances.annotation import Matches, Segment, annotate
 from ops.distances.costs import encode
 from ops.distances.decoding import Decoding, confidences, explain, lay_columns
 from ops.distances.dtw import distance_curves
+from ops.distances.leastcosts import least_costs
 from ops.distances.pruning import minima_below
-from ops.distances.stepping import Columns
 from ops.distances.within import minima_within, ranges_around, united
 from ops.errors import KinedexError, did_you_mean
 from ops.templates.templates import QuantisedTemplate, Template, quantise
-from ops.words import U64, TakeWords
+from ops.words import TakeWords
 from pipelines.executors import Executor
 from pipelines.searching.search import preselect
 from pipelines.searching.windows import template_window
@@ -296,12 +296,10 @@ def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
 def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = False) -> list[TakeAnnotation]:
     """Annotate takes, all templates against all words at once."""
     ranges = ranges_of(annotator, words)
-    together = annotator.row is not None
-    # minima below τ are found without the curves, which are only drawn, and give rows their costs
-    curves = _curves(annotator, words, ranges) if keep_curves or together else None
-    if together:
-        assert curves is not None
-        segments = _explained_takes(annotator, words, ranges, curves)
+    # minima below τ are found without the curves, and so are rows; they are only drawn
+    curves = _curves(annotator, words, ranges) if keep_curves else None
+    if annotator.row is not None:
+        segments = _explained_takes(annotator, annotator.row, words, ranges)
     else:
         matches = _matches(annotator, words, ranges)
         segments = annotate(matches, annotator.class_index, words.offsets, annotator.thresholds)
@@ -314,7 +312,7 @@ def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = F
                 take_id,
                 tuple(one for one in segments[index] if one.stop - one.start >= annotator.min_frames),
                 kept[:, index] / max(piece.stop - piece.start, 1),
-                curves[:, piece].astype(np.float32) if keep_curves and curves is not None else None,
+                None if curves is None else curves[:, piece].astype(np.float32),
             )
         )
     return found
@@ -341,35 +339,35 @@ def _matches(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> M
     return Matches.of([parts[s] for s in range(len(ranges))])
 
 
-def _explained_takes(annotator: Annotator, words: TakeWords, ranges: Sequence[I64], curves: F64) -> list[list[Segment]]:
-    """The segments of the best explanation of each take."""
-    assert annotator.row is not None
-    columns = lay_columns(annotator.row.templates, annotator.row.usual, annotator.row.decoding)
-    edges = words.offsets.tolist()
-    pieces = [slice(start, stop) for start, stop in pairwise(edges)]
-    return [_explained(annotator, columns, words.words[piece], ranges, curves[:, piece], piece) for piece in pieces]
-
-
-def _explained(
-    annotator: Annotator, columns: Columns, words: U64, ranges: Sequence[I64], curves: F64, piece: slice
-) -> list[Segment]:
-    """The segments of the best explanation of one take; cost: the least distance within, NaN where no path ends
+def _explained_takes(annotator: Annotator, row: Row, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
+    """The segments of the best explanation of each take; cost: the least distance within, NaN where no path ends
     there."""
-    row = annotator.row
-    assert row is not None
-    within = None
-    if any(annotator.queries):
-        clipped = [np.clip(one - piece.start, 0, len(words)) for one in ranges]
-        within = [one[one[:, 0] < one[:, 1]] for one in clipped]
-    found = explain(row.templates, row.usual, words, row.decoding, within, columns)
-    sure = confidences(found, row.templates, annotator.class_index, row.usual, words, row.decoding, columns)
-    segments = []
-    for one, confidence in zip(found, sure.tolist(), strict=True):
-        least = float(curves[one.template, one.start : one.stop].min())
-        cost = least if np.isfinite(least) else np.nan
-        class_index = int(annotator.class_index[one.template])
-        segments.append(Segment(one.start, one.stop, class_index, cost, one.template, confidence))
-    return segments
+    columns = lay_columns(row.templates, row.usual, row.decoding)
+    takes, sure = [], []
+    for start, stop in pairwise(words.offsets.tolist()):
+        own, within = words.words[start:stop], None
+        if any(annotator.queries):
+            clipped = [np.clip(one - start, 0, stop - start) for one in ranges]
+            within = [one[one[:, 0] < one[:, 1]] for one in clipped]
+        found = explain(row.templates, row.usual, own, row.decoding, within, columns)
+        sure.append(confidences(found, row.templates, annotator.class_index, row.usual, own, row.decoding, columns))
+        takes.append(found)
+    every = [
+        (one.template, one.start + first, one.stop + first)
+        for found, first in zip(takes, words.offsets.tolist(), strict=False)
+        for one in found
+    ]
+    chosen = np.array(every, np.int64).reshape(-1, 3)
+    costs = least_costs(annotator.templates, words.words, ranges, *chosen.T)
+    costs[np.isinf(costs)] = np.nan
+    cost = iter(costs.tolist())
+    return [
+        [
+            Segment(one.start, one.stop, int(annotator.class_index[one.template]), next(cost), one.template, confidence)
+            for one, confidence in zip(found, own.tolist(), strict=True)
+        ]
+        for found, own in zip(takes, sure, strict=True)
+    ]
 
 
 def ranges_of(annotator: Annotator, words: TakeWords) -> list[I64]:

@@ -1,0 +1,47 @@
+"""The distance of segments that were found without distances: the least of their template's curve in their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ops.distances.dtw import distance_curves
+from ops.templates.templates import QuantisedTemplate
+from ops.words import U64
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+def least_costs(
+    templates: Sequence[QuantisedTemplate], words: U64, ranges: Sequence[I64], chosen: I64, starts: I64, stops: I64
+) -> F64:
+    """The least distance of the paths that end in each segment, without the curves of all templates in all frames.
+
+    No path to a template of N columns is longer than 2 N − 1 frames, so the frames before a segment that matter are
+    few.
+
+    Parameters
+    ----------
+    words: uint64 (L,). ranges: for each template int64 (R, 2), the half-open stretches it is matched in, ascending and
+        apart. chosen, starts, stops: int64 (S,), the template of each segment and its frames, within one of the
+        template's ranges.
+
+    Returns
+    -------
+    float64 (S,), ∞ where no path ends.
+    """
+    costs = np.full(len(chosen), np.inf)
+    for index in np.unique(chosen).tolist():
+        own, template = np.flatnonzero(chosen == index), templates[index]
+        within = ranges[index][np.searchsorted(ranges[index][:, 0], starts[own], side="right") - 1, 0]
+        begins = np.maximum(starts[own] - 2 * (len(template) - 1), within)
+        edges = np.concatenate([[0], np.cumsum(stops[own] - begins)])
+        parts = [words[begin:stop] for begin, stop in zip(begins.tolist(), stops[own].tolist(), strict=True)]
+        stretches = np.stack([edges[:-1], edges[1:]], axis=1)
+        curve = distance_curves([template], np.concatenate(parts), stretches)[0]
+        inside = np.stack([edges[1:] - (stops[own] - starts[own]), edges[1:]], axis=1)
+        costs[own] = [curve[first:end].min() for first, end in inside.tolist()]
+    return costs
