@@ -95,7 +95,9 @@ def start_frames(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64
     return starts
 
 
-def best_paths(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 | None = None) -> tuple[I64, F64]:
+def best_paths(
+    template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 | None = None, limits: F64 | None = None
+) -> tuple[I64, F64]:
     """Return where the best path that ends at each of some frames begins, and its distance.
 
     A path of N columns that ends at frame l begins at l − 2(N − 1) or later, so a window is enough; ends that
@@ -105,6 +107,7 @@ def best_paths(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 |
     ----------
     template, words, ranges: as in `distance_curves`.
     ends: int64 (E,), ascending frames.
+    limits: float64 (E,), what the distances are known not to exceed: dearer cells need not be computed.
 
     Returns
     -------
@@ -133,9 +136,12 @@ def best_paths(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 |
     apart = (np.diff(ends) > 0.75 * columns) | (home[1:] != home[:-1]) | (block[1:] != block[:-1])
     groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(ends)])).astype(np.int64)
     layout = lay_out([template])
+    most = np.full(len(groups) - 1, np.inf)
+    if limits is not None:
+        most = np.maximum.reduceat(limits, groups[:-1]) * columns * (1 + 1e-9)
     trace_paths(
         np.ascontiguousarray(words), layout.values[:columns], layout.parts, layout.worths, layout.counted, ends, opens,
-        groups, np.full(len(groups) - 1, np.inf), starts, sums,
+        groups, most, starts, sums,
     )  # fmt: skip
     return starts, sums / columns
 

@@ -126,7 +126,8 @@ def minima_below(
         coarse = coarse_bound(template, coded, threshold, stretches)
     bounds = bounds_below(template, coded, threshold, stretches, coarse)
     candidates, possible = possible_minima(bounds.units, bounds.spans, bounds.slack)
-    starts, costs = best_paths(template, words, candidates, stretches)
+    limits = (bounds.units[candidates] + (len(template) + 1.0)) * bounds.unit  # see bound 1
+    starts, costs = best_paths(template, words, candidates, stretches, limits)
     kept = possible & _true_minima(candidates, costs, stretches, threshold)
     return Minima(candidates[kept], starts[kept], costs[kept], bounds.frames, bounds.computed)
 

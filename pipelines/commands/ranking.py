@@ -14,75 +14,126 @@ from pipelines.terminal import make_console
 
 if TYPE_CHECKING:
     from catalog.queries import KeyframeQuery
+    from ops.templates.templates import Kind, Template
+    from pipelines.retrieval.ranking import Searched
+    from storage.store import Store
 
 
 @command
 def rank(
     store: StorePath,
-    template: Annotated[
-        str | None,
-        typer.Argument(metavar="[TEMPLATE]", help="class of a learned template, or a template file (.yaml, .csv)"),
+    templates: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[TEMPLATE]...", help="classes of learned templates, or template files (.yaml, .csv)"),
     ] = None,
+    every: Annotated[bool, typer.Option("--all", help="by all learned templates of the store")] = False,
     take: Annotated[str | None, typer.Option(help="query by example: a take, or the stretch of it to look for")] = None,
     start: Annotated[str | None, typer.Option(help="first frame of the example, or seconds (1.5s)")] = None,
     stop: Annotated[str | None, typer.Option(help="the frame after its last, or seconds")] = None,
-    top: Annotated[int, typer.Option(min=1, help="how many hits at most")] = 20,
+    top: Annotated[int, typer.Option(min=1, help="how many hits a template at most")] = 20,
     tau: Annotated[float, typer.Option(min=1e-6, max=1, help="distances below tau make a hit")] = 0.1,
     delta: Annotated[
         float,
         typer.Option(min=0, max=0.4999, help="template values within delta of 0 or 1 count, others are wildcards"),
     ] = 0.1,
     kind: Annotated[str, typer.Option("--kind", help="soft or hard template")] = "soft",
+    stage: Annotated[
+        str | None,
+        typer.Option("--stage", metavar="STAGE", help="templates of this stage: PIPELINE/STAGE, or PIPELINE"),
+    ] = None,
     queries: Annotated[
-        str | None, typer.Option(metavar="FILE", help="only within the hits of this query file's queries for TEMPLATE")
+        str | None,
+        typer.Option(metavar="FILE", help="only within the hits of this query file's queries for each TEMPLATE"),
     ] = None,
     where: Where = None,
     workers: Annotated[int | None, typer.Option(min=1, help="threads; all cores unless given")] = None,
     form: Format = "table",
     output: Output = None,
 ) -> None:
-    """Rank the places of an archive by how well a template fits them, the best first."""
-    from catalog.queryfiles import read_queries
-    from ops.templates.templates import quantise
-    from pipelines.commands.templates import kind_of, template_of_file
-    from pipelines.retrieval.ranking import Searched, rank_store, ranking_table
-    from pipelines.templates.templates import choose_template, template_from_clip
+    """Rank the places of an archive by how well templates fit them, the best of each template first."""
+    from pipelines.commands.templates import kind_of
+    from pipelines.retrieval.ranking import rank_store, ranking_table
+    from pipelines.templates.templates import template_from_clip
     from storage.store import open_store
 
     opened = open_store(store)
-    if (template is None) == (take is None):
-        raise KinedexError("rank by the name of a TEMPLATE, or by an example: --take NAME --start … --stop …")
+    names = list(dict.fromkeys(templates or ()))
+    if (bool(names) + every + (take is not None)) != 1:
+        raise KinedexError("rank by the names of TEMPLATES, by --all, or by an example: --take NAME --start … --stop …")
     if take is None and (start is not None or stop is not None):
         raise KinedexError("--start and --stop say which stretch of --take is the example")
     if take is not None:
-        learned, name = template_from_clip(opened, take, start, stop, take).template, take
+        wanted = {take: template_from_clip(opened, take, start, stop, take).template}
     else:
-        assert template is not None
-        if template.endswith((".yaml", ".yml", ".csv")):
-            made = template_of_file(Path(template), opened.feature_set)
-            learned, name = made.template, made.name
-        else:
-            learned, name = choose_template(opened, template, kind_of(kind)).learned.template, template
-    quantised = quantise(learned, delta)
-    if not quantised.fixed:
-        raise KinedexError(f"at --delta {delta:g} the template is wildcards alone and would fit anything")
-    chosen: tuple[KeyframeQuery, ...] = ()
-    if queries is not None:
-        loaded = read_queries(queries, opened.feature_set, opened.rate_hz)
-        chosen = tuple(query for query in loaded if query.target == name)
-        if not chosen:
-            targets = ", ".join(sorted({query.target for query in loaded}))
-            raise KinedexError(f"{queries} has no query for '{name}'; its queries are for: {targets}")
+        wanted = _templates(opened, None if every else names, kind_of(kind), stage)
+    searched = _searched(opened, wanted, delta, queries, every)
     begin = time.perf_counter()
-    (ranking,) = rank_store(opened, [Searched(name, quantised, chosen)], tau, top, where, workers)
+    rankings = rank_store(opened, searched, tau, top, where, workers)
     seconds = time.perf_counter() - begin
-    table = ranking_table([ranking], opened.rate_hz)
+    table = ranking_table(rankings, opened.rate_hz)
     plain = form == "table" and output is None
-    show_table(table.drop_columns(["run", "template", "take_id"]) if plain else table, form, output)
+    unsaid = ["run", "take_id"] if len(searched) > 1 else ["run", "template", "take_id"]
+    show_table(table.drop_columns(unsaid) if plain else table, form, output)
     if plain:
-        kept = f", {ranking.kept:.1%} of them within keyframe hits" if chosen else ""
+        kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
+        skipped = sum(one.skipped for one in rankings) / len(rankings)
         make_console().print(
-            f"{len(ranking.hits)} hits below {tau:g}; {ranking.frames:,} frames{kept}, {ranking.skipped:.0%} skipped "
-            f"as provably without a hit; {seconds:.2f} s",
+            f"{table.num_rows} hits below {tau:g}"
+            + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
+            + f"; {rankings[0].frames:,} frames"
+            + (f", {kept:.1%} of them within keyframe hits" if queries is not None else "")
+            + (f", {skipped:.0%} skipped as provably without one" if skipped else "")
+            + f"; {seconds:.2f} s",
             markup=False,
         )
+
+
+def _templates(store: Store, names: list[str] | None, kind: Kind, stage: str | None) -> dict[str, Template]:
+    """Templates by name: learned ones and those of files, or all learned ones."""
+    from pipelines.commands.templates import template_of_file
+    from pipelines.templates.templates import choose_template, stored_templates
+
+    if names is None:
+        names = [each.one.subclass for each in stored_templates(store, stage) if each.one.kind == kind]
+        if not names:
+            raise KinedexError(f"{store.path} has no {kind} templates" + (f" of stage {stage}" if stage else ""))
+    found = {}
+    for name in dict.fromkeys(names):
+        if name.endswith((".yaml", ".yml", ".csv")):
+            made = template_of_file(Path(name), store.feature_set)
+            if made.name in found:
+                raise KinedexError(f"{name}: there is a template '{made.name}' already; give it another name")
+            found[made.name] = made.template
+        else:
+            found[name] = choose_template(store, name, kind, stage).learned.template
+    return found
+
+
+def _searched(
+    store: Store, wanted: dict[str, Template], delta: float, queries: str | None, lenient: bool
+) -> list[Searched]:
+    """What to rank by: templates quantised, each with its queries.
+
+    lenient: templates of wildcards alone are left out, and that is said; else there must be none.
+    """
+    from catalog.queryfiles import read_queries
+    from ops.templates.templates import quantise
+    from pipelines.retrieval.ranking import Searched
+
+    loaded = [] if queries is None else read_queries(queries, store.feature_set, store.rate_hz)
+    searched = []
+    for name, template in wanted.items():
+        quantised = quantise(template, delta)
+        if not quantised.fixed and lenient and len(wanted) > 1:
+            typer.echo(f"left out, wildcards alone at --delta {delta:g}: {name}", err=True)
+            continue
+        if not quantised.fixed:
+            raise KinedexError(f"at --delta {delta:g} the template '{name}' is wildcards alone and would fit anything")
+        chosen: tuple[KeyframeQuery, ...] = tuple(query for query in loaded if query.target == name)
+        if queries is not None and not chosen:
+            targets = ", ".join(sorted({query.target for query in loaded}))
+            raise KinedexError(f"{queries} has no query for '{name}'; its queries are for: {targets}")
+        searched.append(Searched(name, quantised, chosen))
+    if not searched:
+        raise KinedexError(f"at --delta {delta:g} all templates are wildcards alone and would fit anything")
+    return searched

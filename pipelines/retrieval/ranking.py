@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from catalog.queries import KeyframeQuery
 from ops.distances.costs import I64, encode
-from ops.distances.ranking import Hits, rank
+from ops.distances.ranking import Hits, rank, rank_together
 from ops.errors import KinedexError
 from ops.templates.templates import QuantisedTemplate, quantise
 from pipelines.executors import cores
@@ -110,10 +110,11 @@ def rank_store(
     where: str | None = None,
     workers: int | None = None,
 ) -> list[Ranking]:
-    """Rank the takes of a store by each of some templates.
+    """Rank the takes of a store by each of some templates, all of them in one pass over the words.
 
     Memory does not grow with the archive: besides the hits that are kept it holds a batch or two for each thread.
-    The result is the same for any number of threads.
+    The hits are the same for any number of threads, and for templates together or one by one; how many frames can
+    be skipped depends on what is known already when a batch begins.
 
     Parameters
     ----------
@@ -188,13 +189,19 @@ def _rank_batch(
     queries = {query.name: query for one in templates for query in one.queries}
     hits = preselect_stored(store, words, list(queries.values()))
     ids = np.concatenate((words.take_ids, [len(words.words)])).astype(np.int64)
-    for one, tau in zip(templates, taus, strict=True):
-        ranges = None
-        if one.queries:
-            columns = one.template.values(len(store.feature_set.features))
-            found = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
-            shift = np.repeat(words.offsets[:-1], np.diff(found.offsets))
-            ranges = np.stack([found.starts + shift, found.stops + shift], axis=1)
+    free = [place for place, one in enumerate(templates) if not one.queries]
+    found = rank_together(
+        [templates[place].template for place in free], words, np.array([taus[place] for place in free]), top, coded
+    )
+    everywhere = dict(zip(free, found, strict=True))
+    for place, (one, tau) in enumerate(zip(templates, taus, strict=True)):
+        if not one.queries:
+            yield ids, everywhere[place]
+            continue
+        columns = one.template.values(len(store.feature_set.features))
+        within = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
+        shift = np.repeat(words.offsets[:-1], np.diff(within.offsets))
+        ranges = np.stack([within.starts + shift, within.stops + shift], axis=1)
         yield ids, rank(one.template, words, tau, top, ranges, coded)
 
 

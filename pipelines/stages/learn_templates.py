@@ -48,8 +48,8 @@ class Params(BaseModel):
     )
     weights: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
         {},
-        description="feature → how much it counts where clips are aligned, 1 unless given; one of weight 0 counts "
-        "nowhere, not in distance curves either; there all others count alike",
+        description="feature → how much it counts where clips are aligned and in distance curves, 1 unless given; one "
+        "of weight 0 counts nowhere",
     )
     mirror: dict[str, str] = Field(
         {}, description="class → the class that its clips are examples of with left and right exchanged"

@@ -75,6 +75,19 @@ def test_equal_weights_are_the_same_as_none_to_the_bit(
     np.testing.assert_array_equal(distance_curves([weighted], as_words(take)), distance_curves([plain], as_words(take)))
 
 
+@given(templates, takes, st.data())
+def test_paths_do_not_depend_on_a_limit_that_none_of_them_exceeds(
+    template: list[list[int | None]], take: list[list[int]], data: st.DataObject
+):
+    (curve,) = distance_curves([quantised(template)], as_words(take))
+    ends = np.flatnonzero(np.isfinite(curve)).astype(np.int64)[:: data.draw(st.integers(1, 3))]
+    slack = data.draw(st.lists(st.sampled_from([0.0, 0.1]), min_size=len(ends), max_size=len(ends)))
+    found, distances = best_paths(quantised(template), as_words(take), ends, None, curve[ends] + np.array(slack))
+    starts, exact = best_paths(quantised(template), as_words(take), ends)
+    np.testing.assert_array_equal(distances, exact)
+    np.testing.assert_array_equal(found, starts)
+
+
 def test_what_a_heavy_feature_denies_is_dearer():
     template = QuantisedTemplate(np.array([3], np.uint64), np.array([3], np.uint64), np.array([3.0, 1.0]))
     (curve,) = distance_curves([template], np.array([3, 2, 1, 0], np.uint64))

@@ -59,7 +59,7 @@ def test_threads_and_batches_change_nothing(store: Store, monkeypatch: pytest.Mo
     searched = [Searched("c", example(store, "x_c", 10, 40)), Searched("e", example(store, "x_e", 0, 25))]
     plain = ranking_table(rank_store(store, searched, 0.4, workers=1), store.rate_hz)
     monkeypatch.setattr(ranking, "BATCH_FRAMES", 100)
-    for workers in (1, 3):
+    for workers in (1, 2, 3):
         assert ranking_table(rank_store(store, searched, 0.4, workers=workers), store.rate_hz) == plain
     few = rank_store(store, searched, 0.4, top=2, workers=2)
     for one in few:
@@ -108,6 +108,49 @@ def test_a_template_file_ranks_like_the_example_that_it_was_made_of(store: Store
     several = CliRunner().invoke(app, ["rank", str(store.path), str(file)])
     assert several.exit_code == 1
     assert "2 templates; leave one in it: mine, other" in several.stderr
+
+
+def test_several_templates_rank_as_each_does_alone(store: Store, tmp_path: Path):
+    runner = CliRunner()
+    for name, take, start in (("first", "x_c", "10"), ("second", "x_e", "0")):
+        stretch, file = [str(store.path), take, start, "40"], str(tmp_path / f"{name}.yaml")
+        made = runner.invoke(app, ["template", "from-clip", *stretch, "--name", name, "-o", file])
+        assert made.exit_code == 0, made.output
+    files = [str(tmp_path / "first.yaml"), str(tmp_path / "second.yaml")]
+    options = ["--tau", "0.4", "--top", "5", "--format", "csv"]
+    together = runner.invoke(app, ["rank", str(store.path), *files, *options])
+    assert together.exit_code == 0, together.output
+    alone = [runner.invoke(app, ["rank", str(store.path), file, *options]).output.splitlines() for file in files]
+    assert together.output.splitlines() == alone[0] + alone[1][1:]
+    shown = runner.invoke(app, ["rank", str(store.path), *files, "--tau", "0.4"])
+    assert "hits below 0.4 by 2 templates" in shown.output
+    assert "template" in shown.output
+    no_templates = runner.invoke(app, ["rank", str(store.path), "--all"])
+    assert no_templates.exit_code == 1
+    assert "has no templates yet" in no_templates.stderr
+    both = runner.invoke(app, ["rank", str(store.path), files[0], "--all"])
+    assert both.exit_code == 1
+
+
+def test_weights_in_a_template_file_change_the_costs_of_hits(store: Store, tmp_path: Path):
+    runner = CliRunner()
+    file = tmp_path / "mine.yaml"
+    made = runner.invoke(
+        app, ["template", "from-clip", str(store.path), "x_c", "10", "40", "--name", "mine", "-o", str(file)]
+    )
+    assert made.exit_code == 0, made.output
+    plain = file.read_text()
+
+    def costs(text: str) -> list[float]:
+        file.write_text(text)
+        answer = runner.invoke(app, ["rank", str(store.path), str(file), "--tau", "0.5", "--format", "csv"])
+        assert answer.exit_code == 0, answer.output
+        return [float(line.split(",")[-1]) for line in answer.output.splitlines()[1:]]
+
+    first = store.feature_set.features[0].name
+    unweighted = costs(plain)
+    assert costs(plain.replace("mine:", f"mine:\n  weights: {{{first}: 1}}")) == unweighted
+    assert costs(plain.replace("mine:", f"mine:\n  weights: {{{first}: 50}}")) != unweighted
 
 
 def manual(take: str, label: str, start: int, stop: int) -> Manual:
