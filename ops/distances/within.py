@@ -13,7 +13,7 @@ import numba as nb
 import numpy as np
 
 from ops.distances.annotation import TOLERANCE, Matches
-from ops.distances.costs import F64, I32, I64, CodedWords, contradictions, encode, lay_out
+from ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
@@ -53,10 +53,9 @@ def minima_within(
     stretches = [check_ranges(own, len(words)) for own in ranges]
     edges = np.cumsum([0, *map(len, stretches)]).astype(np.int64)
     layout = lay_out(templates)
-    counted = np.maximum(np.bitwise_count(layout.masks), 1).astype(np.float64)
     coded = encode(words) if coded is None else coded
     found = fill_matches(
-        coded.vocabulary, coded.codes, layout.values, layout.masks, counted, layout.firsts,
+        coded.vocabulary, coded.codes, layout.values, layout.parts, layout.worths, layout.counted, layout.firsts,
         layout.lengths, np.ascontiguousarray(thresholds, np.float64), np.concatenate(stretches), edges,
     )  # fmt: skip
     return Matches(*found)
@@ -116,7 +115,7 @@ def extend_hits(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, ri
 
 @nb.njit(cache=True, nogil=True)
 def fill_matches(
-    vocabulary: U64, codes: I32, values: U64, masks: U64, counted: F64, firsts: I64, lengths: I64,
+    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, firsts: I64, lengths: I64,
     thresholds: F64, stretches: I64, edges: I64,
 ) -> tuple[I64, I64, I64, F64]:  # fmt: skip
     """Go over the ranges of all templates, and return the parts of `Matches` (kernel).
@@ -126,7 +125,6 @@ def fill_matches(
     longest, room = lengths.max(), _PIECE + 2 * lengths.max()
     # Two rows and two columns of ∞ are before the first frame and the first column, so that no step asks for the edge.
     sums = np.full((room + 2, longest + 2), np.inf)
-    # Few of the words occur in the ranges of a template, and those again and again: each costs one row.
     table, used = np.empty((max(room, _ROWS), longest)), 0
     row_of, filled_in, turn = np.empty(len(vocabulary), np.int32), np.full(len(vocabulary), -1, np.int64), 0
     rows = np.empty(room, np.int32)
@@ -136,7 +134,8 @@ def fill_matches(
     for t in range(len(lengths)):
         columns, used, turn = lengths[t], 0, turn + 1
         own = slice(firsts[t], firsts[t] + columns)
-        own_values, own_masks, own_counted = values[own], masks[own], counted[own]
+        own_values, own_counted = values[own], counted[own]
+        own_parts, own_worths = np.ascontiguousarray(parts[:, own]), np.ascontiguousarray(worths[:, own])
         for place in range(edges[t], edges[t + 1]):
             opens, closes = stretches[place]
             for begin in range(opens, closes, _PIECE):
@@ -146,15 +145,10 @@ def fill_matches(
                 frames = min(stop + 1, closes) - first
                 if used + frames > len(table):
                     used, turn = 0, turn + 1
-                for frame in range(frames):
-                    code = codes[first + frame]
-                    if filled_in[code] != turn:
-                        fill_row(vocabulary[code], own_masks, own_values, own_counted, table[used])
-                        if vocabulary[code] == _NO_WORD:
-                            table[used, :] = np.inf
-                        filled_in[code], row_of[code] = turn, used
-                        used += 1
-                    rows[frame] = row_of[code]
+                used = look_up(
+                    vocabulary, codes[first : first + frames], own_values, own_parts, own_worths, own_counted, table,
+                    row_of, filled_in, turn, used, rows,
+                )  # fmt: skip
                 fill_sums(table, rows[:frames], columns, sums)
                 while count + stop - begin > len(ends):
                     starts, ends = np.concatenate((starts, starts)), np.concatenate((ends, ends))
@@ -175,10 +169,28 @@ def fill_matches(
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_row(word: np.uint64, masks: U64, values: U64, counted: F64, row: F64) -> None:
-    """Fill the local costs of a word in the columns of a template (kernel)."""
-    for n in range(len(counted)):
-        row[n] = np.float64(contradictions(word, masks[n], values[n])) / counted[n]
+def look_up(
+    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, table: F64, row_of: I32,
+    filled_in: I64, turn: int, used: int, rows: I32,
+) -> int:  # fmt: skip
+    """Fill the rows of frames in a table of costs, and those costs that are not there; return how many are (kernel).
+
+    Few of the words occur where a template is matched, and those again and again: each costs one row.
+
+    values, parts, worths, counted: the columns of a template, as `Layout` has them. row_of: int32 (W,), the row of each
+    word that was filled in this turn, as filled_in, int64 (W,), says.
+    """
+    for frame in range(len(codes)):
+        code = codes[frame]
+        if filled_in[code] != turn:
+            if vocabulary[code] == _NO_WORD:
+                table[used, :] = np.inf
+            else:
+                column_costs(vocabulary[code], values, parts, worths, counted, table[used, : len(values)])
+            filled_in[code], row_of[code] = turn, used
+            used += 1
+        rows[frame] = row_of[code]
+    return used
 
 
 @nb.njit(cache=True, nogil=True)

@@ -17,7 +17,7 @@ from ops.distances.within import minima_within, ranges_around, united
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import NO_WORD
-from tests.ops.distances.test_dtw import as_words_with_gaps, quantised, takes_with_gaps, templates
+from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.ops.distances.test_ranking import spoiled, walk
 
 
@@ -34,14 +34,17 @@ def assert_those_of_whole_curves(
         np.testing.assert_array_equal(part[0], start_frames(template, words, ends, own))
 
 
-@given(st.lists(templates, max_size=3), takes_with_gaps, st.data())
+weighted = st.tuples(templates, st.none() | feature_weights).map(lambda drawn: quantised(*drawn))
+
+
+@given(st.lists(weighted, max_size=3), takes_with_gaps, st.data())
 def test_minima_are_those_of_whole_curves(
-    several: list[list[list[int | None]]], take: list[list[int] | None], data: st.DataObject
+    several: list[QuantisedTemplate], take: list[list[int] | None], data: st.DataObject
 ):
     cuts = st.lists(st.integers(0, len(take)), min_size=4, max_size=4).map(sorted)
     ranges = [np.array(data.draw(cuts), np.int64).reshape(2, 2) for _ in several]
     taus = np.array([data.draw(st.sampled_from([0.05, 0.2, 1.0])) for _ in several], np.float64)
-    assert_those_of_whole_curves([quantised(one) for one in several], as_words_with_gaps(take), taus, ranges)
+    assert_those_of_whole_curves(several, as_words_with_gaps(take), taus, ranges)
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
