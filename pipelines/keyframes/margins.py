@@ -18,6 +18,9 @@ from ops.words import I64, U64, TakeWords
 
 Margins = Literal["learned", "shared", "formula", "wider"]
 
+ALONE = 3
+"""A query that shares its margins keeps one part in so many of those that it would have alone."""
+
 
 def hit_ranges(words: TakeWords, query: Query, features: int) -> tuple[I64, I64, I64]:
     """Search takes: the index of the take, start and stop of each range that holds hits, int64 (n,)."""
@@ -51,7 +54,7 @@ def margins_of(
     policy: "formula": from the template's columns and the softest gap (`ops.search.preselection.margins`).
         "learned": as far as clips reach out of their hits, so that each that is hit is covered whole; the formula may
         be shorter, but then it cuts a clip. "shared": the same of all queries together; what one of them covers, the
-        others need not. "wider": the larger of "learned" and "formula", on each side.
+        others need not, but for a third of their margins. "wider": the larger of "learned" and "formula", on each side.
     """
     formula = [_by_formula(query, columns) for query in queries]
     if policy == "formula":
@@ -103,7 +106,7 @@ class Reach:
 def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Shorten margins frame by frame as long as no frame of a clip is lost, always the longest that can be shortened.
 
-    So queries share the work: where one of them does not find a motion, the others still reach out of their hits.
+    None becomes shorter than an `ALONE`-th: a motion of somebody else may be found by one of the queries only.
     """
     margins = [list(pair) for pair in learned]
     wanted = _covered_by(reached, margins)
@@ -111,7 +114,8 @@ def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> lis
     while sides:
         query, end = max(sorted(sides), key=lambda side: margins[side[0]][side[1]])
         margins[query][end] -= 1
-        if margins[query][end] < 0 or not (_covered_by(reached, margins) >= wanted).all():
+        least = -(-learned[query][end] // ALONE)
+        if margins[query][end] < least or not (_covered_by(reached, margins) >= wanted).all():
             # the others only become shorter, so it stays as it is
             margins[query][end] += 1
             sides.discard((query, end))

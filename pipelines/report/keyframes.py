@@ -11,18 +11,25 @@ import numpy.typing as npt
 
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME
-from ops.learning.consensus import agreement_matrix
+from ops.learning.fitness import Query
 from ops.learning.lessons import HISTORY, Run
+from ops.measures.intervals import wilson
+from ops.words import bits
 from pipelines.keyframes.learning import Outcome, keyframe_queries
 from pipelines.keyframes.tables import sentence
+from pipelines.report.axes import time_axis
 from pipelines.report.environment import page_environment
-from pipelines.report.pixels import Colour, png_uri
 
 F64 = npt.NDArray[np.float64]
 
 WIDTH, HEIGHT = 640, 200
 BINS = 10
-GREYS: list[Colour] = [(level, level, level) for level in range(256)]
+PANEL, ROW, NAMES = 330, 13, 170
+"""Widths of a matrix and of its rows' names, and the height of a row, in SVG units."""
+LEAST_CELL = 3.0
+"""Keyframes of long templates are drawn at least this wide."""
+FAINT = 0.2
+"""Features that stand out less than this share of the strongest one are left out of a matrix, unless a query asks."""
 LINES = HISTORY[:3]
 """Precision, recall and fitness, as in Figure 4.3."""
 
@@ -50,23 +57,64 @@ class Bar:
 
 
 @dataclass(frozen=True)
+class Cell:
+    """An entry of a matrix in SVG units: on or off, how strongly (0 to 1), and what it is, in words."""
+
+    x: float
+    y: int
+    width: float
+    on: bool
+    strength: float
+    query: int
+    tip: str
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Keyframes over the columns of a template: rows of features, the cells of all runs, and those of the queries."""
+
+    names: tuple[str, ...]
+    runs: tuple[Cell, ...]
+    queries: tuple[Cell, ...]
+    ticks: tuple[tuple[float, str], ...]
+
+    @property
+    def height(self) -> int:
+        """The height of the rows."""
+        return ROW * len(self.names)
+
+
+@dataclass(frozen=True)
 class Card:
-    """One subclass: its queries in words, and two images, all runs added up and what was chosen."""
+    """One subclass: its queries in words with their margins in seconds, what they find of the clips, and a matrix."""
 
     outcome: Outcome
     sentences: tuple[str, ...]
-    agreement: str
-    chosen: str
+    margins: tuple[tuple[float, float], ...]
+    found: int
+    others: int
+    interval: tuple[float, float]
+    precise: tuple[float, float]
+    matrix: Matrix
+
+    @property
+    def keyframes(self) -> str:
+        """How many keyframes each query has."""
+        return " · ".join(str(len(one.query)) for one in self.outcome.chosen)
 
 
 def keyframes_page(
-    title: str, outcomes: Sequence[Outcome], runs: Mapping[str, Sequence[Run]], feature_set: FeatureSet
+    title: str,
+    outcomes: Sequence[Outcome],
+    runs: Mapping[str, Sequence[Run]],
+    feature_set: FeatureSet,
+    rate_hz: float,
 ) -> str:
     """Render the page.
 
     Parameters
     ----------
-    outcomes: by subclass. runs: all runs of each subclass.
+    outcomes: by subclass. runs: all runs of each subclass. rate_hz: the analysis rate.
 
     Returns
     -------
@@ -86,10 +134,13 @@ def keyframes_page(
             bars=bars(stiffness),
             gaps=len(stiffness),
             soft=float(np.mean(np.array(stiffness) <= 0.8)) if stiffness else 0.0,
-            cards=[_card(outcome, feature_set) for outcome in outcomes],
-            features=[feature.name for feature in feature_set.features],
+            cards=[_card(outcome, feature_set, rate_hz) for outcome in outcomes],
+            clips=sum(len(outcome.clips) for outcome in outcomes),
             width=WIDTH,
             height=HEIGHT,
+            panel=PANEL,
+            row=ROW,
+            names=NAMES,
         )
     )
 
@@ -135,22 +186,66 @@ def bars(stiffness: Sequence[float]) -> list[Bar]:
     ]  # fmt: skip
 
 
-def agreement_image(matrix: F64) -> str:
-    """Draw a matrix of keyframes (thesis, Figure 4.2): black is off, white is on, grey is a wildcard.
+def matrix_of(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Matrix:
+    """Lay out the keyframes of all runs (thesis, Figure 4.2 a) and those of the chosen queries (Figure 4.2 b).
 
-    The matrix is stretched so that its strongest entry is black or white: with many runs every entry is near one half.
+    Rows are features that a query asks for, and those that stand out among the runs. An entry is as strong as runs fix
+    it, by the strongest one: with many runs every entry is near one half.
     """
-    strongest = float(np.abs(matrix - 0.5).max())
-    stretched = 0.5 + (matrix - 0.5) * (0.5 / strongest) if strongest > 0 else matrix
-    return png_uri(np.round(stretched * 255).astype(np.uint8).T, GREYS)
+    lean = outcome.consensus.matrix - 0.5
+    strongest = max(float(np.abs(lean).max(initial=0.0)), 1e-9)
+    fixed = [bits(one.query.masks, len(feature_set.features)).any(axis=0) for one in outcome.chosen]
+    rows = np.flatnonzero(np.any([*fixed, np.abs(lean).max(axis=0) >= FAINT * strongest], axis=0)).tolist()
+    names = [feature_set.features[row].name for row in rows]
+    width = PANEL / outcome.columns
+    runs = []
+    for y, row in enumerate(rows):
+        for column in np.flatnonzero(np.abs(lean[:, row]) > 1e-9).tolist():
+            value = float(lean[column, row])
+            word = "on" if value > 0 else "off"
+            tip = f"{names[y]} {word} in {2 * abs(value):.0%} of the runs, column {column}"
+            runs.append(_cell(column, y, width, value > 0, abs(value) / strongest, 0, tip))
+    queries = [
+        cell
+        for number, one in enumerate(outcome.chosen)
+        for cell in _query_cells(one.query, rows, names, width, number, len(feature_set.features))
+    ]
+    ticks = time_axis(outcome.columns / rate_hz, most=6, room=0.9).ticks
+    return Matrix(tuple(names), tuple(runs), tuple(queries), ticks)
 
 
-def _card(outcome: Outcome, feature_set: FeatureSet) -> Card:
-    features = len(feature_set.features)
-    chosen = agreement_matrix([outcome.chosen[0].query], outcome.columns, features)
+def _query_cells(
+    query: Query, rows: Sequence[int], names: Sequence[str], width: float, number: int, features: int
+) -> list[Cell]:
+    masks, values = bits(query.masks, features), bits(query.values, features)
+    return [
+        _cell(
+            int(query.positions[k]), y, width, bool(values[k, row]), 1.0, number + 1,
+            f"query {number + 1}, keyframe {k + 1}: {names[y]} {'on' if values[k, row] else 'off'}",
+        )
+        for k in range(len(query))
+        for y, row in enumerate(rows)
+        if masks[k, row]
+    ]  # fmt: skip
+
+
+def _cell(column: int, y: int, width: float, on: bool, strength: float, query: int, tip: str) -> Cell:
+    wide = max(width, LEAST_CELL)
+    return Cell(
+        round(min(width * column, PANEL - wide), 2), ROW * y, round(wide, 2), on, round(strength, 2), query, tip
+    )
+
+
+def _card(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Card:
+    found = round(outcome.recall * len(outcome.clips))
+    every = round(found / outcome.precision) if outcome.precision else 0
     return Card(
         outcome,
         tuple(sentence(query, feature_set) for query in keyframe_queries(outcome, feature_set)),
-        agreement_image(outcome.consensus.matrix),
-        agreement_image(chosen),
+        tuple((one.left / rate_hz, one.right / rate_hz) for one in outcome.chosen),
+        found,
+        every - found,
+        wilson(found, len(outcome.clips)),
+        wilson(found, every),
+        matrix_of(outcome, feature_set, rate_hz),
     )

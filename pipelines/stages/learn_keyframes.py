@@ -138,7 +138,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     path = context.report_file("keyframes.html")
     outcomes = [course.outcomes[-1] for course in courses]
     finished = {course.lesson.subclass: list(course.runs.values()) for course in courses}
-    write_page(keyframes_page("Keyframe queries learned from clips", outcomes, finished, store.feature_set), path)
+    title = "Keyframe queries learned from clips"
+    write_page(keyframes_page(title, outcomes, finished, store.feature_set, store.rate_hz), path)
     context.say(f"report: {path.resolve()}")
     file = path.relative_to(context.store_path).as_posix()
     return {**_summary(context, courses, takes, params.at_least, known=len(known)), "files": [file]}
