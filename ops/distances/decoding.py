@@ -43,11 +43,11 @@ class Decoding:
     background.
     """
 
-    smoothing: float = 0.05
+    smoothing: float = 0.03
     entry: float = 0.7
-    skip: float = 0.05
+    skip: float = 0.02
     stay: float = 0.1
-    gain: float = 0.0
+    gain: float = -0.01
 
     def __post_init__(self) -> None:
         if not 0.0 < self.smoothing < 0.5:
