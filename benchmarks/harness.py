@@ -87,13 +87,13 @@ def calibrate() -> Figure:
 def show(figures: list[Figure]) -> Table:
     """The figures as a table for the terminal."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("benchmark", "rate or amount", "seconds", "beside it, in the same run", "times as fast or small"):
+    for column in ("benchmark", "rate or amount", "seconds", "beside it, in the same run", "times as good"):
         table.add_column(column, justify="left" if column[:2] == "be" else "right", no_wrap=True)
     for figure in figures:
         table.add_row(
             figure.name,
             figure.shown,
-            f"{figure.seconds:.4g}" if figure.seconds is not None else "–",
+            f"{figure.seconds:.{4 if figure.seconds >= 0.1 else 6}f}" if figure.seconds is not None else "–",
             figure.other or "–",
             f"{figure.ratio:,.1f}" if figure.ratio is not None else "–",
         )

@@ -41,7 +41,7 @@ from tests.oracles import runs as naive_runs
 
 HOURS = 4.0
 LARGER = (40.0, 400.0)
-REPEATS = 7
+REPEATS = 15
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "reference"
 
 F64 = npt.NDArray[np.float64]
@@ -182,13 +182,13 @@ def _warm(case: _Case, lists: RunLists, what: str) -> list[Figure]:
     worst = int(warm.argmax())
     return [
         *_asked(
-            f"warm query, pattern to ranges, mean of {what}", million, float(warm.mean()), 0.15, float(naive.mean())
+            f"warm query to its ranges, mean of {what}", million, float(warm.mean()), 0.15, float(naive.mean())
         ),
         *_asked(
             f"the worst of them ({case.chains[worst].name})", float(case.runs[worst]) / 1e6, float(warm.max()), 1.0,
             float(naive.max()),
         ),
-        _a_run("their time over their Σ, all of it", case.runs, warm, "asked of the search core: at most 1.5", 1.5),
+        _a_run("their time over their Σ, nothing taken off", case.runs, warm, "asked of the core: at most 1.5", 1.5),
         _a_run("the same", case.runs, warm, "the recursion, from its lists to ranges", _ns(case.runs, naive)),
         Figure(
             "inverted lists and two pointers, mean", million, "M runs", float(_each(case.chains, first_time, 3).mean()),
@@ -201,7 +201,7 @@ def _warm(case: _Case, lists: RunLists, what: str) -> list[Figure]:
 def _asked(name: str, million: float, took: float, most_ms: float, naive: float) -> list[Figure]:
     return [
         Figure(name, million, "M runs", took, f"asked for: {most_ms:g} ms", most_ms / 1e3),
-        Figure("the same", million, "M runs", took, "the recursion, compiled; its lists made before", naive),
+        Figure("the same", million, "M runs", took, "the recursion, compiled, on lists made before", naive),
     ]
 
 
@@ -242,7 +242,7 @@ def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
         command = [sys.executable, "-m", "benchmarks.cold", str(store.path), str(file)]
         runs = [_process(command) for _ in range(3)]
         inside, whole = (min(times) for times in zip(*runs, strict=True))
-        name = f"cold: open a store of {HOURS:g} hours, answer the query of {which} Σ"
+        name = f"cold: open {HOURS:g} hours, answer the query of {which} Σ"
         found.append(Figure(name, 1.0, "queries", inside, "asked for: 0.5 s", 0.5))
         found.append(Figure("its whole process", 1.0, "processes", whole))
     return found

@@ -11,7 +11,7 @@ from numba import njit
 
 from ops.bits import count_bits
 from ops.search.bitslices import ALL_BITS, BLOCK, NO_BITS, SHIFT
-from ops.search.windows import highest, lowest
+from ops.search.windows import filled, highest, lowest
 
 
 @njit(cache=True, nogil=True)
@@ -79,6 +79,9 @@ def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no
         widened[i] = later[i]
     width = min(high, frames) - low + 1
     covered = 1
+    if high >= frames:
+        _fill(widened, follow)
+        covered = width
     while covered < width:
         by = min(covered, width - covered)
         if by < BLOCK:
@@ -97,6 +100,17 @@ def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no
         here[i] = found
         any_left |= found
     return any_left != NO_BITS
+
+
+@njit(cache=True, nogil=True)
+def _fill(bitmap, follow):  # type: ignore[no-untyped-def]
+    # All that lies before the last bit of a window, which is what a gap without a bound leads back to.
+    after = NO_BITS
+    for i in range(len(follow) - 1, -1, -1):
+        if follow[i] == 0:
+            after = NO_BITS
+        bitmap[i] = after | filled(bitmap[i])
+        after = ALL_BITS if bitmap[i] else NO_BITS
 
 
 @njit(cache=True, nogil=True)

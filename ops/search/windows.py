@@ -82,6 +82,9 @@ def _complete(here, later, size, widened, moved, low, high):  # type: ignore[no-
         widened[i] = later[i]
     width = farthest - nearest + 1
     covered = 1
+    if farthest == longest:
+        _fill(widened, size)
+        covered = width
     while covered < width:
         by = min(covered, width - covered)
         if by < BLOCK:
@@ -100,6 +103,15 @@ def _complete(here, later, size, widened, moved, low, high):  # type: ignore[no-
         here[i] = found
         any_left |= found
     return any_left != NO_BITS
+
+
+@njit(cache=True, nogil=True)
+def _fill(bitmap, size):  # type: ignore[no-untyped-def]
+    # All that lies before the last bit, which is what a gap without a bound leads back to.
+    after = NO_BITS
+    for i in range(size - 1, -1, -1):
+        bitmap[i] = after | filled(bitmap[i])
+        after = ALL_BITS if bitmap[i] else NO_BITS
 
 
 @njit(cache=True, nogil=True)
@@ -186,6 +198,12 @@ def lowest(word):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def highest(word):  # type: ignore[no-untyped-def]
     """The number of the highest bit that is set: one less than how many there are up to it."""
+    return count_bits(filled(word)) - 1
+
+
+@njit(cache=True, nogil=True)
+def filled(word):  # type: ignore[no-untyped-def]
+    """All bits up to the highest that is set."""
     for width in (1, 2, 4, 8, 16, 32):
         word |= word >> np.uint64(width)
-    return count_bits(word) - 1
+    return word
