@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -159,14 +159,22 @@ def load_yaml(path: str | Path) -> Located:
     ------
     ConfigError: unreadable, not UTF-8, not YAML, or a key that stands twice; with the line.
     """
-    path = Path(path)
+    return parse_yaml(read_text(Path(path)), path)
+
+
+def read_text(path: Path, encoding: Literal["utf-8", "utf-8-sig"] = "utf-8") -> str:
+    """The text of a configuration file.
+
+    Raises
+    ------
+    ConfigError: unreadable, or not UTF-8.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding=encoding)
     except OSError as fault:
         raise ConfigError(path, f"cannot be read: {fault.strerror}") from fault
     except UnicodeDecodeError as fault:
         raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from fault
-    return parse_yaml(text, path)
 
 
 def parse_yaml(text: str, path: str | Path) -> Located:

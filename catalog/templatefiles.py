@@ -15,7 +15,7 @@ import numpy.typing as npt
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.configs import Located, load_yaml, parse_yaml
+from catalog.configs import Located, load_yaml, parse_yaml, read_text
 from catalog.features import FeatureSet
 from ops.errors import ConfigError, KinedexError
 from ops.templates.templates import Template
@@ -59,13 +59,7 @@ def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemp
         return _from_yaml(load_yaml(path), feature_set)
     if path.suffix.lower() != ".csv":
         raise ConfigError(path, "a template file ends in .yaml or .csv")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as fault:
-        raise ConfigError(path, f"cannot be read: {fault.strerror}") from fault
-    except UnicodeDecodeError as fault:
-        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from fault
-    return (NamedTemplate(path.stem, _from_csv(text, path, feature_set)),)
+    return (NamedTemplate(path.stem, _from_csv(read_text(path, "utf-8-sig"), path, feature_set)),)
 
 
 def parse_templates(text: str, feature_set: FeatureSet, path: str | Path = "templates") -> tuple[NamedTemplate, ...]:

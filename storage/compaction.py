@@ -197,17 +197,27 @@ def _frames_of(store: Store) -> dict[int, int]:
 
 def _stretches(store: Path, part: Part) -> dict[int, tuple[int, int]]:
     """The rows [start, stop) of each live take of a part, once the part is found to be sound."""
-    path = part_file(store, part.path)
+    path = _sound(store, part)
     try:
-        with open(path, "rb") as content:
-            if hashlib.file_digest(content, "sha256").hexdigest() != part.sha256:
-                raise StoreError(f"{path}: its content does not fit its checksum, so it is not merged; {_VERIFY}")
         ids = pq.read_table(path, columns=["take_id"]).column("take_id").to_numpy()
     except (OSError, pa.ArrowException) as fault:
         raise _unreadable(path, fault) from None
     live = np.array(part.live, np.int64)
     starts, stops = np.searchsorted(ids, live, "left"), np.searchsorted(ids, live, "right")
     return dict(zip(part.live, zip(starts.tolist(), stops.tolist(), strict=True), strict=True))
+
+
+def _sound(store: Path, part: Part) -> Path:
+    """The file of a part whose content fits its checksum."""
+    path = part_file(store, part.path)
+    try:
+        with open(path, "rb") as content:
+            found = hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as fault:
+        raise _unreadable(path, fault) from None
+    if found != part.sha256:
+        raise StoreError(f"{path}: its content does not fit its checksum, so it is not merged; {_VERIFY}")
+    return path
 
 
 def _joined(ids: list[int], stretches: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
@@ -273,11 +283,8 @@ def _merge_takes(store: Store, parts: list[Part]) -> Part:
     """Write the live rows of takes parts as one part; a row is some hundred bytes, so they fit into memory."""
     tables = []
     for part in parts:
-        path = part_file(store.path, part.path)
+        path = _sound(store.path, part)
         try:
-            with open(path, "rb") as content:
-                if hashlib.file_digest(content, "sha256").hexdigest() != part.sha256:
-                    raise StoreError(f"{path}: its content does not fit its checksum, so it is not merged; {_VERIFY}")
             table = pq.read_table(path, schema=takes_schema())
         except (OSError, pa.ArrowException) as fault:
             raise _unreadable(path, fault) from None

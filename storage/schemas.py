@@ -48,6 +48,13 @@ _TAKES = _fields(
 groups of the source pattern."""
 
 _RUN = ("run", pa.string())
+_TAKE = (("take_id", pa.int64()), ("take", pa.string()))
+_RANGE = (
+    *((name, pa.int32()) for name in ("start", "stop")),
+    *((name, pa.float64()) for name in ("start_seconds", "stop_seconds")),
+)
+"""Frames [start, stop) of a take, and the same in seconds."""
+
 _COUNTS = (
     "frames_both",
     "frames_automatic",
@@ -83,16 +90,14 @@ _RESULTS: dict[str, pa.Schema] = {
     ),
     "annotated_takes": _fields(
         _RUN,
-        ("take_id", pa.int64()),
-        ("take", pa.string()),
+        *_TAKE,
         ("frames", pa.int64()),
         ("searched", pa.float64()),
         ("fingerprint", pa.string()),
     ),
     "distance_curves": _fields(
         _RUN,
-        ("take_id", pa.int64()),
-        ("take", pa.string()),
+        *_TAKE,
         ("class", pa.string()),
         ("subclass", pa.string()),
         ("costs", pa.list_(pa.float32())),
@@ -100,22 +105,17 @@ _RESULTS: dict[str, pa.Schema] = {
     ),
     "annotations": _fields(
         _RUN,
-        ("take_id", pa.int64()),
-        ("take", pa.string()),
+        *_TAKE,
         ("class", pa.string()),
         ("subclass", pa.string()),
-        ("start", pa.int32()),
-        ("stop", pa.int32()),
-        ("start_seconds", pa.float64()),
-        ("stop_seconds", pa.float64()),
+        *_RANGE,
         ("cost", pa.float64()),
         ("confidence", pa.float64()),
         ("method", pa.string()),
     ),
     "ground_truth": _fields(
         _RUN,
-        ("take_id", pa.int64()),
-        ("take", pa.string()),
+        *_TAKE,
         ("class", pa.string()),
         ("start", pa.int32()),
         ("stop", pa.int32()),
@@ -160,23 +160,15 @@ _RESULTS: dict[str, pa.Schema] = {
     "hits": _fields(
         _RUN,
         ("query", pa.string()),
-        ("take_id", pa.int64()),
-        ("take", pa.string()),
-        ("start", pa.int32()),
-        ("stop", pa.int32()),
-        ("start_seconds", pa.float64()),
-        ("stop_seconds", pa.float64()),
+        *_TAKE,
+        *_RANGE,
     ),
     "ranked_hits": _fields(
         _RUN,
         ("template", pa.string()),
         ("rank", pa.int32()),
-        ("take_id", pa.int64()),
-        ("take", pa.string()),
-        ("start", pa.int32()),
-        ("stop", pa.int32()),
-        ("start_seconds", pa.float64()),
-        ("stop_seconds", pa.float64()),
+        *_TAKE,
+        *_RANGE,
         ("cost", pa.float64()),
     ),
     "precision_recall": _fields(

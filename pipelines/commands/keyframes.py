@@ -19,8 +19,8 @@ from pipelines.commands.shell import (
     WorkersOption,
     app,
     assignments_of,
-    finish,
     guard,
+    run_to_the_end,
     show_table,
 )
 from pipelines.terminal import make_console
@@ -49,20 +49,10 @@ def learn(
     force: ForceOption = None,
 ) -> None:
     """Learn a keyframe query for each class of a store; finished runs are never lost."""
-    from pipelines.runner import run_pipeline
     from storage.store import open_store
 
     open_store(store)
-    outcome = run_pipeline(
-        pipeline,
-        store,
-        assignments=assignments_of(assign),
-        executor=executor,
-        workers=workers,
-        scheduler=scheduler,
-        force=frozenset(force or ()),
-    )
-    finish(outcome, store, make_console())
+    run_to_the_end(pipeline, store, assignments_of(assign), executor, workers, scheduler, force)
 
 
 def show(store: StorePath, name: ClassOption = None, form: Format = "table", output: Output = None) -> None:

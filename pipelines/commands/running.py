@@ -19,6 +19,7 @@ from pipelines.commands.shell import (
     assignments_of,
     command,
     finish,
+    run_to_the_end,
 )
 from pipelines.terminal import make_console
 
@@ -53,18 +54,7 @@ def run(
     force: ForceOption = None,
 ) -> None:
     """Run a pipeline: every stage whose code, parameters or inputs changed since it last ran."""
-    from pipelines.runner import run_pipeline
-
-    outcome = run_pipeline(
-        pipeline,
-        store,
-        assignments=assignments_of(assign),
-        executor=executor,
-        workers=workers,
-        scheduler=scheduler,
-        force=frozenset(force or ()),
-    )
-    finish(outcome, store, make_console())
+    run_to_the_end(pipeline, store, assignments_of(assign), executor, workers, scheduler, force)
 
 
 @command
@@ -113,18 +103,13 @@ def ingest(
 
     What comes in is committed batch by batch: stopped in the middle, the same command goes on where it was.
     """
-    from pipelines.runner import run_pipeline
-
     assignments = {"source": str(source), **assignments_of(assign)}
     for name, wanted in (("prune", prune), ("strict", strict)):
         if wanted:
             assignments[f"ingest.{name}"] = "true"
     if rate is not None:
         assignments["ingest.override_rate_hz"] = str(rate)
-    outcome = run_pipeline(
-        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
-    )
-    finish(outcome, store, make_console())
+    run_to_the_end("ingest", store, assignments, executor, workers, scheduler)
 
 
 @command

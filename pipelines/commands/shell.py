@@ -123,6 +123,25 @@ def show_table(table: pa.Table, form: str, output: Path | None) -> None:
         sys.stdout.buffer.write(data)
 
 
+def run_to_the_end(
+    pipeline: str,
+    store: Path,
+    assignments: dict[str, str],
+    executor: str,
+    workers: int | None,
+    scheduler: str | None,
+    force: list[str] | None = None,
+) -> None:
+    """Run a pipeline and say how it ended, as `finish` does."""
+    from pipelines.runner import run_pipeline
+
+    outcome = run_pipeline(
+        pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
+        force=frozenset(force or ()),
+    )  # fmt: skip
+    finish(outcome, store, make_console())
+
+
 def finish(outcome: Outcome, store: Path, console: Console) -> None:
     """Say how a pipeline ended, and where its report is; exits with LEFT_OUT where source files were left out."""
     if not outcome.ran:
