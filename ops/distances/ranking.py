@@ -90,14 +90,7 @@ def rank(
     coded = encode(words.words) if coded is None else coded
     if coarse is None:
         coarse = coarse_bound(template, coded, threshold, stretches)
-    computed = 0
-    for tau in [threshold] if coarse is None else _rising(coarse, threshold, most, len(template)):
-        hits = _rank_below(template, words, tau, most, stretches, coded, coarse)
-        computed += hits.computed
-        # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
-        if most is not None and len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
-            break
-    return replace(hits, computed=computed)
+    return _rank(template, words, threshold, most, stretches, coded, coarse)
 
 
 def rank_together(
@@ -111,14 +104,38 @@ def rank_together(
 
     The hits are those of `rank` of each. thresholds: float64 (T,), the other parameters as there.
     """
+    if len(templates) < 2:
+        return [rank(one, words, float(tau), most, None, coded) for one, tau in zip(templates, thresholds, strict=True)]
+    if most is not None and most < 1:
+        raise ParameterError("most", "at least 1, or None", most)
     coded = encode(words.words) if coded is None else coded
-    if len(templates) == 1:
-        return [rank(templates[0], words, float(thresholds[0]), most, None, coded)]
-    bounds = coarse_bounds(templates, coded, thresholds, _stretches(words, None))
+    stretches = _stretches(words, None)
     return [
-        rank(template, words, tau, most, None, coded, coarse)
-        for template, tau, coarse in zip(templates, np.asarray(thresholds).tolist(), bounds, strict=True)
+        _rank(template, words, float(tau), most, stretches, coded, coarse)
+        for template, tau, coarse in zip(
+            templates, thresholds, coarse_bounds(templates, coded, thresholds, stretches), strict=True
+        )
     ]
+
+
+def _rank(
+    template: QuantisedTemplate,
+    words: TakeWords,
+    threshold: float,
+    most: int | None,
+    stretches: I64,
+    coded: CodedWords,
+    coarse: Coarse | None,
+) -> Hits:
+    """The hits below a threshold, or the best of them, of checked input; below lower thresholds first."""
+    computed = 0
+    for tau in [threshold] if coarse is None else _rising(coarse, threshold, most, len(template)):
+        hits = _rank_below(template, words, tau, most, stretches, coded, coarse)
+        computed += hits.computed
+        # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
+        if most is not None and len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
+            break
+    return replace(hits, computed=computed)
 
 
 def _stretches(words: TakeWords, ranges: I64 | None) -> I64:
