@@ -1,4 +1,7 @@
-"""Reading a store: a snapshot of its newest version, as tables, words and SQL."""
+"""Reading a store: a snapshot of its newest version, as tables, words and SQL.
+
+DuckDB is loaded when it is needed, which takes as long as answering some hundred keyframe queries.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ import pyarrow.parquet as pq
 from catalog.features import FeatureSet
 from ops.errors import KinedexError, ParameterError, StoreError, did_you_mean
 from ops.words import TakeWords
-from storage import duck, index, sql
+from storage import index
 from storage.frames import read_frames, read_words
 from storage.manifest import Manifest, read_newest
 from storage.parts import part_file
@@ -23,6 +26,8 @@ from storage.schemas import result_schema, takes_schema
 
 if TYPE_CHECKING:
     import polars as pl
+
+    from storage import duck
 
 
 def open_store(path: str | Path) -> Store:
@@ -84,6 +89,8 @@ class Store:
             return self._takes
         if not where.strip():
             raise KinedexError("the filter over takes is empty; leave it out to get all takes")
+        from storage import duck
+
         try:
             found = duck.filtered(self._takes, "takes", where)
         except duck.Error as fault:
@@ -199,6 +206,8 @@ class Store:
         ------
         StoreError: the index or a part cannot be read; the message names the file and the way out.
         """
+        from storage import sql
+
         return sql.connect(self, threads, memory_mb)
 
     def sql(self, query: str, params: duck.Parameters = None) -> pa.Table:
@@ -213,10 +222,14 @@ class Store:
         ------
         KinedexError: the query is not valid, or would change something.
         """
+        from storage import sql
+
         return sql.query(self, self._connection, query, params)
 
     @cached_property
     def _connection(self) -> duck.Connection:
+        from storage import duck
+
         connection = self.connect()
         duck.lock(connection)
         return connection

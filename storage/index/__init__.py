@@ -5,7 +5,11 @@ which only the shards change whose parts have changed. Beside the DuckDB file ev
 of its words, which keyframe search maps into memory.
 """
 
-from storage.index.builder import build
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from storage.index.generations import (
     BUILD,
     BUILDING,
@@ -19,7 +23,10 @@ from storage.index.generations import (
     read_generation,
 )
 from storage.index.slices import ShardSlices, open_slices
-from storage.index.tables import features_table, help_table
+
+if TYPE_CHECKING:
+    from storage.index.builder import build
+    from storage.index.tables import features_table, help_table
 
 __all__ = [
     "BUILD",
@@ -38,3 +45,11 @@ __all__ = [
     "open_slices",
     "read_generation",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """What needs DuckDB comes when it is asked for: a search of the bit slices need not wait until that is loaded."""
+    homes = {"build": "builder", "features_table": "tables", "help_table": "tables"}
+    if name not in homes:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(f"{__name__}.{homes[name]}"), name)
