@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numba
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +19,7 @@ from ops.distances.dtw import distance_curves, start_frames
 from ops.distances.pruning import coarse_bounds, minima_below
 from ops.distances.ranking import Hits, rank, rank_together
 from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
+from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import NO_WORD, TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
@@ -165,6 +169,38 @@ def test_the_best_hits_are_the_first_of_all_hits(seed: int, monkeypatch: pytest.
         for name in ("takes", "starts", "stops", "costs"):
             np.testing.assert_array_equal(getattr(hits, name), getattr(every, name)[:most])
     assert min(thresholds) < 0.15  # a lower one was tried
+
+
+@pytest.mark.shared
+def test_real_classes_ranked_together_have_the_minima_of_their_whole_curves(shared: Path):
+    rows = (
+        pl.read_parquet(shared / "reference" / "feature_words.parquet")
+        .filter(pl.col("source_frame") % 4 == 0)
+        .with_columns(pl.col("take").cast(pl.String))
+        .filter(pl.col("take").str.starts_with("HDM_"))
+        .sort("take", "source_frame")
+    )
+    takes = {str(take): frames["word"].to_numpy() for (take,), frames in rows.group_by("take", maintain_order=True)}
+    offsets = np.cumsum([0, *map(len, takes.values())]).astype(np.int64)
+    words = TakeWords(np.arange(len(takes)), offsets, np.concatenate(list(takes.values())))
+    classes: dict[str, list[np.ndarray]] = {}
+    for name, own in takes.items():
+        if found := re.fullmatch(r"HDM_(?:bd|bk|dg)_(\w+)_\d+_120", name):
+            classes.setdefault(found[1], []).append(own)
+    chosen = [quantise(learn_soft(clips[:6], 40).template, 0.1) for clips in classes.values()]
+    assert len(chosen) == 11
+    stretches = np.stack([offsets[:-1], offsets[1:]], axis=1)
+    curves = distance_curves(chosen, words.words, stretches)
+    together = rank_together(chosen, words, np.full(11, 0.1), 40)
+    coarse = coarse_bounds(chosen, encode(words.words), np.full(11, 0.1), stretches)
+    for template, curve, hits, bound in zip(chosen, curves, together, coarse, strict=True):
+        expected = np.concatenate([local_minima(curve[a:b], 0.1) + a for a, b in stretches.tolist()])
+        found = minima_below(template, words.words, 0.1, stretches, coarse=bound)
+        np.testing.assert_array_equal(found.ends, expected)
+        np.testing.assert_array_equal(found.costs, curve[expected])
+        assert hits.costs[0] == curve.min()
+        assert_same_hits(hits, rank(template, words, 0.1, 40))
+        assert (bound.sums * bound.unit <= curve + 1e-12).all()
 
 
 def test_a_hit_of_ten_frames_rules_out_what_ends_or_starts_close_to_it():
