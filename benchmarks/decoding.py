@@ -64,13 +64,13 @@ class Setting:
 
 
 GRID = [
-    Setting(Decoding(entry=1.0, gain=-0.06), 0),  # chosen on closed and open alone, when there was one posture
+    Setting(Decoding(0.05, 1.0, 0.05, 0.1, -0.06), 0),  # what closed and open alone chose, when there was one posture
     *(Setting(splits=splits) for splits in (0, 1, 3)),
-    *(Setting(Decoding(gain=gain)) for gain in (0.01, -0.01, -0.02, -0.04)),
+    *(Setting(Decoding(smoothing=smoothing)) for smoothing in (0.02, 0.04, 0.05)),
     *(Setting(Decoding(entry=entry)) for entry in (0.4, 1.0, 1.5)),
-    *(Setting(Decoding(smoothing=smoothing)) for smoothing in (0.03, 0.08)),
-    *(Setting(Decoding(skip=skip)) for skip in (0.03, 0.08)),
+    *(Setting(Decoding(skip=skip)) for skip in (0.0, 0.03, 0.05)),
     *(Setting(Decoding(stay=stay)) for stay in (0.05, 0.2)),
+    *(Setting(Decoding(gain=gain)) for gain in (0.01, 0.0, -0.02, -0.04)),
 ]
 
 
@@ -272,7 +272,7 @@ def grid(sets: Mapping[str, Sequence[Trial]], feature_set: FeatureSet) -> Table:
     """F1 and F2 of every setting on every set, and of the thesis's method."""
     table = Table(box=box.SIMPLE_HEAD, title="F1 F2", title_justify="left")
     for name in ("splits", "smoothing", "entry", "skip", "stay", "gain", *sets, "mean"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", min_width=len(name.split()[0]))
 
     def add(cells: Sequence[str], counts: Callable[[Trial], Counts], style: str | None = None) -> None:
         scores = [pooled(counts(trial) for trial in trials) for trials in sets.values()]

@@ -112,7 +112,7 @@ def test_log_ratios_that_change_from_frame_to_frame_are_those_of_the_words() -> 
     # more changes than log ratios are carried over, and invalid frames between them
     words = random.integers(0, 2**FEATURES, 110).astype(np.uint64)
     words[[20, 21, 70]] = NO_WORD
-    decoding = Decoding(entry=0.1, skip=0.02, stay=0.01, gain=0.05)
+    decoding = Decoding(smoothing=0.05, entry=0.1, skip=0.02, stay=0.01, gain=0.05)
     usual = [(0.3, 0.5, 0.9), (0.8, 0.1, 0.5)]
     found = explain([template(one) for one in columns], np.array(usual), words, decoding)
     expected = oracle.best_value(columns, usual, as_bits(words.tolist()), 0.05, 0.1, 0.02, 0.05, 0.01)
@@ -125,7 +125,7 @@ def test_log_ratios_that_change_from_frame_to_frame_are_those_of_the_words() -> 
 def test_rivals_are_the_best_explanation_by_the_other_classes(
     columns: list[list[tuple[float, ...]]], postures: list[tuple[float, ...]], words: list[int]
 ) -> None:
-    decoding = Decoding(entry=0.05, gain=0.1)
+    decoding = Decoding(smoothing=0.05, entry=0.05, skip=0.05, stay=0.1, gain=0.1)
     templates, classes = [template(one) for one in columns], np.arange(len(columns)) % 2
     taken, usual = np.array(words, np.uint64), np.array(postures)
     found = explain(templates, usual, taken, decoding)
