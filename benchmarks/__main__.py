@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 
-from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching
+from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching, sharing
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import Figure, calibrate, show, write
 from ops.errors import did_you_mean
@@ -16,6 +16,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "reading": lambda _: list(reading.figures()),
     "indexing": indexing.figures,
     "searching": searching.figures,
+    "sharing": sharing.figures,
     "learning": learning.figures,
     "keyframes": keyframes.figures,
     "ranking": ranking.figures,

@@ -28,8 +28,7 @@ TAKES_A_PART = 2000
 
 def figures(store: Store) -> list[Figure]:
     """Time the index of the store's words, tiled to twenty hours of motion."""
-    words = store.words()
-    large = store_of_words(_tile(words, math.ceil(HOURS * 3600 * 30 / len(words.words))), store.feature_set)
+    large = twenty_hours(store)
     frames = float(large.takes()["frames"].sum()) / 1e6
     whole = seconds(lambda: _build_anew(large), 3)
     return [
@@ -42,6 +41,12 @@ def figures(store: Store) -> list[Figure]:
     ]  # fmt: skip
 
 
+def twenty_hours(store: Store) -> Store:
+    """A store of twenty hours of the same motion over and over; made once."""
+    words = store.words()
+    return store_of_words(_tile(words, math.ceil(HOURS * 3600 * 30 / len(words.words))), store.feature_set)
+
+
 def _tile(words: TakeWords, copies: int) -> TakeWords:
     return TakeWords(
         np.arange(copies * len(words), dtype=np.int64),
@@ -51,13 +56,13 @@ def _tile(words: TakeWords, copies: int) -> TakeWords:
 
 
 def _build_anew(store: Store) -> Path:
-    shutil.rmtree(store.path / "index")
+    shutil.rmtree(store.path / "index", ignore_errors=True)
     return index.build(store, threads=1)
 
 
 def _peak_mb(store: Store) -> float:
     """The peak memory of a process that builds the index, in MiB."""
-    shutil.rmtree(store.path / "index")
+    shutil.rmtree(store.path / "index", ignore_errors=True)
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.indexing", str(store.path)], check=True, capture_output=True, text=True
     )

@@ -1,0 +1,86 @@
+"""How much memory two processes need that search an archive at the same time: its slices mapped, or each its own.
+
+What is counted is what a process has more than before it opened the store, by `Pss` of `/proc/self/smaps_rollup`: a
+page that two processes share counts half for each.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Figure
+from benchmarks.indexing import HOURS, twenty_hours
+from catalog.queryfiles import read_queries
+from ops.words import TakeWords
+from pipelines.searching.resident import resident_store, resident_words
+from storage import index
+from storage.store import Store, open_store
+
+PROCESSES = 2
+
+
+def figures(store: Store) -> list[Figure]:
+    """The memory of two processes that search the same twenty hours."""
+    large = twenty_hours(store)
+    index.build(large)
+    return [
+        Figure(f"{PROCESSES} processes search {HOURS:g} h: {what}", _together(large.path, how), "MiB in all", 1.0)
+        for how, what in (("mapped", "slices mapped from the index"), ("own", "each its own slices"))
+    ]
+
+
+def _together(store: Path, how: str) -> float:
+    command = [sys.executable, "-m", "benchmarks.sharing", str(store), how]
+    readers = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(PROCESSES)
+    ]
+    total = 0.0
+    try:
+        # a line says that a process has searched; only when all have is it asked what it needs
+        for reader in readers:
+            assert reader.stdout is not None
+            reader.stdout.readline()
+        for reader in readers:
+            assert reader.stdin is not None
+            assert reader.stdout is not None
+            reader.stdin.write("now\n")
+            reader.stdin.flush()
+            total += float(reader.stdout.readline())
+    finally:
+        for reader in readers:
+            reader.communicate()
+    return total
+
+
+def _pss_mib() -> float:
+    lines = Path("/proc/self/smaps_rollup").read_text(encoding="ascii").splitlines()
+    return next(float(line.split()[1]) / 1024 for line in lines if line.startswith("Pss:"))
+
+
+def main(path: str, how: str) -> None:
+    """Search by the shipped queries, and say how much more memory that needs than to have been started."""
+    store = open_store(path)
+    queries = read_queries("example", store.feature_set)
+    few = TakeWords(np.zeros(1, np.int64), np.array([0, 1]), np.zeros(1, np.uint64))
+    for query in queries:
+        resident_words(few, store.feature_set).search(query)  # compiled before memory is looked at
+    before = _pss_mib()
+    if how == "mapped":
+        shared = resident_store(store)
+        shared.search(queries)
+    else:
+        own = resident_words(store.words(), store.feature_set)
+        for query in queries:
+            own.search(query)
+    print("searched", flush=True)
+    sys.stdin.readline()
+    print(_pss_mib() - before, flush=True)
+    sys.stdin.read()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])
