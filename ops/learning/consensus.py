@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ops.errors import ParameterError
 from ops.learning.fitness import Query
-from ops.learning.genetics import tune_gaps
+from ops.learning.genetics import highest_rank, tune_gaps
 from ops.learning.lessons import Evolution, Material, Run
 from ops.words import bits
 
@@ -141,6 +141,7 @@ def consent(
     best = runs[int(np.argmax(ranks))]
     median = float(np.median(ranks))
     matrix = agreement_matrix([run.query for run in runs], len(material.masks), features)
+    wanted = best.rank if at_least == "best" else median
     tuned: tuple[float, Run] | None = None
     tried: set[tuple[bytes, ...]] = set()
     for agreement in AGREEMENTS:
@@ -148,10 +149,13 @@ def consent(
         if query is None or query.key() in tried:
             continue
         tried.add(query.key())
+        # what gaps can make of it at most is not enough, so they are not tuned
+        most = highest_rank(material, query, evolution) + 1e-9
+        if most < wanted or (tuned is not None and most <= tuned[1].rank):
+            continue
         run = tune_gaps(material, query, evolution, seed)
         if tuned is None or run.rank > tuned[1].rank:
             tuned = agreement, run
-    wanted = best.rank if at_least == "best" else median
     if tuned is None or tuned[1].rank < wanted:
         return Consensus("best run", best.query, best.fitness, best.rank, 0.0, median, best.rank, matrix)
     agreement, run = tuned

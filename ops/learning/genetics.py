@@ -61,14 +61,15 @@ def random_search(material: Material, evolution: Evolution, seed: int | tuple[in
 def tune_gaps(material: Material, query: Query, evolution: Evolution, seed: int | tuple[int, ...]) -> Run:
     """Improve the gaps of a query by the same mutations, one at a time, keeping what is no worse.
 
-    As many are tried as a run makes offspring. The history has the best one after each generation's worth.
+    As many are tried as a run makes offspring, none where there is no gap. The history has the best one after each
+    generation's worth.
     """
     most = max(evolution.most_keyframes, len(query))
     people = room_for_people(2, most)
     _put(people, 0, query)
     history = np.zeros((evolution.generations + 1, len(HISTORY)))
     room = room_for(material.frames, most)
-    tries = evolution.offspring
+    tries = evolution.offspring if len(query) > 1 else 0
     _tune(
         _random(seed), people, np.arange(2), _clips(material), room, history, tries, evolution.gap_step,
         _judging(evolution, material),
@@ -83,6 +84,12 @@ def judge(material: Material, query: Query, evolution: Evolution) -> tuple[float
     _evaluate(people, 0, _clips(material), room_for(material.frames, len(query)), _judging(evolution, material))
     found, wrong, fitness, rank = people.results[0].tolist()
     return found, wrong, fitness, rank
+
+
+def highest_rank(material: Material, query: Query, evolution: Evolution) -> float:
+    """The rank of a query that tells all clips apart with gaps of one length: no other gaps make it rank higher."""
+    outside = (int(query.positions[0]) + len(material.masks) - 1 - int(query.positions[-1])) / len(material.masks)
+    return 1.0 - evolution.parsimony * query.fixed - evolution.outside_cost * outside
 
 
 # ---- between queries and arrays --------------------------------------------------------------------------

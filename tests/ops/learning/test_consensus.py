@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ops.errors import ParameterError
-from ops.learning.consensus import agreement_matrix, consent, recurring
+from ops.learning.consensus import AGREEMENTS, agreement_matrix, consent, recurring
 from ops.learning.fitness import Query
-from ops.learning.genetics import tune_gaps
+from ops.learning.genetics import highest_rank, tune_gaps
 from ops.learning.lessons import Evolution, Material
 from tests.ops.learning.test_genetics import check_consensus, material
 
@@ -83,6 +83,29 @@ def test_the_consensus_may_have_to_be_as_fit_as_the_best_run() -> None:
     assert consent(given, better, evolution, 1, 5).origin == "consensus"
     found = consent(given, better, evolution, 1, 5, "best")
     assert (found.origin, found.rank) == ("best run", 2.0)
+
+
+@pytest.mark.parametrize("costs", [{}, {"parsimony": 0.01, "gap_cost": 0.001, "outside_cost": 0.3}])
+def test_nothing_is_lost_by_not_tuning_what_cannot_win(costs: dict[str, float]) -> None:
+    given, evolution = material(seed=3), Evolution(generations=8, **costs)  # type: ignore[arg-type]
+    made = [columns_of(given, *given.columns[list(at)].tolist()) for at in ((0, 9, 20), (1, 9, 21), (0, 10), (12,))]
+    made += [open_entries(query, 3) for query in made]
+    runs = [tune_gaps(given, query, evolution, seed) for seed, query in enumerate(made)]
+    every = [recurring([run.query for run in runs], agreement, 1, 8) for agreement in AGREEMENTS]
+    tuned = [tune_gaps(given, query, evolution, 5) for query in every if query is not None]
+    assert all(run.rank <= highest_rank(given, run.query, evolution) + 1e-12 for run in [*tuned, *runs])
+    best = max(tuned, key=lambda run: run.rank)
+    for at_least, floor in (("median", np.median([run.rank for run in runs])), ("best", max(run.rank for run in runs))):
+        found = consent(given, runs, evolution, 1, 5, at_least)  # type: ignore[arg-type]
+        assert found.origin == ("consensus" if best.rank >= floor else "best run")
+        if found.origin == "consensus":
+            assert found.query.key() == best.query.key()
+
+
+def open_entries(query: Query, bits: int) -> Query:
+    """The same with fewer entries."""
+    mask = np.uint64((1 << bits) - 1)
+    return replace(query, masks=query.masks & mask, values=query.values & mask)
 
 
 def test_without_runs_there_is_nothing_to_agree_on() -> None:
