@@ -1,30 +1,51 @@
-"""Distance curves and ranking on one core, beside a plain double loop and beside packages for the same work."""
+"""`python -m benchmarks.ranking`: distance curves and ranking on one core, beside a plain double loop and packages.
+
+`python -m benchmarks` runs this too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 
 import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.harness import Figure, seconds
-from ops.distances.costs import cost_table, encode, lay_out
+from benchmarks.archive import BUILD
+from benchmarks.archive import store as synthetic
+from benchmarks.harness import Figure, calibrate, seconds, show, silent
+from benchmarks.ranking_memory import made_up, searched_classes
+from ops.distances.costs import CodedWords, cost_table, encode, lay_out
 from ops.distances.dtw import distance_curves
-from ops.distances.ranking import rank
-from ops.distances.sweep import pieces_of, sweep
+from ops.distances.pruning import bounds_below, coarse_bounds, minima_below, surviving
+from ops.distances.ranking import rank, rank_together
+from ops.distances.sweep import CAP, pieces_of, sweep
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import TakeWords, bits
-from storage.store import Store
+from pipelines.retrieval.ranking import rank_store
+from pipelines.runner import run_pipeline
+from pipelines.terminal import make_console
+from storage.store import Store, open_store
 
 COLUMNS, FRAMES, WORDS = 60, 400_000, 4_000
 """The size that a curve is timed at."""
+
+DELTA, TAU, TOP = 0.1, 0.1, 100
+"""Templates, thresholds and hits of the rankings."""
+
+THREAD_HOURS = 10.0
+"""How much threads share."""
+
+HDM05 = Path(__file__).resolve().parents[2] / "shared" / "data" / "hdm05"
+RUNS = 5
 
 FEW = 4_000
 """Frames that packages are timed at which keep the whole matrix, or are slow; times are per cell."""
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
 
 
 @nb.njit(nogil=True)
@@ -47,8 +68,8 @@ def plain(table: F64, codes: npt.NDArray[np.int32]) -> F64:
 
 
 def figures(store: Store) -> list[Figure]:
-    """Curves at a fixed size in three ways, packages, and ranking of the archive by its classes, tiled to that size."""
-    return [*_curves(), *_rankings(store)]
+    """Curves at a fixed size in three ways, packages, and rankings of real takes, tiled to that size."""
+    return [*_curves(), *_rankings(store), *_threads()]
 
 
 def _made_up() -> tuple[QuantisedTemplate, npt.NDArray[np.uint64]]:
@@ -106,21 +127,87 @@ def _packages(template: QuantisedTemplate, words: npt.NDArray[np.uint64]) -> dic
     return found
 
 
-def _rankings(store: Store) -> list[Figure]:
-    """The hundred best hits of each class at τ = 0.1, takes repeated to 400,000 frames; cells of the whole curve."""
-    clips = store.takes("class IS NOT NULL")
+def _archive(store: Store) -> tuple[str, list[str], list[QuantisedTemplate], TakeWords]:
+    """Real motion, its classes' templates, and its takes repeated to 400,000 frames.
+
+    HDM05 from ../shared where it is, the clips that templates are learned from among the takes; else the synthetic one.
+    """
+    name = "synthetic takes"
+    if HDM05.is_dir():
+        name = "HDM05"
+        run_pipeline("ingest", BUILD / "hdm05", assignments={"source": str(HDM05)}, terminal=silent())
+        store = open_store(BUILD / "hdm05")
     words = store.words()
     times = -(-FRAMES // max(1, len(words.words)))
     offsets = np.concatenate(([0], np.cumsum(np.tile(words.frames, times)))).astype(np.int64)
     many = TakeWords(np.arange(len(offsets) - 1), offsets, np.tile(words.words, times))
-    coded = encode(many.words)
-    found = []
-    for (name,), group in clips.sort("class", "name").group_by("class", maintain_order=True):
+    names, templates = [], []
+    clips = store.takes("class IS NOT NULL")
+    for (label,), group in clips.sort("class", "name").group_by("class", maintain_order=True):
         examples = store.words(group["take_id"].to_list())
-        template = quantise(learn_soft([examples.take(i) for i in range(len(examples))], 40).template, 0.1)
-        hits = rank(template, many, 0.1, 100, coded=coded)
-        time = seconds(lambda t=template: rank(t, many, 0.1, 100, coded=coded), 3)
-        skipped = max(0.0, 1 - hits.computed / hits.frames)
-        cells = len(template) * len(many.words) / 1e9
-        found.append(Figure(f"top 100 of {name}, {skipped:.0%} skipped", cells, "G cells", time))
-    return found
+        names.append(str(label))
+        templates.append(quantise(learn_soft([examples.take(i) for i in range(len(examples))], 40).template, DELTA))
+    return name, names, templates, many
+
+
+def _rankings(store: Store) -> list[Figure]:
+    """Hits of all classes below τ together and one by one, and all minima; cells are those of the whole curves.
+
+    Skipped are frames that no sum in 16 bits was computed for. What could be skipped at most, by whatever bound, are
+    all but blocks of 8 frames with a distance below τ and the 2(N − 1) frames that lead in to them.
+    """
+    archive, names, templates, words = _archive(store)
+    coded, thresholds = encode(words.words), np.full(len(templates), TAU)
+    stretches = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+    frames, columns = len(words.words), np.array([len(template) for template in templates])
+    cells = float(columns.sum()) * frames / 1e9
+    bounds = coarse_bounds(templates, coded, thresholds, stretches)
+    shared = seconds(lambda: coarse_bounds(templates, coded, thresholds, stretches), RUNS)
+    found, alone_in_all, own_in_all = [], 0.0, 0.0
+    for name, template, bound in zip(names, templates, bounds, strict=True):
+        hits = rank(template, words, TAU, TOP, coded=coded, coarse=bound)
+        own = seconds(lambda t=template, b=bound: rank(t, words, TAU, TOP, coded=coded, coarse=b), RUNS)
+        alone = seconds(lambda t=template: rank(t, words, TAU, TOP, coded=coded), RUNS)
+        own, alone_in_all = own + shared * len(template) / columns.sum(), alone_in_all + alone
+        title = f"{archive}, top {TOP} of {name}, {_share(hits.frames, hits.computed)} skipped"
+        found.append(Figure(title, len(template) * frames / 1e9, "G cells", own, "the class alone", alone))
+        own_in_all += own
+    together = seconds(lambda: rank_together(templates, words, thresholds, TOP, coded), RUNS)
+    count = len(templates)
+    title = f"{archive}, top {TOP} of all {count} classes"
+    found.append(Figure(title, cells, "G cells", together, "one by one", alone_in_all))
+    computed = possible = 0
+    for template, bound in zip(templates, bounds, strict=True):
+        computed += len(template) * minima_below(template, words.words, TAU, stretches, coded, coarse=bound).computed
+        exact = bounds_below(template, coded, TAU, stretches).units < CAP
+        left = surviving(exact, stretches, 2 * (len(template) - 1))
+        possible += len(template) * int((left[:, 2] - left[:, 0]).sum())
+    time = seconds(lambda: _minima(templates, words, coded, thresholds, stretches), 3)
+    plain = seconds(lambda: [distance_curves([t], words.words, stretches, np.float32) for t in templates], 1)
+    whole = int(columns.sum()) * frames
+    title = f"{archive}, all minima and paths, {_share(whole, computed)} of {_share(whole, possible)} skipped"
+    return [*found, Figure(title, cells, "G cells", time, "float32 curves alone", plain)]
+
+
+def _minima(
+    templates: list[QuantisedTemplate], words: TakeWords, coded: CodedWords, thresholds: F64, stretches: I64
+) -> None:
+    for template, bound in zip(templates, coarse_bounds(templates, coded, thresholds, stretches), strict=True):
+        minima_below(template, words.words, TAU, stretches, coded, coarse=bound)
+
+
+def _share(frames: int, computed: int) -> str:
+    return f"{max(0.0, 1 - computed / frames):.0%}"
+
+
+def _threads() -> list[Figure]:
+    """Ten hours by all classes of the synthetic archive, in one thread and in two: by the clock, with reading."""
+    searched, many = searched_classes(), made_up(THREAD_HOURS)
+    one, two = (seconds(lambda w=workers: rank_store(many, searched, TAU, TOP, workers=w), 3) for workers in (1, 2))
+    cells = sum(len(each.template) for each in searched) * sum(many.takes()["frames"]) / 1e9
+    title = f"{THREAD_HOURS:g} hours ranked by {len(searched)} classes, 2 threads"
+    return [Figure(title, cells, "G cells", two, "1 thread", one)]
+
+
+if __name__ == "__main__":
+    make_console().print(show([calibrate(), *figures(synthetic()), calibrate()]))

@@ -41,14 +41,20 @@ def made_up(hours: float) -> Store:
     return store_of_words(TakeWords(np.arange(len(offsets) - 1), offsets, every), store().feature_set)
 
 
-def rank_all(path: Path, workers: int | None) -> dict[str, float]:
-    """Rank a store by every class of the synthetic archive at once, and tell the peak memory of this process."""
+def searched_classes() -> list[Searched]:
+    """The templates of the classes of the synthetic archive."""
     known = store()
     searched = []
     for (name,), group in known.takes("class IS NOT NULL").sort("class", "name").group_by("class", maintain_order=True):
         clips = known.words(group["take_id"].to_list())
         learned = learn_soft([clips.take(i) for i in range(len(clips))], len(known.feature_set.features))
         searched.append(Searched(str(name), quantise(learned.template, 0.1)))
+    return searched
+
+
+def rank_all(path: Path, workers: int | None) -> dict[str, float]:
+    """Rank a store by every class of the synthetic archive at once, and tell the peak memory of this process."""
+    searched = searched_classes()
     opened = open_store(path)
     before = own_peak_mb()
     begin = time.perf_counter()
