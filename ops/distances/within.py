@@ -1,8 +1,8 @@
-"""Minima of distance curves within short ranges, such as keyframes leave: all sums of a range fit into the cache.
+"""Minima of distance curves within short ranges, such as keyframes or bounds leave: all sums of one fit into the cache.
 
-Where ranges are long or many, `ops.distances.pruning` rules most frames out by bounds, and goes over what remains
-twice, for distances and for paths. Within a few hundred frames that is more work than the distances themselves: here
-every sum is computed once, kept while its range lasts, and paths are read from it.
+Where ranges are long or many, `ops.distances.pruning` rules most frames out by finer and finer bounds, and goes over
+what remains twice, for distances and for paths. Within a few hundred frames that is more work than the distances
+themselves: here every sum is computed once, kept while its range lasts, and paths are read from it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from ops.distances.annotation import TOLERANCE, Matches
 from ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
 from ops.distances.dtw import check_ranges
+from ops.distances.pruning import Coarse, surviving
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import NO_WORD, U64
@@ -30,6 +31,7 @@ def minima_within(
     thresholds: F64,
     ranges: Sequence[I64],
     coded: CodedWords | None = None,
+    coarse: Sequence[Coarse | None] | None = None,
 ) -> Matches:
     """Find the local minima of distance curves below a threshold within ranges, with the paths that lead to them.
 
@@ -41,6 +43,8 @@ def minima_within(
     ranges: for each template int64 (R, 2), half-open stretches of frames, ascending and apart; each is computed as if
         it were a take of its own.
     coded: `ops.distances.costs.encode(words)`, where it is known.
+    coarse: for each template a bound of its curve (`ops.distances.pruning.coarse_bounds`), made for these ranges or
+        wider ones and for its threshold or a greater one; then only frames are gone over that it leaves. None: all.
 
     Raises
     ------
@@ -50,15 +54,26 @@ def minima_within(
         raise ParameterError("thresholds", f"above 0, one for each of {len(templates)} templates", thresholds.tolist())
     if not templates:
         return Matches.of([])
-    stretches = [check_ranges(own, len(words)) for own in ranges]
-    edges = np.cumsum([0, *map(len, stretches)]).astype(np.int64)
+    bounds = [None] * len(templates) if coarse is None else coarse
+    pieces = [
+        _pieces(check_ranges(own, len(words)), bound, len(template), tau)
+        for template, own, bound, tau in zip(templates, ranges, bounds, thresholds.tolist(), strict=True)
+    ]
+    edges = np.cumsum([0, *map(len, pieces)]).astype(np.int64)
     layout = lay_out(templates)
     coded = encode(words) if coded is None else coded
     found = fill_matches(
         coded.vocabulary, coded.codes, layout.values, layout.parts, layout.worths, layout.counted, layout.firsts,
-        layout.lengths, np.ascontiguousarray(thresholds, np.float64), np.concatenate(stretches), edges,
+        layout.lengths, np.ascontiguousarray(thresholds, np.float64), np.concatenate(pieces), edges,
     )  # fmt: skip
     return Matches(*found)
+
+
+def _pieces(stretches: I64, bound: Coarse | None, columns: int, threshold: float) -> I64:
+    """The frames to go over, int64 (P, 3): where paths may begin, and the frames [start, stop) where they may end."""
+    if bound is None:
+        return np.stack([stretches[:, 0], stretches[:, 0], stretches[:, 1]], axis=1)
+    return surviving(bound.below(threshold), stretches, 2 * (columns - 1))
 
 
 def ranges_around(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, right: int) -> I64:
@@ -116,11 +131,12 @@ def extend_hits(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, ri
 @nb.njit(cache=True, nogil=True)
 def fill_matches(
     vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, firsts: I64, lengths: I64,
-    thresholds: F64, stretches: I64, edges: I64,
+    thresholds: F64, pieces: I64, edges: I64,
 ) -> tuple[I64, I64, I64, F64]:  # fmt: skip
     """Go over the ranges of all templates, and return the parts of `Matches` (kernel).
 
-    values … lengths: of a `Layout`. stretches: int64 (R, 2), those of template t from edges[t] to edges[t + 1].
+    values … lengths: of a `Layout`. pieces: int64 (P, 3), see `_pieces`, those of template t from edges[t] to
+    edges[t + 1]; beside the frames of a piece no distance is below the threshold.
     """
     longest, room = lengths.max(), _PIECE + 2 * lengths.max()
     # Two rows and two columns of ∞ are before the first frame and the first column, so that no step asks for the edge.
@@ -137,8 +153,8 @@ def fill_matches(
         own_values, own_counted = values[own], counted[own]
         own_parts, own_worths = np.ascontiguousarray(parts[:, own]), np.ascontiguousarray(worths[:, own])
         for place in range(edges[t], edges[t + 1]):
-            opens, closes = stretches[place]
-            for begin in range(opens, closes, _PIECE):
+            opens, closes = pieces[place, 0], pieces[place, 2]
+            for begin in range(pieces[place, 1], closes, _PIECE):
                 stop = min(begin + _PIECE, closes)
                 # A path that ends in the frame before the piece, a neighbour of its first one, leads in from here.
                 first = max(begin - 1 - 2 * (columns - 1), opens)

@@ -21,7 +21,7 @@ from ops.distances.costs import encode
 from ops.distances.decoding import Decoding, confidences, explain, lay_columns
 from ops.distances.dtw import distance_curves
 from ops.distances.leastcosts import least_costs
-from ops.distances.pruning import minima_below
+from ops.distances.pruning import Coarse, coarse_bounds
 from ops.distances.within import minima_within, ranges_around, united
 from ops.errors import KinedexError, did_you_mean
 from ops.templates.templates import QuantisedTemplate, Template, quantise
@@ -42,7 +42,7 @@ BATCH_FRAMES = 50_000
 """Analysis frames (28 minutes) whose curves are held at once, 400 kB a subclass."""
 
 NARROW = 4
-"""A template is matched range by range where its ranges are no more than one frame in so many."""
+"""Bounds look for where a template may fit, unless its ranges are no more than one frame in so many."""
 
 VAGUE = 1.0
 """Fixed entries a column, on average, below which a template hardly tells motions apart: one feature of forty. (At
@@ -324,19 +324,15 @@ def _matches(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> M
     A neighbour at τ or above never keeps a frame from being a minimum below τ, so the minima are those of the curves.
     """
     taus = annotator.thresholds[annotator.class_index]
-    narrow = np.array([NARROW * int((own[:, 1] - own[:, 0]).sum()) <= len(words.words) for own in ranges], np.bool_)
     coded = encode(words.words)
-    if narrow.all():
-        return minima_within(annotator.templates, words.words, taus, ranges, coded)
-    chosen = np.flatnonzero(narrow).tolist()
-    within = minima_within(
-        [annotator.templates[s] for s in chosen], words.words, taus[chosen], [ranges[s] for s in chosen], coded
-    )
-    parts = dict(zip(chosen, within.parts(), strict=True))
-    for s in np.flatnonzero(~narrow).tolist():
-        minima = minima_below(annotator.templates[s], words.words, float(taus[s]), ranges[s], coded)
-        parts[s] = minima.starts, minima.ends, minima.costs
-    return Matches.of([parts[s] for s in range(len(ranges))])
+    wide = [s for s, own in enumerate(ranges) if NARROW * int((own[:, 1] - own[:, 0]).sum()) > len(words.words)]
+    coarse: list[Coarse | None] = [None] * len(ranges)
+    whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+    for s, bound in zip(
+        wide, coarse_bounds([annotator.templates[s] for s in wide], coded, taus[wide], whole), strict=True
+    ):
+        coarse[s] = bound
+    return minima_within(annotator.templates, words.words, taus, ranges, coded, coarse)
 
 
 def _explained_takes(annotator: Annotator, row: Row, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from ops.distances import within
 from ops.distances.annotation import local_minima
+from ops.distances.costs import encode
 from ops.distances.dtw import distance_curves, start_frames
+from ops.distances.pruning import coarse_bounds
 from ops.distances.within import minima_within, ranges_around, united
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
@@ -26,6 +28,13 @@ def assert_those_of_whole_curves(
 ) -> None:
     found = minima_within(several, words, taus, ranges)
     assert len(found) == len(several)
+    coarse = coarse_bounds(several, encode(words), taus * 1.2, np.array([[0, len(words)]]))
+    bounded = minima_within(
+        several, words, taus, ranges, coarse=[None if s == 1 else one for s, one in enumerate(coarse)]
+    )
+    for one, other in zip(found.parts(), bounded.parts(), strict=True):
+        for mine, theirs in zip(one, other, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
     for template, tau, own, part in zip(several, taus.tolist(), ranges, found.parts(), strict=True):
         (curve,) = distance_curves([template], words, own)
         ends = np.concatenate([np.empty(0, np.int64), *(local_minima(curve[a:b], tau) + a for a, b in own.tolist())])
