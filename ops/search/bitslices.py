@@ -25,7 +25,7 @@ GRANULE = 8
 """How many frames have one bit of the coarse copy. Chosen by measurement: with 16 it is half as large, but twice as
 many blocks have to be looked at."""
 GRANULES = BLOCK // GRANULE
-"""How many of them a block has."""
+"""How many of them a block has: as many as a byte has bits, so that those of one block can be read as a byte."""
 
 _VALID = MOST_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)

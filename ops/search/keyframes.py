@@ -315,7 +315,7 @@ def _close_up(starts: I64, stops: I64) -> Segments:
     return Segments(starts[np.concatenate(([True], apart))], stops[np.concatenate((apart, [True]))])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _all_survivors(starts, stops, offsets, low, high):  # type: ignore[no-untyped-def]
     # Survivors are written from the last list to the first: those of list k lie at found[K-1-k] ..
     # found[K-k].
@@ -346,7 +346,7 @@ def _all_survivors(starts, stops, offsets, low, high):  # type: ignore[no-untype
     return out_starts, out_stops, found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _cut(starts, stops, i, i_end, out_starts, out_stops, j, j_end, low, high):  # type: ignore[no-untyped-def]
     # Segments i .. i_end against the later survivors j .. j_end, each widened to the frames from which it
     # can be reached.
@@ -370,7 +370,7 @@ def _cut(starts, stops, i, i_end, out_starts, out_stops, j, j_end, low, high):  
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _ranges(starts, stops, found, high):  # type: ignore[no-untyped-def]
     count = len(found) - 1
     first, first_end = found[count - 1], found[count]
