@@ -1,9 +1,10 @@
 """`python -m benchmarks.long_archive --hours H`: a large synthetic archive annotated on two cores, and a small one.
 
-The archive is made and ingested where that has not been done (an hour of motion takes 370 MB, half of it clips, half
-of it long takes). Templates are learned from the first clips of every actor and class, as many in every archive; all
-long takes are annotated by worker processes, and compared with their ground truth. Printed are the speed in hours of
-motion a minute, the most memory of each process, and F1 and F2.
+The archive is made and ingested where that has not been done: hours of long takes, no two alike, and half an hour of
+clips, the same in every archive, of which templates are learned (an hour takes some 350 MB, 20 s of a core to make
+and 10 s to ingest). All long takes are annotated by worker processes, and compared with their ground truth. Printed are
+what each stage before took, the speed of annotation in hours of motion a minute, the most memory of each process, and
+F1 and F2 with their intervals. At last one more take comes into the archive, and what that costs is printed.
 """
 
 from __future__ import annotations
@@ -11,22 +12,29 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import yaml
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import silent
-from benchmarks.scaling import Watched, archive, peak_mib, watched
+from benchmarks.scaling import Watched, peak_mib, watched
+from ops.measures.detection import bootstrap
+from ops.measures.metrics import Counts
 from pipelines.config import load_pipeline
 from pipelines.runner import run_pipeline
-from storage.store import open_store
+from pipelines.synth import RECORD, write_archive
+from storage.store import Store, open_store
 
 NAME = "long-archive"
+CLIP_MINUTES = 30.0
 CLIPS = 12
 """Clips of each actor and class that templates are learned from."""
 
@@ -38,33 +46,43 @@ METHODS: dict[str, dict[str, Any]] = {
     "thesis, learned queries": {"method": "thesis"},
     "best, learned queries": {"method": "best"},
 }
-DEFAULT = ("thesis", "best", "thesis, curves kept")
+DEFAULT = ("thesis", "best", "thesis, learned queries")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What was done before annotation: seconds by stage, and the most memory of workers and of the coordinator."""
+
+    stages: dict[str, float]
+    worker_mib: list[float]
+    coordinator_mib: float
 
 
 @dataclass(frozen=True)
 class Annotated:
     """One annotation of the long takes.
 
-    motion_hours: of the long takes. seconds: of the stage annotate. worker_mib: the most memory of each worker;
-    coordinator_mib: of the process that collects and writes. searched: the share of frames that templates were
-    matched in.
+    motion_hours: of the long takes. stages: seconds by stage. worker_mib: the most memory of each worker;
+    coordinator_mib: of the process that collects, writes and evaluates. kept: takes that an earlier run had annotated.
+    searched: the share of frames that templates were matched in. f1, f2: with the interval over takes (95 %).
     """
 
     method: str
     takes: int
+    kept: int
     motion_hours: float
-    seconds: float
+    stages: dict[str, float]
     worker_mib: list[float]
     coordinator_mib: float
     segments: int
     searched: float
-    f1: float
-    f2: float
+    f1: tuple[float, float, float]
+    f2: tuple[float, float, float]
 
     @property
     def hours_a_minute(self) -> float:
         """Hours of motion annotated in a minute."""
-        return self.motion_hours / (self.seconds / 60)
+        return self.motion_hours / (self.stages["annotate"] / 60)
 
 
 def stages(source: Path, method: str | None, clips: int = CLIPS, runs: int = 8) -> dict[str, Any]:
@@ -89,77 +107,146 @@ def stages(source: Path, method: str | None, clips: int = CLIPS, runs: int = 8) 
     return {"name": NAME, "stages": found}
 
 
-def run(source: Path, store: Path, method: str | None, workers: int, runs: int = 8) -> Annotated | None:
-    """Do in this process what is missing of a pipeline, the annotation in any case; None: up to the templates only."""
+def run(
+    source: Path, store: Path, method: str | None, workers: int, runs: int = 8, *, anew: bool = True
+) -> Annotated | Prepared:
+    """Do in this process what is missing of a pipeline; without a method up to the templates.
+
+    Parameters
+    ----------
+    runs: of keyframe learning, at most. anew: annotate in any case, every take.
+    """
     file = store.parent / f"{store.name}.yaml"
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(yaml.safe_dump(stages(source, method, runs=runs), sort_keys=False), encoding="utf-8")
-    force = frozenset() if method is None else frozenset({"annotate"})
     pools: list[Watched] = []
+    force = frozenset({"annotate"}) if anew and method is not None else frozenset[str]()
     with watched(pools):
         run_pipeline(file, store, executor="processes", workers=workers, force=force, terminal=silent())
-    if method is None:
-        return None
     opened = open_store(store)
-    record = opened.manifest.stages[f"{NAME}/annotate"]
-    scores = opened.manifest.stages[f"{NAME}/evaluate"].summary
-    peaks = [peak for pool in pools for process, peak in pool.peaks.items() if process != os.getpid()]
-    frames, takes = int(record.summary["frames"]), int(record.summary["takes"])
+    records = {name.split("/")[1]: one for name, one in opened.manifest.stages.items() if name.startswith(f"{NAME}/")}
+    seconds = {name: one.seconds for name, one in records.items()}
+    peaks = sorted(peak for pool in pools for process, peak in pool.peaks.items() if process != os.getpid())
+    if method is None:
+        return Prepared(seconds, peaks, peak_mib())
+    summary = records["annotate"].summary
+    f1, f2 = intervals(opened, records["evaluate"].run)
     return Annotated(
-        method, takes, frames / opened.rate_hz / 3600, record.seconds, sorted(peaks), peak_mib(),
-        int(record.summary["segments"]), float(record.summary["searched"]),
-        float(scores["f1"]), float(scores["f2"]),
+        method, int(summary["takes"]), int(summary["kept_takes"]),
+        int(summary["frames"]) / opened.rate_hz / 3600, seconds, peaks, peak_mib(),
+        int(summary["segments"]), float(summary["searched"]), f1, f2,
     )  # fmt: skip
 
 
-def in_a_process_of_its_own(source: Path, store: Path, method: str, workers: int, runs: int) -> Annotated | None:
+def intervals(store: Store, run: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """F1 and F2 of an evaluation, each with its interval over takes."""
+    rows = pl.from_arrow(store.result("metrics", run=run))
+    assert isinstance(rows, pl.DataFrame)
+    names = list(vars(Counts()))
+    counts = [Counts(**row) for row in rows.filter(pl.col("scope") == "take").select(names).iter_rows(named=True)]
+    total = sum(counts, Counts())
+    return (
+        (total.f1, *bootstrap(counts, lambda drawn: drawn.f1)),
+        (total.f2, *bootstrap(counts, lambda drawn: drawn.f2)),
+    )
+
+
+def in_a_process_of_its_own(
+    source: Path, store: Path, method: str, workers: int, runs: int, *, anew: bool = True
+) -> dict[str, Any]:
     """Run in a fresh process, whose peak memory no earlier stage has raised."""
     words = [sys.executable, "-m", "benchmarks.long_archive", "--archive", str(source), "--store", str(store)]
-    words += ["--workers", str(workers), "--runs", str(runs), "--only", method]
+    words += ["--workers", str(workers), "--runs", str(runs), "--only", method, *([] if anew else ["--on"])]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
-    line = done.stdout.splitlines()[-1]
-    return None if line == "null" else Annotated(**json.loads(line))
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def archive(hours: float, workers: int) -> tuple[Path, float | None]:
+    """The folder of an archive with so many hours of long takes, and the seconds that it took to make, where it did."""
+    folder = BUILD / f"long-archive-{hours:g}h"
+    begin = time.perf_counter()
+    made = write_archive(folder, minutes=60 * hours + CLIP_MINUTES, clip_minutes=CLIP_MINUTES, jobs=workers).made
+    return folder, time.perf_counter() - begin if made else None
+
+
+def one_more(source: Path) -> Path:
+    """Put one more take into an archive: a copy of its first one by another name, which nothing tells apart from new
+    motion."""
+    first = min((source / "takes").glob("*_take*.amc"))
+    added = first.with_name(first.name.split("_take")[0] + "_take99999.amc")
+    shutil.copyfile(first, added)
+    return added
 
 
 def line(hours: str, one: Annotated) -> str:
     """A line of the table."""
-    peaks = " ".join(f"{peak:.0f}" for peak in one.worker_mib) or "–"
     return (
-        f"| {hours} | {one.method} | {one.takes} | {one.motion_hours:.2f} | {one.seconds:.1f} | "
-        f"{one.hours_a_minute:.1f} | {peaks} | {one.coordinator_mib:.0f} | {one.searched:.1%} | {one.segments} | "
-        f"{one.f1:.3f} | {one.f2:.3f} |"
+        f"| {hours} | {one.method} | {one.takes} | {one.stages['annotate']:.1f} | {one.hours_a_minute:.1f} | "
+        f"{_mib(one.worker_mib)} | {one.coordinator_mib:.0f} | {one.searched:.1%} | {one.segments} | "
+        f"{_with_interval(one.f1)} | {_with_interval(one.f2)} |"
     )
+
+
+def _mib(peaks: list[float]) -> str:
+    return " ".join(f"{peak:.0f}" for peak in peaks) or "–"
+
+
+def _with_interval(value: tuple[float, float, float]) -> str:
+    return f"{value[0]:.3f} ({value[1]:.3f}–{value[2]:.3f})"
+
+
+def _seconds(stages: dict[str, float]) -> str:
+    return ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages.items())
 
 
 def main() -> None:
     """Annotate both archives with each method, and print the table as Markdown."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.long_archive", description=__doc__)
-    parser.add_argument(
-        "--hours", type=float, nargs="+", default=[1.0, 20.0], help="sizes of the archives, clips included"
-    )
+    parser.add_argument("--hours", type=float, nargs="+", default=[1.0, 100.0], help="of long takes in each archive")
     parser.add_argument("--stores", type=Path, default=BUILD, help="folder for the stores")
     parser.add_argument("--method", action="append", choices=sorted(METHODS), help="may be repeated")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--runs", type=int, default=8, help="runs of keyframe learning, at most")
+    parser.add_argument("--remove", action="store_true", help="remove each archive and its store when it is done")
     parser.add_argument("--archive", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--store", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--only", help=argparse.SUPPRESS)
+    parser.add_argument("--on", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.only is not None:
-        one = run(given.archive, given.store, given.only or None, given.workers, given.runs)
-        print(json.dumps(None if one is None else asdict(one)))
+        one = run(given.archive, given.store, given.only or None, given.workers, given.runs, anew=not given.on)
+        print(json.dumps(asdict(one)))
         return
-    print(
-        "| archive, hours | method | takes | hours of takes | seconds | hours a minute | MiB of each worker | "
-        "MiB of the coordinator | frames matched | segments | F1 | F2 |\n|" + "---|" * 12
-    )
     for hours in given.hours:
-        source, store = archive(hours), given.stores / f"long-store-{hours:g}h"
-        in_a_process_of_its_own(source, store, "", given.workers, given.runs)
-        for method in given.method or DEFAULT:
-            found = in_a_process_of_its_own(source, store, method, given.workers, given.runs)
-            assert found is not None
-            print(line(f"{hours:g}", found), flush=True)
+        _study(hours, given)
+
+
+def _study(hours: float, given: argparse.Namespace) -> None:
+    source, made = archive(hours, given.workers)
+    store, about = given.stores / f"long-store-{hours:g}h", json.loads((source / RECORD).read_text())["summary"]
+    megabytes, files = about["bytes"] / 1e6, about["takes"] + about["clips"]
+    print(f"{hours:g} hours of takes, {about['clips']} clips, {files} files, {megabytes:,.0f} MB", end="")
+    print("" if made is None else f", made in {made:.0f} s")
+    before = Prepared(**in_a_process_of_its_own(source, store, "", given.workers, given.runs))
+    print(f"{_seconds(before.stages)}; workers {_mib(before.worker_mib)} MiB, coordinator {before.coordinator_mib:.0f}")
+    print(
+        "\n| hours | method | takes | seconds | hours a minute | MiB of each worker | MiB of the coordinator | "
+        "frames matched | segments | F1 (95 %) | F2 (95 %) |\n|" + "---|" * 11
+    )
+    methods = given.method or DEFAULT
+    for method in methods:
+        found = Annotated(**in_a_process_of_its_own(source, store, method, given.workers, given.runs))
+        print(line(f"{hours:g}", found), flush=True)
+    added = one_more(source)
+    try:
+        more = Annotated(**in_a_process_of_its_own(source, store, methods[-1], given.workers, given.runs, anew=False))
+    finally:
+        added.unlink()
+    print(f"\none take more ({methods[-1]}), {more.kept} of {more.takes} kept as they were: {_seconds(more.stages)}\n")
+    if given.remove:
+        shutil.rmtree(source)
+        shutil.rmtree(store)
 
 
 if __name__ == "__main__":
