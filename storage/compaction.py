@@ -81,7 +81,9 @@ class Compaction:
         return self.frames_before + self.takes_before > 0
 
 
-def compact(writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Map = map) -> Compaction:
+def compact(
+    writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Map = map, workers: int = 1
+) -> Compaction:
     """Merge what is worth merging in a store, and commit the swap as one version.
 
     The takes, their ids and the index stay valid. The old files stay too, for readers of older versions, until
@@ -92,6 +94,7 @@ def compact(writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Ma
     writer: holds the store's lock; what it was given must be committed.
     target_bytes: frames parts of this size and above are full.
     spread: where the merges run; each needs at most about half a gigabyte, whatever the store's size.
+    workers: how many merges run at a time there; a large merge is divided among them.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def compact(writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Ma
     """
     store = writer.store
     groups = worthwhile(store.manifest.frames, target_bytes)
-    merges = [_merges(store, group, target_bytes) for group in groups]
+    merges = [_merges(store, group, target_bytes, workers) for group in groups]
     new_frames = list(spread(merge, [task for group in merges for task in group]))
     if groups:
         writer.swap_parts("frames", [part for group in groups for part in group], new_frames)
@@ -141,6 +144,20 @@ def worthwhile(parts: Iterable[Part], full_bytes: float = float("inf")) -> list[
     return groups + alone
 
 
+def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
+    """Into how many new parts a merge goes that would make `count` of them, so that no worker waits for another.
+
+    Parameters
+    ----------
+    fits: how many of the full size there are rows for. worth: how many that climb a tier and fill a row group; of parts
+        that are not full, a merge makes half of `FANOUT` at most, or they would soon have to be merged again.
+    """
+    if count < workers:
+        return max(count, min(workers, worth, FANOUT // 2))
+    even = -(-count // workers) * workers
+    return even if even <= fits else count
+
+
 def merge(task: Merge) -> Part:
     """Write one new frames part; runs in any process, and twice does no harm.
 
@@ -170,16 +187,20 @@ def _live_share(part: Part) -> float:
     return part.live_rows / part.rows if part.rows else 1.0
 
 
-def _merges(store: Store, group: list[Part], target_bytes: int) -> list[Merge]:
+def _merges(store: Store, group: list[Part], target_bytes: int, workers: int) -> list[Merge]:
     """Lay the live takes of a group out in new parts, each of the target's size or above where there is enough."""
     takes = sorted(take for part in group for take in part.live)
     if not takes:
         return []
     frames = _frames_of(store)
     live_bytes = sum(part.bytes * _live_share(part) for part in group)
+    rows = sum(frames[take] for take in takes)
     # a tenth more than the target, since merged parts compress a little better
     count = max(1, int(live_bytes / (1.1 * target_bytes)))
-    share = sum(frames[take] for take in takes) / count
+    if len(group) > 1:
+        climbs = FANOUT ** (_tier(group[0].live_rows) + 1)
+        count = divided(count, workers, fits=int(live_bytes / target_bytes), worth=rows // max(climbs, ROW_GROUP))
+    share = rows / count
     merges = []
     ends = accumulate(frames[take] for take in takes)
     for _, chosen in groupby(

@@ -205,7 +205,7 @@ def _give_up(batch: Batch, fault: Exception) -> Written:
 
 
 def _compact(context: StageContext, writer: StoreWriter) -> None:
-    done = compact(writer, spread=context.executor.map)
+    done = compact(writer, spread=context.executor.map, workers=context.executor.workers)
     if done.changed:
         context.say(
             f"compacted: {done.frames_before} frames parts to {done.frames_after}, {done.takes_before} takes parts to "

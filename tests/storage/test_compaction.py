@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from ops.errors import StoreError
 from storage import compaction, index
 from storage import writer as writers
-from storage.compaction import FANOUT, compact, worthwhile
+from storage.compaction import FANOUT, compact, divided, worthwhile
 from storage.manifest import Part, versions
 from storage.parts import ROW_GROUP, FramesWriter
 from storage.store import Store, open_store
@@ -220,6 +220,40 @@ def test_merges_may_run_anywhere_and_twice(tmp_path: Path) -> None:
     with StoreWriter.open(tmp_path, BODY) as writer:
         compact(writer, spread=lambda function, items: iter([function(item) for item in items for _ in "ab"][::2]))
     assert same(before, open_store(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("count", "workers", "fits", "worth", "parts"),
+    [
+        (1, 1, 1, 9, 1), (1, 2, 1, 9, 2), (1, 2, 1, 1, 1), (1, 2, 1, 0, 1), (1, 16, 1, 9, FANOUT // 2),
+        (3, 16, 3, 9, 4), (3, 2, 4, 30, 4), (3, 2, 3, 30, 3), (4, 2, 4, 30, 4), (7, 4, 8, 60, 8), (9, 4, 11, 80, 9),
+        (9, 1, 11, 80, 9),
+    ],
+)  # fmt: skip
+def test_a_large_merge_is_divided_evenly_and_parts_do_not_get_small(
+    count: int, workers: int, fits: int, worth: int, parts: int
+) -> None:
+    assert divided(count, workers, fits=fits, worth=worth) == parts
+
+
+def test_the_workers_share_a_merge_and_its_parts_need_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compaction, "ROW_GROUP", 60)
+    before = in_batches(tmp_path, FANOUT)
+    tasks = []
+
+    def spread(function, items):
+        tasks.extend(items)
+        return iter([function(item) for item in tasks])
+
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        assert compact(writer, spread=spread, workers=2).frames_after == len(tasks) == 2
+        assert not compact(writer, spread=spread, workers=2).changed
+    after = open_store(tmp_path)
+    assert same(before, after)
+    assert all(
+        compaction._tier(part.rows) > compaction._tier(before.manifest.frames[0].rows) for part in after.manifest.frames
+    )
+    assert verify(after) == []
 
 
 def part(rows: int, dropped_rows: int = 0, name: str = "") -> Part:
