@@ -92,15 +92,18 @@ def _run_round(
         if advance is not None:
             advance(len(numbers) - len(missing))
     stored = time.monotonic()
-    for (course, task), found in zip(work, executor.map(do_runs, [task for _, task in work]), strict=True):
-        course.runs.update(zip(task.numbers, found, strict=True))
-        if advance is not None:
-            advance(len(found))
-        if save is not None and time.monotonic() - stored > SAVE_SECONDS:
+    try:
+        for (course, task), found in zip(work, executor.map(do_runs, [task for _, task in work]), strict=True):
+            course.runs.update(zip(task.numbers, found, strict=True))
+            if advance is not None:
+                advance(len(found))
+            if save is not None and time.monotonic() - stored > SAVE_SECONDS:
+                save()
+                stored = time.monotonic()
+    finally:
+        # whatever ended it, a dead cluster or Ctrl-C: what is finished is not lost
+        if save is not None and work:
             save()
-            stored = time.monotonic()
-    if save is not None and work:
-        save()
 
 
 def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:

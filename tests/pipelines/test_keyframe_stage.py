@@ -122,7 +122,6 @@ def test_the_same_is_learned_by_any_number_of_workers(store: Path) -> None:
 
 def test_runs_that_were_finished_are_not_done_again(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     line = Learning(store)
-    monkeypatch.setattr(keyframe_runs, "SAVE_SECONDS", 0.0)
     done: list[tuple[str, int]] = []
     original = keyframe_runs.do_runs
 
