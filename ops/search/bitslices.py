@@ -159,6 +159,7 @@ def _lay(laid, starts, stops, words):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-untyped-def]
     square = np.empty(BLOCK, np.uint64)
+    granules = np.zeros(2 * features + 1, np.uint64)
     for take in range(len(first) - 1):
         for block in range(first[take], first[take + 1]):
             start = offsets[take] + (block - first[take]) * BLOCK
@@ -167,16 +168,20 @@ def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-un
                 if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
                     square[j] = words[start + j] | _VALID_BIT
             _transpose(square)
-            to = block * (features + 1)
-            word, shift = block * GRANULES // BLOCK, np.uint64(block * GRANULES % BLOCK)
-            valid = square[_VALID]
+            valid, shift = square[_VALID], np.uint64(block * GRANULES % BLOCK)
+            square[features] = valid
             for feature in range(features):
-                on = square[feature]
-                bits[to + feature] = on
-                coarse[feature, word] |= _coarsened(on) << shift
-                coarse[features + feature, word] |= _coarsened(valid & ~on) << shift
-            bits[to + features] = valid
-            coarse[2 * features, word] |= _coarsened(valid) << shift
+                granules[feature] |= _coarsened(square[feature]) << shift
+            for feature in range(features):
+                granules[features + feature] |= _coarsened(valid & ~square[feature]) << shift
+            granules[2 * features] |= _coarsened(valid) << shift
+            to = block * (features + 1)
+            for row in range(features + 1):
+                bits[to + row] = square[row]
+            if (block + 1) * GRANULES % BLOCK == 0 or block + 1 == first[-1]:
+                for row in range(2 * features + 1):
+                    coarse[row, block * GRANULES // BLOCK] = granules[row]
+                    granules[row] = 0
 
 
 @njit(cache=True, nogil=True)

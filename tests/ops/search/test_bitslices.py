@@ -91,16 +91,17 @@ def test_slices_hold_the_words() -> None:
         np.testing.assert_array_equal(shown[:40, : len(take)].T, bits(np.where(valid, take, 0), 40))
 
 
-def test_the_coarse_copy_says_what_occurs_in_a_few_frames() -> None:
+@pytest.mark.parametrize("features", [1, 40, 63])
+def test_the_coarse_copy_says_what_occurs_in_a_few_frames(features: int) -> None:
     rng = np.random.default_rng(2)
-    takes = [rng.integers(0, 2**40, length).astype(np.uint64) for length in (1, 64, 0, 63, 130, 500)]
+    takes = [rng.integers(0, 2**features, length, np.uint64) for length in (1, 64, 0, 63, 130, 500)]
     takes[1][8:17], takes[5][::3] = NO_WORD, NO_WORD
-    slices = slices_of(takes, 40)
-    valid = slices.rows[40]
-    wanted = np.vstack([slices.rows[:40], ~slices.rows[:40] & valid, valid[None]])
+    slices = slices_of(takes, features)
+    on, valid = slices.rows[:features], slices.rows[features]
+    wanted = np.vstack([on, ~on & valid, valid[None]])
     frames = np.unpackbits(np.ascontiguousarray(wanted).view(np.uint8), axis=1, bitorder="little")
-    expected = frames.reshape(81, -1, GRANULE).any(axis=2)
-    shown = np.unpackbits(slices.coarse.reshape(81, -1).view(np.uint8), axis=1, bitorder="little")
+    expected = frames.reshape(len(wanted), -1, GRANULE).any(axis=2)
+    shown = np.unpackbits(slices.coarse.reshape(len(wanted), -1).view(np.uint8), axis=1, bitorder="little")
     np.testing.assert_array_equal(shown[:, : expected.shape[1]], expected)
     assert not shown[:, expected.shape[1] :].any()
 
