@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import F64, I64, cost_table, encode, lay_out
+from ops.distances.costs import F64, I64, CodedWords, cost_table, encode, lay_out
 from ops.distances.sweep import pieces_of, sweep, trace_paths
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
@@ -96,7 +96,12 @@ def start_frames(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64
 
 
 def best_paths(
-    template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 | None = None, limits: F64 | None = None
+    template: QuantisedTemplate,
+    words: U64,
+    ends: I64,
+    ranges: I64 | None = None,
+    limits: F64 | None = None,
+    coded: CodedWords | None = None,
 ) -> tuple[I64, F64]:
     """Return where the best path that ends at each of some frames begins, and its distance.
 
@@ -108,6 +113,7 @@ def best_paths(
     template, words, ranges: as in `distance_curves`.
     ends: int64 (E,), ascending frames.
     limits: float64 (E,), what the distances are known not to exceed: dearer cells need not be computed.
+    coded: `encode(words)`, where it is known: then each word's costs are computed once.
 
     Returns
     -------
@@ -139,9 +145,11 @@ def best_paths(
     most = np.full(len(groups) - 1, np.inf)
     if limits is not None:
         most = np.maximum.reduceat(limits, groups[:-1]) * columns * (1 + 1e-9)
+    if coded is None:
+        coded = CodedWords(np.ascontiguousarray(words, np.uint64), np.arange(len(words), dtype=np.int32))
     trace_paths(
-        np.ascontiguousarray(words), layout.values[:columns], layout.parts, layout.worths, layout.counted, ends, opens,
-        groups, most, starts, sums,
+        coded.vocabulary, coded.codes, layout.values[:columns], layout.parts[:, :columns], layout.worths[:, :columns],
+        layout.counted[:columns], ends, opens, groups, most, starts, sums,
     )  # fmt: skip
     return starts, sums / columns
 

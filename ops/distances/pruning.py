@@ -127,7 +127,7 @@ def minima_below(
     bounds = bounds_below(template, coded, threshold, stretches, coarse)
     candidates, possible = possible_minima(bounds.units, bounds.spans, bounds.slack)
     limits = (bounds.units[candidates] + (len(template) + 1.0)) * bounds.unit  # see bound 1
-    starts, costs = best_paths(template, words, candidates, stretches, limits)
+    starts, costs = best_paths(template, words, candidates, stretches, limits, coded)
     kept = possible & _true_minima(candidates, costs, stretches, threshold)
     return Minima(candidates[kept], starts[kept], costs[kept], bounds.frames, bounds.computed)
 

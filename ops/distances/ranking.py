@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I64, CodedWords, encode, lay_out
+from ops.distances.costs import F64, I32, I64, CodedWords, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
 from ops.distances.sweep import CAP, U16, sum_group, walk_back, workspace
@@ -180,13 +180,13 @@ def _rank_below(
     # A plateau is cut where a window grows long, but never between neighbours, which decide about each other.
     apart &= (np.diff(candidates) > 1) | (np.diff(place) > 0)
     groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)
-    layout = lay_out([template])
+    layout, columns = lay_out([template]), len(template)
     limit = len(candidates) if most is None else min(most, len(candidates))
     starts, ends, costs = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit)
     found = take_best(
-        words.words, layout.values[: len(template)], layout.parts, layout.worths, layout.counted, threshold,
-        bounds.units, bounds.unit, candidates, possible, groups if len(candidates) else groups[:1],
-        stretches[place, 0], homes, len(words), starts, ends, costs,
+        coded.vocabulary, coded.codes, layout.values[:columns], layout.parts[:, :columns], layout.worths[:, :columns],
+        layout.counted[:columns], threshold, bounds.units, bounds.unit, candidates, possible,
+        groups if len(candidates) else groups[:1], stretches[place, 0], homes, len(words), starts, ends, costs,
     )  # fmt: skip
     starts, ends, costs = starts[:found], ends[:found], costs[:found]
     takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
@@ -196,9 +196,9 @@ def _rank_below(
 
 @nb.njit(cache=True, nogil=True)
 def take_best(
-    words: U64, values: U64, parts: U64, worths: F64, counted: F64, threshold: float, units: U16, unit: float,
-    candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int, starts: I64,
-    ends: I64, costs: F64,
+    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, threshold: float, units: U16,
+    unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int,
+    starts: I64, ends: I64, costs: F64,
 ) -> int:  # fmt: skip
     """Take hits, the best first, until there are enough or none is left; return how many (kernel).
 
@@ -210,7 +210,7 @@ def take_best(
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
-    grid, local = workspace(longest + 2 * columns, columns)
+    grid, local, row_of, used = workspace(longest + 2 * columns, columns, len(vocabulary))
     newest = np.full(takes, -1, np.int64)  # the last hit taken in each take, and the one before each hit
     older = np.empty(len(costs), np.int64)
     exact, paths = np.empty(len(candidates)), np.empty(len(candidates), np.int64)
@@ -241,7 +241,10 @@ def take_best(
             if possible[i]:
                 units_there = max(units_there, int(units[candidates[i]]))
         limit = (units_there + columns + 1) * unit * columns
-        sum_group(words, values, parts, worths, counted, inside, begin, limit, grid, local, exact[first:stop])
+        sum_group(
+            vocabulary, codes, values, parts, worths, counted, inside, begin, limit, grid, local, row_of, used,
+            exact[first:stop],
+        )  # fmt: skip
         exact[first:stop] /= columns
         for i in range(first, stop):
             low = possible[i] and exact[i] < threshold - TOLERANCE
@@ -250,7 +253,7 @@ def take_best(
             if i + 1 < stop and candidates[i + 1] == candidates[i] + 1:
                 low &= exact[i] <= exact[i + 1] + TOLERANCE
             if low:
-                paths[i] = begin + walk_back(grid, local, candidates[i] - begin)
+                paths[i] = begin + walk_back(grid, local, row_of, codes[begin:], candidates[i] - begin)
                 heapq.heappush(heap, (np.int64(np.rint(exact[i] * _KEYS)), np.int64(1), np.int64(i)))
     return count
 

@@ -27,6 +27,9 @@ CAP = 21845
 COARSE_CAP = 255
 """Sums of coarse units stop here, the greatest number of 8 bits: every addition stops there by itself."""
 
+ROW_CELLS = 4_000_000
+"""Costs of words against columns that are kept while paths are traced: 32 MB."""
+
 
 def pieces_of(stretches: I64, longest: int, reach: int) -> I64:
     """Cut stretches into pieces that can be computed one without the other.
@@ -200,8 +203,8 @@ def sweep_coarse(table: U8, codes: I32, pieces: I64, firsts: I64, lasts: I64, su
 
 @nb.njit(cache=True, nogil=True)
 def trace_paths(
-    words: U64, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, opens: I64, groups: I64, limits: F64,
-    starts: I64, sums: F64,
+    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, opens: I64,
+    groups: I64, limits: F64, starts: I64, sums: F64,
 ) -> None:  # fmt: skip
     """Find the best path that ends at each of some frames, in float64 (kernel).
 
@@ -213,29 +216,36 @@ def trace_paths(
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, ends[groups[g + 1] - 1] + 1 - opens[groups[g]])
-    grid, cost = workspace(longest, len(values))
+    grid, costs, row_of, used = workspace(longest, len(values), len(vocabulary))
     for g in range(len(groups) - 1):
         own = slice(groups[g], groups[g + 1])
         begin = opens[groups[g]]
-        sum_group(words, values, parts, worths, counted, ends[own], begin, limits[g], grid, cost, sums[own])
+        sum_group(
+            vocabulary, codes, values, parts, worths, counted, ends[own], begin, limits[g], grid, costs, row_of, used,
+            sums[own],
+        )  # fmt: skip
         for place in range(groups[g], groups[g + 1]):
             starts[place] = -1
             if sums[place] < np.inf:
-                starts[place] = begin + walk_back(grid, cost, ends[place] - begin)
+                starts[place] = begin + walk_back(grid, costs, row_of, codes[begin:], ends[place] - begin)
 
 
 @nb.njit(cache=True, nogil=True)
-def workspace(frames: int, columns: int) -> tuple[F64, F64]:
-    """Room for the sums and the costs of a window (kernel)."""
+def workspace(frames: int, columns: int, words: int) -> tuple[F64, F64, I32, I64]:
+    """Room for the sums of a window and for the costs of words: each word that occurs is one row (kernel).
+
+    Returns the sums, the costs, the row of each word (−1: none), and how many rows are used.
+    """
     grid = np.empty((frames + 2, columns + 2))
     grid[:2, :] = np.inf
-    return grid, np.empty((frames, columns))
+    costs = np.empty((max(frames, min(words, ROW_CELLS // columns)), columns))
+    return grid, costs, np.full(words, -1, np.int32), np.zeros(1, np.int64)
 
 
 @nb.njit(cache=True, nogil=True)
 def sum_group(
-    words: U64, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, begin: int, limit: float, grid: F64,
-    cost: F64, sums: F64,
+    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, begin: int,
+    limit: float, grid: F64, costs: F64, row_of: I32, used: I64, sums: F64,
 ) -> None:  # fmt: skip
     """Add up the costs of the paths to ends that share the window that opens at frame `begin` (kernel).
 
@@ -247,6 +257,9 @@ def sum_group(
     """
     columns = len(values)
     lowest, highest = ends[0] - begin, ends[len(ends) - 1] - begin
+    if used[0] + highest + 1 > len(costs):
+        row_of[:] = -1
+        used[0] = 0
     low, high, lower, higher = (
         columns,
         -1,
@@ -261,19 +274,19 @@ def sum_group(
         first = 0 if least == 0 else max(least, min(low, lower) + 1)
         last = min(most, max(high + 2, higher + 1, 0))
         lower, higher = low, high
-        if last < first:
+        code = codes[begin + frame]
+        if last < first or vocabulary[code] == _NO_WORD:
             low, high = columns, -1
             continue
-        # All of these begin at the first column, so that the loops over columns need not ask where they are.
+        if row_of[code] < 0:
+            column_costs(vocabulary[code], values, parts, worths, counted, costs[used[0]])
+            row_of[code] = used[0]
+            used[0] += 1
+        # All of these begin at the first column, so that the loop over columns need not ask where they are.
         behind, here = grid[frame + 1, first:], whole[first + 2 : last + 3]
         near, far = behind[1:], grid[frame, first + 1 :]
-        own = cost[frame, first : last + 1]
-        word = words[begin + frame]
-        if word == _NO_WORD:
-            own[:] = np.inf
-        else:
-            column_costs(word, values[first:], parts[:, first:], worths[:, first:], counted[first:], own)
-        for n in range(len(own)):
+        own = costs[row_of[code], first:]
+        for n in range(len(here)):
             one, two = near[n], far[n]
             single = (one if one < two else two) + own[n]
             double = behind[n] + (own[n] + own[n])
@@ -290,11 +303,14 @@ def sum_group(
 
 
 @nb.njit(cache=True, nogil=True)
-def walk_back(grid: F64, cost: F64, frame: int) -> int:
-    """Return the frame where the best path begins that ends in the last column at a frame of the window (kernel)."""
-    n = cost.shape[1] - 1
+def walk_back(grid: F64, costs: F64, row_of: I32, codes: I32, frame: int) -> int:
+    """Return the frame where the best path begins that ends in the last column at a frame of the window (kernel).
+
+    codes: int32, the words from the window's first frame on.
+    """
+    n = costs.shape[1] - 1
     while n > 0:
-        dear = cost[frame, n]
+        dear = costs[row_of[codes[frame]], n]
         best = grid[frame + 1, n + 1] + dear
         skipped = grid[frame, n + 1] + dear
         doubled = grid[frame + 1, n] + (dear + dear)
