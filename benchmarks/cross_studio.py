@@ -1,8 +1,9 @@
 """`python -m benchmarks.cross_studio STORE TRUTH`: why takes of another studio were labelled as they were, in features.
 
 The store is that of `kinedex run hdm05-cmu`, TRUTH its ground truth. For each manual segment: what both methods label
-it with, the template of its own class that fits best there (if its class has one), and the template that fits best of
-all others; each with its distance, and the features that the distance is made of.
+it with (best: and how sure that is); what a label of its class alone is worth to method best there (below 0 it costs
+more than it gains); the template of its own class that fits best there (if its class has one), and the template that
+fits best of all others, each with its distance, and the features that the distance is made of.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from catalog.classes import Classes, load_classes
+from ops.distances.decoding import explain
 from ops.distances.dtw import best_paths, distance_curves
 from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords, bits
@@ -100,13 +102,32 @@ def best_fit(annotator: Annotator, words: U64, start: int, stop: int, chosen: Se
 
 
 def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str:
-    """What labels how much of a manual segment, the most first; in per cent of its frames."""
+    """What labels how much of a manual segment, the most first; in per cent of its frames. Of method best also the
+    confidence, or the range of confidences."""
     counts: Counter[str] = Counter()
+    sure: dict[str, list[float]] = {}
     for one in annotate_words(annotator, words)[0].segments:
-        counts[annotator.classes[one.class_index]] += max(0, min(one.stop, manual.stop) - max(one.start, manual.start))
+        within = min(one.stop, manual.stop) - max(one.start, manual.start)
+        if within > 0:
+            counts[annotator.classes[one.class_index]] += within
+            sure.setdefault(annotator.classes[one.class_index], []).append(one.confidence)
     length = manual.stop - manual.start
-    said = [f"{name} {100 * count / length:.0f} %" for name, count in counts.most_common(3) if 20 * count >= length]
-    return ", ".join(said) or "nothing"
+    parts = []
+    for name, count in counts.most_common(3):
+        if 20 * count >= length:
+            edges = sorted({f"{edge(sure[name]):.1f}" for edge in (min, max)})
+            parts.append(f"{name} {100 * count / length:.0f} %" + (f" ({'–'.join(edges)})" if annotator.row else ""))
+    return ", ".join(parts) or "nothing"
+
+
+def worth(annotator: Annotator, words: U64, manual: Manual, chosen: Sequence[int]) -> str:
+    """The value of the best single segment that some templates make of a manual segment's frames, entry included."""
+    row = annotator.row
+    assert row is not None
+    free = replace(row.decoding, entry=0.0)
+    found = explain([row.templates[index] for index in chosen], row.usual, words[manual.start : manual.stop], free)
+    value = max((one.value for one in found), default=0.0)
+    return f"{value - row.decoding.entry:+.2f}".replace("-", "−")
 
 
 def said(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
@@ -139,7 +160,8 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
         other = said(fits[-1], thesis, store.rate_hz)
         seconds = f"{manual.start / store.rate_hz:.1f}–{manual.stop / store.rate_hz:.1f}"
         by = [labels_within(annotator, words, manual) for annotator in (thesis, best)]
-        found.append(f"| {manual.take} | {seconds} | {manual.label} | {by[0]} | {by[1]} | {mine} | {other} |")
+        by.append(worth(best, words.words, manual, own) if own else "–")
+        found.append(f"| {manual.take} | {seconds} | {manual.label} | {' | '.join(by)} | {mine} | {other} |")
     return found
 
 
@@ -156,8 +178,8 @@ def main() -> None:
     known = [(one.name, set(one.subclasses) & {template.subclass for template in templates}) for one in classes.classes]
     print("templates: " + "; ".join(f"{name}: {', '.join(sorted(own))}" for name, own in known if own) + "\n")
     print(
-        "| take | seconds | manual | thesis | best | nearest of its class | nearest of the others |\n"
-        + "|---" * 7
+        "| take | seconds | manual | thesis | best | its class alone | nearest of its class | nearest of the others |\n"
+        + "|---" * 8
         + "|"
     )
     for line in rows(store, given.truth, classes):
