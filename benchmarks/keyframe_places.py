@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.classes import load_classes
-from ops.measures.metrics import Counts, compare, pooled
+from ops.measures.metrics import Counts, compare
 from ops.words import I64, TakeWords
 from pipelines.annotation.annotating import annotate_words, make_annotator
 from pipelines.executors import Executor
@@ -117,18 +117,24 @@ def measured(outcome: Outcome, searched: Searched, features: int) -> Measured | 
 
 def annotated(
     store: Store, clips: Sequence[TrainingClips], outcomes: Sequence[Outcome], searched: Searched, executor: Executor
-) -> Counts:
-    """Label the takes by the thesis's method, within what the queries keep, or everywhere where there are none."""
+) -> dict[str, Counts]:
+    """Label the takes by the thesis's method, within what the queries keep, or everywhere where there are none.
+
+    Returns
+    -------
+    class → how its labels compare with the segments.
+    """
     templates = [one for part in learn_templates(clips, ["soft"], _features(store), executor) for one in part]
     classes = load_classes("own", [one.subclass for one in clips])
     queries = [query for outcome in outcomes for query in keyframe_queries(outcome, store.feature_set)]
     annotator = make_annotator(store.feature_set, templates, classes, DELTA, TAU, queries)
-    found = []
+    found = dict.fromkeys(annotator.classes, Counts())
     for take, segments in zip(annotate_words(annotator, searched.words), searched.segments, strict=True):
         for index, name in enumerate(annotator.classes):
             automatic = [(one.start, one.stop) for one in take.segments if one.class_index == index]
-            found.append(compare(automatic, [(start, stop) for label, start, stop in segments if label == name]))
-    return pooled(found)
+            manual = [(start, stop) for label, start, stop in segments if label == name]
+            found[name] += compare(automatic, manual)
+    return found
 
 
 def _features(store: Store) -> int:

@@ -4,8 +4,8 @@ Queries are learned without the clips of one actor and searched in these, joined
 actor in turn, and for every variant of the learning. Takes with ground truth, if the store has some, are searched with
 queries learned from all clips: they choose nothing. Tables are Markdown, as in docs/keyframe-learning.md.
 
-Intervals hold 95 %. Those of shares draw people within each class, and segments (or takes) of each person; where there
-is one person only, they are as narrow as if there were no others. Those of counts are Wilson's.
+Intervals hold 95 %. Those of shares draw people within each class, and segments (or takes) of each person; of one
+person alone, takes. Those of counts are Wilson's.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
 from catalog.classes import load_classes
 from ops.measures.intervals import two_stage_interval, wilson
-from ops.measures.metrics import Counts
+from ops.measures.metrics import Counts, pooled
 from pipelines.config import load_pipeline
 from pipelines.executors import Executor, make_executor
 from pipelines.keyframes.background import mine
@@ -66,7 +66,7 @@ class Found:
     """What was found where: of each class that is there, and, where that was asked for, what labels came of it."""
 
     classes: list[Measured] = field(default_factory=list)
-    labels: Counts = field(default_factory=Counts)
+    labels: dict[str, Counts] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,8 @@ def _search(
     every = [measured(outcome, searched, features) for outcome in outcomes]
     found.classes += [one for one in every if one is not None]
     if study.annotate:
-        found.labels += annotated(study.store, clips, outcomes, searched, study.executor)
+        for label, counts in annotated(study.store, clips, outcomes, searched, study.executor).items():
+            found.labels[label] = found.labels.get(label, Counts()) + counts
 
 
 def _learned(study: Study, clips: Sequence[TrainingClips], params: Params) -> list[Outcome]:
@@ -179,19 +180,20 @@ def _learned(study: Study, clips: Sequence[TrainingClips], params: Params) -> li
 
 def _line(name: str, place: str, places: Sequence[Found], study: Study) -> str:
     rows = [one for found in places for one in found.classes]
-    cells = [name, place, *(_shares(rows) if rows else ["–", "–", "–", "100.0%"])]
+    cells = [name, place, *(_shares(rows, len(places)) if rows else ["–", "–", "–", "100.0%"])]
     if study.annotate:
-        labels = sum((found.labels for found in places), Counts())
+        labels = pooled(counts for found in places for counts in found.labels.values())
         cells += [f"{labels.f1:.3f}", f"{labels.f2:.3f}"]
     return f"| {' | '.join(cells)} |"
 
 
-def _shares(rows: Sequence[Measured]) -> list[str]:
+def _shares(rows: Sequence[Measured], people: int) -> list[str]:
     classes = [[one for one in rows if one.label == label] for label in sorted({one.label for one in rows})]
     hit = two_stage_interval([[one.hit for one in own] for own in classes])
     kept = two_stage_interval([[one.kept for one in own] for own in classes])
     return [
-        f"{np.mean([one.hit_share for one in rows]):.3f} ({hit[0]:.2f}–{hit[1]:.2f})",
+        # of one person alone there is nobody else to draw
+        f"{np.mean([one.hit_share for one in rows]):.3f}" + (f" ({hit[0]:.2f}–{hit[1]:.2f})" if people > 1 else ""),
         _count(rows),
         f"{np.mean([one.covered for one in rows]):.2f}",
         f"{np.mean([one.kept_share for one in rows]):.1%} ({kept[0]:.1%}–{kept[1]:.1%})",
@@ -208,15 +210,21 @@ def _by_class(name: str, places: dict[str, Found]) -> None:
     print(f"\n{name}: segments hit of all; in per cent the frames kept (the class's own)\n")
     people = [place for place in places if place != "takes"]
     heads = [*people, "all of them", *(place for place in places if place == "takes")]
-    print(f"| class | {' | '.join(heads)} |\n{'|---' * (1 + len(heads))}|")
+    labelled = [head for head in heads[len(people) :] if any(found.labels for found in places.values())]
+    print(f"| class | {' | '.join([*heads, *(f'labels right, {head}' for head in labelled)])} |")
+    print("|---" * (1 + len(heads) + len(labelled)) + "|")
     for label in sorted({one.label for found in places.values() for one in found.classes}):
         cells = []
         for head in heads:
-            own = [one for place in (people if head == "all of them" else [head]) for one in places[place].classes]
-            own = [one for one in own if one.label == label]
+            inside = [places[place] for place in (people if head == "all of them" else [head])]
+            own = [one for found in inside for one in found.classes if one.label == label]
             kept, share = (np.mean([getattr(one, key) for one in own] or [0.0]) for key in ("kept_share", "own"))
             count = _count(own) if head == "all of them" else _count(own).split(" ")[0]
             cells.append(f"{count}, {kept:.0%} ({share:.0%})" if own else "–")
+        for head in labelled:
+            inside = [places[place] for place in (people if head == "all of them" else [head])]
+            counts = pooled(found.labels.get(label, Counts()) for found in inside)
+            cells.append(f"{counts.segments_automatic_hit}/{counts.segments_automatic}")
         print(f"| {label} | {' | '.join(cells)} |")
 
 
