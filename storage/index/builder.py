@@ -120,12 +120,12 @@ def _stands(store: Store, generation: Path) -> bool:
 class _Start:
     """What a build begins with: the shards of an earlier generation that was copied, or none in an empty file.
 
-    generation: its folder. shards: those that can be kept. lost: numbers of those whose bit slices are damaged.
+    generation: its folder. shards: those that can be kept. lost: those whose bit slices are damaged.
     """
 
     generation: Path | None = None
     shards: tuple[Shard, ...] = ()
-    lost: tuple[int, ...] = ()
+    lost: tuple[Shard, ...] = ()
     surface: str = ""
     whole_bytes_per_frame: float | None = None
 
@@ -147,7 +147,7 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
             tables.create(connection, store.feature_set)
         elif start.surface != surface:
             tables.clear(connection)
-        tables.delete(connection, store.feature_set, work.removed + start.lost, work.dropped)
+        _delete(connection, store, work, start)
         _link(work.kept, start.generation, folder)
         fresh = _insert(connection, store, work, start, folder, threads)
         tables.describe(connection, store, anew=start.surface != surface)
@@ -210,7 +210,7 @@ def _copied(store: Store, file: Path) -> _Start:
                 return _Start(
                     generation,
                     tuple(compress(says.shards, whole)),
-                    tuple(shard.number for shard, stays in zip(says.shards, whole, strict=True) if not stays),
+                    tuple(shard for shard, stays in zip(says.shards, whole, strict=True) if not stays),
                     says.surface,
                     says.whole_bytes_per_frame,
                 )
@@ -230,6 +230,19 @@ def _copy(source: Path, target: Path) -> str:
     except FileNotFoundError:
         return ""
     return digest.hexdigest()
+
+
+def _delete(connection: duck.Connection, store: Store, work: Plan, start: _Start) -> None:
+    """Delete what is not in the next generation any more."""
+    before = {shard.number: shard.take_ids for shard in (*start.shards, *start.lost)}
+    removed = (*work.removed, *(shard.number for shard in start.lost))
+    after = {shard.number: shard.take_ids for shard in work.kept}
+    tables.delete(
+        connection,
+        store.feature_set,
+        {number: before[number] for number in removed},
+        {number: (lost, after[number]) for number, lost in work.dropped.items()},
+    )
 
 
 def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
@@ -257,7 +270,7 @@ def _insert(
         rows = tables.make_shard(words, store.feature_set)
         return Shard(number, shard_parts(parts), rows.frames, rows.frames, *written), rows
 
-    before = max((*(shard.number for shard in start.shards), *start.lost), default=0)
+    before = max((shard.number for shard in (*start.shards, *start.lost)), default=0)
     fresh: list[Shard] = []
     workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
     for shard, rows in _ahead(make, enumerate(work.fresh, before + 1), workers):

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
 from catalog.features import FeatureSet
 from ops.search.bitslices import slice_words
 from storage import duck
 from storage.index import tables
 from storage.index.generations import FILE, Generation, Shard, slices_name
-from storage.index.plan import ids
 from storage.index.slices import ShardSlices, open_slices
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def problems(store: Store, generation: Path, says: Generation, *, words: bool = 
 
 
 def _slices(store: Store, shard: Shard, found: ShardSlices, against_words: bool) -> Iterator[str]:
-    wanted = sorted(take for part in shard.parts for take in ids(part))
+    wanted = sorted(shard.take_ids)
     if found.take_ids[found.live].tolist() != wanted:
         yield "its takes are not those of its shard"
         return
@@ -50,7 +50,7 @@ def _slices(store: Store, shard: Shard, found: ShardSlices, against_words: bool)
 
 def _tables(store: Store, generation: Path, says: Generation) -> Iterator[str]:
     # by takes, not by parts: compaction has put them into other parts, and the index stays what it is
-    held = sorted(take for shard in says.shards for part in shard.parts for take in ids(part))
+    held = sorted(take for shard in says.shards for take in shard.take_ids)
     if held != list(store.manifest.live_takes):
         yield "its shards do not hold every live take once"
     with duck.connect() as connection:
@@ -78,17 +78,23 @@ def _frames(connection: duck.Connection, feature_set: FeatureSet, says: Generati
 
 def _shards(connection: duck.Connection, feature_set: FeatureSet, says: Generation) -> Iterator[str]:
     numbers = {shard.number for shard in says.shards}
+    homes = [(take, shard.number) for shard in says.shards for take in shard.take_ids]
+    columns = np.array(homes, np.int64).reshape(-1, 2).T
+    connection.register("homes", pa.table({"take_id": columns[0], "shard": columns[1]}))
     for name in sorted(feature_set.sets):
         counted = duck.query(
             connection,
             f"""SELECT coalesce(r.shard, v.shard) AS shard, r.runs IS NOT DISTINCT FROM v.runs
                 AND r.frames IS NOT DISTINCT FROM v.frames AS same
-            FROM (SELECT shard, count(*) AS runs, sum(frames) AS frames FROM {tables.lists_table(name)} GROUP BY 1) AS r
+            FROM (SELECT homes.shard, count(*) AS runs, sum(frames) AS frames FROM {tables.lists_table(name)} AS runs
+                LEFT JOIN homes ON homes.take_id = runs.take_id GROUP BY 1) AS r
             FULL JOIN (SELECT shard, sum(runs) AS runs, sum(frames) AS frames FROM stored_vocabulary
                 WHERE feature_set = {duck.quote(name)} GROUP BY 1) AS v ON r.shard = v.shard ORDER BY 1""",
         )
         for shard, same in zip(*(column.to_pylist() for column in counted.columns), strict=True):
-            if shard not in numbers:
+            if shard is None:
+                yield f"{name} has rows of takes that are in no shard"
+            elif shard not in numbers:
                 yield f"{name} has rows of a shard {shard} that is none"
             elif not same:
                 yield f"the lists of {name} in shard {shard} are not those that its vocabulary counts"

@@ -5,13 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 from ops.errors import StoreError
 from storage.manifest import Manifest
 
-INDEX_VERSION = 3
+INDEX_VERSION = 4
 """Version of the index's tables and of its other files; an index of another version is built again."""
 
 BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
@@ -35,7 +37,7 @@ class ShardPart:
 class Shard:
     """Rows of the index that were made together, from the live takes of some frames parts.
 
-    number: what the column `shard` of its rows says. frames: of its takes. built_frames: when it was made; what it has
+    number: what the column `shard` of its words says. frames: of its takes. built_frames: when it was made; what it has
     lost since was deleted. slices_bytes, slices_sha256: the file of its bit slices (`storage.index.slices`), which
     stays as it was made.
     """
@@ -46,6 +48,11 @@ class Shard:
     built_frames: int
     slices_bytes: int
     slices_sha256: str
+
+    @property
+    def take_ids(self) -> Iterator[int]:
+        """The takes of the shard."""
+        return chain.from_iterable(range(first, stop) for part in self.parts for first, stop in part.takes)
 
 
 @dataclass(frozen=True)

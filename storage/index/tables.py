@@ -1,15 +1,17 @@
 """What stands in an index file: the tables that hold the rows of shards, and the views and macros over them.
 
 `stored_word_runs_<set>`, `stored_feature_runs` and `stored_vocabulary` hold the rows of all shards, one shard after the
-other, each sorted; the column `shard` says whose a row is. A run is stored with its length, which takes a third of the
-room that its end would take, and with its take's id in 32 bits. `word_runs`, `feature_runs` and `vocabulary` show them
-as `catalog.views` says.
+other, each sorted. Whose a run is, its take tells, since every take is in one shard; words have a column for it. A run
+is stored with its length, which takes a third of the room that its end would take, and with its take's id in 32 bits.
+`word_runs`, `feature_runs` and `vocabulary` show them as `catalog.views` says.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -64,11 +66,8 @@ def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
     for name, home in feature_set.sets.items():
         # so few features make so few words that each has many runs in a shard
         column = "UBIGINT" if home.count > MOST_COUNTED else f"UBIGINT {repeated}"
-        columns = f"shard INTEGER {repeated}, word {column}, {run}"
-        connection.execute(f"CREATE TABLE {lists_table(name)} ({columns})")
-    connection.execute(
-        f"CREATE TABLE stored_feature_runs (shard INTEGER {repeated}, feature UTINYINT {repeated}, {run})"
-    )
+        connection.execute(f"CREATE TABLE {lists_table(name)} (word {column}, {run})")
+    connection.execute(f"CREATE TABLE stored_feature_runs (feature UTINYINT {repeated}, {run})")
     seen = "feature_set VARCHAR, word UBIGINT, runs BIGINT, frames BIGINT"
     connection.execute(f"CREATE TABLE stored_vocabulary (shard INTEGER, {seen})")
 
@@ -83,7 +82,7 @@ def insert(connection: duck.Connection, number: int, rows: ShardRows) -> None:
             "start": lists.start,
             "frames": lists.length,
         }
-        _insert(connection, lists_table(name), f"{number}, *", columns)
+        _insert(connection, lists_table(name), "*", columns)
         seen = {"word": lists.words, "runs": lists.runs, "frames": lists.frames}
         _insert(connection, "stored_vocabulary", f"{number}, {duck.quote(name)}, *", seen)
     runs = rows.features
@@ -93,34 +92,45 @@ def insert(connection: duck.Connection, number: int, rows: ShardRows) -> None:
         "start": runs.start,
         "frames": runs.stop - runs.start,
     }
-    _insert(connection, "stored_feature_runs", f"{number}, *", columns)
+    _insert(connection, "stored_feature_runs", "*", columns)
 
 
 def delete(
-    connection: duck.Connection, feature_set: FeatureSet, removed: tuple[int, ...], dropped: dict[int, tuple[int, ...]]
+    connection: duck.Connection,
+    feature_set: FeatureSet,
+    removed: Mapping[int, Iterable[int]],
+    dropped: Mapping[int, tuple[Iterable[int], Iterable[int]]],
 ) -> None:
     """Delete the rows of whole shards, and of the takes that other shards lose.
 
     Parameters
     ----------
-    removed: numbers of shards. dropped: number of a shard → the ids of takes.
+    removed: number of a shard → the ids of its takes. dropped: number of a shard → the ids of takes that it loses, and
+        of those that it keeps.
     """
-    runs = {lists_table(name): name for name in feature_set.sets} | {"stored_feature_runs": ""}
-    if removed:
-        for table in (*runs, "stored_vocabulary"):
-            connection.execute(f"DELETE FROM {table} WHERE shard IN ({', '.join(map(str, removed))})")
-    for number, takes in dropped.items():
-        connection.register("gone", pa.table({"take_id": np.array(takes, np.int64)}))
-        for table in runs:
-            connection.execute(f"DELETE FROM {table} WHERE shard = {number} AND take_id IN (SELECT take_id FROM gone)")
-        connection.unregister("gone")
-        connection.execute(f"DELETE FROM stored_vocabulary WHERE shard = {number}")
-        for table, name in runs.items():
-            if name:
+    gone = [*removed.values(), *(lost for lost, _ in dropped.values())]
+    if not gone:
+        return
+    with _takes(connection, "gone", chain.from_iterable(gone)):
+        for table in (*map(lists_table, feature_set.sets), "stored_feature_runs"):
+            connection.execute(f"DELETE FROM {table} WHERE take_id IN (SELECT take_id FROM gone)")
+    numbers = ", ".join(map(str, (*removed, *dropped)))
+    connection.execute(f"DELETE FROM stored_vocabulary WHERE shard IN ({numbers})")
+    for number, (_, kept) in dropped.items():
+        with _takes(connection, "kept", kept):
+            for name in feature_set.sets:
                 connection.execute(
                     f"INSERT INTO stored_vocabulary SELECT {number}, {duck.quote(name)}, word, count(*), sum(frames) "
-                    f"FROM {table} WHERE shard = {number} GROUP BY word ORDER BY word"
+                    f"FROM {lists_table(name)} WHERE take_id IN (SELECT take_id FROM kept) GROUP BY word ORDER BY word"
                 )
+
+
+@contextmanager
+def _takes(connection: duck.Connection, name: str, take_ids: Iterable[int]) -> Iterator[None]:
+    """Ids of takes as a table of this name."""
+    connection.register(name, pa.table({"take_id": np.fromiter(take_ids, np.int32)}))
+    yield
+    connection.unregister(name)
 
 
 def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:

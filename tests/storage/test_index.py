@@ -268,6 +268,7 @@ def test_a_shard_with_wrong_rows_is_found_though_its_checksum_fits(store: Store)
     with duckdb.connect(str(generation / "index.duckdb")) as client:
         client.execute("DELETE FROM stored_word_runs_lower WHERE rowid = 1")
         client.execute("UPDATE stored_vocabulary SET shard = 9 WHERE feature_set = 'mix'")
+        client.execute("UPDATE stored_word_runs_upper SET take_id = 77 WHERE rowid = 0")
     says = index.read_generation(generation)
     assert says is not None
     content = (generation / "index.duckdb").read_bytes()
@@ -277,4 +278,5 @@ def test_a_shard_with_wrong_rows_is_found_though_its_checksum_fits(store: Store)
     assert "word_runs has" in found
     assert "the lists of lower in shard 1 are not those that its vocabulary counts" in found
     assert "mix has rows of a shard 9 that is none" in found
+    assert "upper has rows of takes that are in no shard" in found
     assert "then run the stage `index`" in found
