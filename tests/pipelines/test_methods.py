@@ -321,7 +321,8 @@ def test_hdm05_an_actor_never_seen_and_one_left_out(shared: Path, tmp_path: Path
     text = (tmp_path / "store/results/reports/hdm05/methods.json").read_text(encoding="utf-8")
     unseen, left_out = json.loads(text)["splits"]
     assert unseen["methods"]["best"]["pooled"]["f1"] >= 0.91
-    assert unseen["methods"]["best"]["pooled"]["f2"] >= 0.97
+    assert unseen["methods"]["best"]["pooled"]["f2"] >= 0.96
     assert unseen["methods"]["thesis"]["pooled"]["f1"] >= 0.83
-    assert left_out["methods"]["best"]["pooled"]["f1"] >= 0.94
+    assert left_out["methods"]["best"]["pooled"]["f1"] >= 0.95
+    assert left_out["methods"]["best"]["pooled"]["f2"] >= 0.99
     assert {fold["name"]: fold["clips"] < 188 for fold in left_out["folds"]} == {"bd": True, "bk": True, "dg": True}
