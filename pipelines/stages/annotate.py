@@ -264,8 +264,7 @@ def classes_of(store: Store, params: Params, templates: Sequence[SubclassTemplat
 
 
 def usual_features(store: Store, templates: Sequence[SubclassTemplate]) -> F64:
-    """How often each feature is on in the clips that templates were learned from, or in all takes where they are of
-    none."""
+    """The usual postures in the clips that templates were learned from, or in all takes where they are of none."""
     clips = {name for one in templates for name in one.clips}
     takes = store.takes().filter(pl.col("name").is_in(clips))
     words = store.words(takes["take_id"].to_list() if takes.height else None)
