@@ -193,6 +193,21 @@ def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> N
 
 
 @njit(cache=True, nogil=True)
+def _copy(source: F64, target: F64) -> None:
+    """Copy a matrix; assigned as a whole it would bring along, and compile, the words for shapes that do not fit."""
+    for i in range(source.shape[0]):
+        for t in range(source.shape[1]):
+            target[i, t] = source[i, t]
+
+
+@njit(cache=True, nogil=True)
+def _add(values: F64, to: F64) -> None:
+    """Add numbers in place, as plainly as `_copy`."""
+    for t in range(to.shape[0]):
+        to[t] += values[t]
+
+
+@njit(cache=True, nogil=True)
 def _forward(
     channels: F64, near: bool, needed: npt.NDArray[np.bool_], parents: I32, counts: I32, kinds: I32, columns: I32,
     frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
@@ -224,18 +239,18 @@ def _forward(
             else:
                 up = h[parent, :, :size]
                 if plain[node]:
-                    own[:] = up
+                    _copy(up, own)
                 else:
                     for k in (0, 3, 6):
                         _times(up[k], up[k + 1], up[k + 2], frames[node], own[k], own[k + 1], own[k + 2])
-                out[:] = positions[parent, :, start:stop]
+                _copy(positions[parent, :, start:stop], out)
                 _shift(out, up, offsets[node, 0])
             for step in range(counts[node], counts[node + 1]):
                 kind, along = kinds[step], of_channel[columns[step], :size]
                 if MOVE_X <= kind <= MOVE_Z:
                     axis = kind - MOVE_X
                     if parent < 0:
-                        out[axis] += along
+                        _add(along, out[axis])
                     else:
                         _move(out, own, axes[axis, 0], axes[axis, 1], axes[axis, 2], along)
             for step in range(counts[node], counts[node + 1]):
@@ -253,7 +268,7 @@ def _forward(
                 if kinds[step] == STRETCH:
                     x, y, z = offsets[node, 2]
                     _move(out, own, x, y, z, of_channel[columns[step], :size])
-        orientation[:, start:stop] = h[oriented, :, :size]
+        _copy(h[oriented, :, :size], orientation[:, start:stop])
 
 
 def frames_along(across: F64, up: F64) -> F64:
