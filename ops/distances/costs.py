@@ -128,11 +128,25 @@ def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = 
     step = grid_step(int(layout.lengths.max())) if dtype is np.float32 else 0.0
     table = np.empty((len(vocabulary), len(layout.masks)), dtype)
     fill_costs(vocabulary, layout.values, layout.parts, layout.worths, layout.counted, step, table)
-    table[:, layout.padding] = np.inf
+    _fill_padding(layout, table, np.inf)
     return table
 
 
-def bound_table(layout: Layout, vocabulary: U64, units: F64, most: int, dtype: type[np.unsignedinteger[Any]]) -> Table:
+def _fill_padding(layout: Layout, table: Table, cost: float) -> None:
+    """Give the columns between templates, and those behind the last one, a cost."""
+    for last in layout.lasts[:-1].tolist():
+        table[:, last + 1] = cost
+    table[:, int(layout.lasts[-1]) + 1 :] = cost
+
+
+def bound_table(
+    layout: Layout,
+    vocabulary: U64,
+    units: F64,
+    most: int,
+    dtype: type[np.unsignedinteger[Any]],
+    needed: npt.NDArray[np.bool_] | None = None,
+) -> Table:
     """Tabulate whole units that local costs hold at least: ⌊cost / unit⌋, and `most` where it is more or no cost.
 
     Units are counted a little low, so that rounding never makes a bound too high.
@@ -140,6 +154,7 @@ def bound_table(layout: Layout, vocabulary: U64, units: F64, most: int, dtype: t
     Parameters
     ----------
     units: float64 (T,), what a unit of each template is worth, as a cost.
+    needed: bool (W,), the words that are asked for; rows of others are left as they are. None: all.
 
     Returns
     -------
@@ -149,8 +164,12 @@ def bound_table(layout: Layout, vocabulary: U64, units: F64, most: int, dtype: t
     for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
         scale[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
     table = np.empty((len(vocabulary), len(layout.masks)), dtype)
-    fill_bounds(vocabulary, layout.values, layout.parts, layout.worths * scale, most, table)
-    table[:, layout.padding] = most
+    every = np.ones(len(vocabulary), np.bool_) if needed is None else needed
+    fill_bounds(vocabulary, layout.values, layout.parts, layout.worths * scale, most, every, table)
+    if needed is None:
+        _fill_padding(layout, table, most)
+    else:
+        table[np.ix_(np.flatnonzero(needed), layout.padding)] = most
     return table
 
 
@@ -249,7 +268,9 @@ def fill_costs(vocabulary: U64, values: U64, parts: U64, worths: F64, counted: F
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_bounds(vocabulary: U64, values: U64, parts: U64, units: F64, cap: int, table: Table) -> None:
+def fill_bounds(
+    vocabulary: U64, values: U64, parts: U64, units: F64, cap: int, needed: npt.NDArray[np.bool_], table: Table
+) -> None:
     """Fill a table with whole units that a cost holds at least, `cap` where it is more (kernel).
 
     units: float64 (G, S), the units that one contradiction of each group of a column is worth.
@@ -258,6 +279,8 @@ def fill_bounds(vocabulary: U64, values: U64, parts: U64, units: F64, cap: int, 
     costs = np.empty(len(values))
     for w in range(len(vocabulary)):
         word = vocabulary[w]
+        if not needed[w]:
+            continue
         if word == _NO_WORD:
             table[w, :] = cap
             continue

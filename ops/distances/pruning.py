@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I64, PADDING, CodedWords, bound_table, encode, lay_out
+from ops.distances.costs import F64, I32, I64, PADDING, CodedWords, bound_table, encode, lay_out
 from ops.distances.dtw import best_paths, check_ranges
 from ops.distances.sweep import CAP, COARSE_CAP, U8, U16, pieces_of, sweep_bounds, sweep_coarse
 from ops.errors import ParameterError
@@ -214,7 +214,9 @@ def bounds_below(
     else:
         pieces = np.empty((0, 3), np.int64)
     if len(pieces):
-        table = bound_table(layout, coded.vocabulary, np.array([cost]), CAP, np.uint16)
+        needed = np.zeros(len(coded.vocabulary), np.bool_)
+        mark_words(coded.codes, pieces, needed)
+        table = bound_table(layout, coded.vocabulary, np.array([cost]), CAP, np.uint16, needed)
         sweep_bounds(table, coded.codes, pieces, columns - 1, units)
     computed = int((pieces[:, 2] - pieces[:, 0]).sum())
     slack = columns + 1 + int(TOLERANCE * columns / cost)
@@ -253,6 +255,14 @@ def _true_minima(candidates: I64, costs: F64, stretches: I64, threshold: float) 
     low[1:] &= ~joined | (costs[1:] <= costs[:-1] + TOLERANCE)
     low[:-1] &= ~joined | (costs[:-1] <= costs[1:] + TOLERANCE)
     return low
+
+
+@nb.njit(cache=True, nogil=True)
+def mark_words(codes: I32, pieces: I64, needed: npt.NDArray[np.bool_]) -> None:
+    """Mark the words that occur in pieces (kernel)."""
+    for p in range(len(pieces)):
+        for frame in range(pieces[p, 0], pieces[p, 2]):
+            needed[codes[frame]] = True
 
 
 @nb.njit(cache=True, nogil=True)
