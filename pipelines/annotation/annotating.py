@@ -27,7 +27,7 @@ from ops.errors import KinedexError, did_you_mean
 from ops.templates.templates import QuantisedTemplate, Template, quantise
 from ops.words import TakeWords
 from pipelines.executors import Executor
-from pipelines.searching.search import preselect
+from pipelines.searching.search import preselect, preselect_stored
 from pipelines.searching.windows import template_window
 from pipelines.templates.learning import SubclassTemplate, run_of
 from pipelines.wording import few
@@ -289,13 +289,16 @@ def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[in
 
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
     """Read the words of a batch and annotate them (runs in a worker)."""
-    words = open_store(batch.store).words(batch.take_ids)
-    return annotate_words(batch.annotator, words, batch.keep_curves)
+    store = open_store(batch.store)
+    return annotate_words(batch.annotator, store.words(batch.take_ids), batch.keep_curves, store)
 
 
-def annotate_words(annotator: Annotator, words: TakeWords, keep_curves: bool = False) -> list[TakeAnnotation]:
-    """Annotate takes, all templates against all words at once."""
-    ranges = ranges_of(annotator, words)
+def annotate_words(
+    annotator: Annotator, words: TakeWords, keep_curves: bool = False, store: Store | None = None
+) -> list[TakeAnnotation]:
+    """Annotate takes, all templates against all words at once; keyframes are looked for in the index of the store that
+    the takes are from, where it has one."""
+    ranges = ranges_of(annotator, words, store)
     # minima below τ are found without the curves, and so are rows; they are only drawn
     curves = _curves(annotator, words, ranges) if keep_curves else None
     if annotator.row is not None:
@@ -366,12 +369,16 @@ def _explained_takes(annotator: Annotator, row: Row, words: TakeWords, ranges: S
     ]
 
 
-def ranges_of(annotator: Annotator, words: TakeWords) -> list[I64]:
+def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None) -> list[I64]:
     """The frames that each template is matched in, on the words laid end to end: whole takes, or the hits of its
     queries with their margins."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     every = {query.name: query for queries in annotator.queries for query in queries}
-    hits = preselect(words, annotator.feature_set, list(every.values()))
+    wanted = list(every.values())
+    if store is None:
+        hits = preselect(words, annotator.feature_set, wanted)
+    else:
+        hits = preselect_stored(store, words, wanted)
     ranges = []
     for queries, reach in zip(annotator.queries, annotator.reach, strict=True):
         if not queries:
