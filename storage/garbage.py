@@ -122,7 +122,9 @@ def _generations(root: Path, keep: int) -> Iterator[Garbage]:
 
 
 def _size(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    # what other generations link to as well counts for each of them its share
+    found = (file.stat() for file in folder.rglob("*") if file.is_file())
+    return sum(file.st_size // file.st_nlink for file in found)
 
 
 def _remove(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The inverted lists that queries are answered from: of an index, just the words asked for; or of words in memory."""
+"""Inverted lists, by which a search explains itself: of an index, just the words asked for; or of words in memory."""
 
 from __future__ import annotations
 
