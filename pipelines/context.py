@@ -39,8 +39,8 @@ class StageContext:
     inputs: role → the stage instance that plays it, for instance {"templates": "learn_templates"}.
     params: the validated parameters of every stage of the pipeline, by instance name, for stages that repeat another
     one's work.
-    code: a hash of the sources that the stage runs, for stages that keep what they did before; empty where it must do
-    all of it again (`--force`, or nobody knows).
+    code: a hash of the sources that the stage runs, for stages that keep what they did before; empty where not known.
+    anew: all is done again, whatever was done before (`--force`).
     """
 
     store_path: Path
@@ -54,6 +54,7 @@ class StageContext:
     inputs: dict[str, str] = field(default_factory=dict)
     params: dict[str, BaseModel] = field(default_factory=dict)
     code: str = ""
+    anew: bool = False
 
     @property
     def report_dir(self) -> Path:

@@ -118,7 +118,8 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
         terminal=run.terminal,
         inputs=dict(stage.inputs),
         params={other.name: other.params for other in run.pipeline.stages},
-        code="" if step.reason == FORCED else step.parts["code"],
+        code=step.parts["code"],
+        anew=step.reason == FORCED,
     )
     begin = time.perf_counter()
     try:

@@ -196,7 +196,7 @@ def _annotate(
     """
     setting = setting_digest(annotator, params.store_curves, context.code)
     prints = fingerprints(writer.store, takes, setting) if context.code else {}
-    kept = kept_annotations(writer.store, context.key(), prints)
+    kept = kept_annotations(writer.store, context.key(), {} if context.anew else prints)
     new = takes.filter(~pl.col("take_id").is_in(list(kept.searched)))
     names = dict(takes.select("take_id", "name").iter_rows())
     segments, searched = [kept.annotations(context.run)], dict(kept.searched)

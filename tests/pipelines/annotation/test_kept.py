@@ -26,11 +26,11 @@ NEW = [long_take("cat_0", "cat", "kick", "walk"), long_take("cat_2", "cat", "wal
 class KnownLine(Line):
     """A pipeline whose sources are known, as they are to the runner."""
 
-    code, runs = "sources", 0
+    code, anew, runs = "sources", False, 0
 
     def context(self, stage: str) -> StageContext:
         KnownLine.runs += 1
-        return replace(super().context(stage), code=self.code, run=f"run-{KnownLine.runs}")
+        return replace(super().context(stage), code=self.code, anew=self.anew, run=f"run-{KnownLine.runs}")
 
 
 def annotated(folder: Path, *takes: dict[str, object], executor: str = "serial", **params: object) -> KnownLine:
@@ -86,9 +86,14 @@ def test_what_has_changed_is_annotated_again(tmp_path: Path):
     assert open_store(line.store).result("distance_curves").num_rows == 0
     line.code = "other sources"
     assert line.run(annotate, store_curves=False)["kept_takes"] == 0
-    line.code = ""  # as with --force
+    line.code = ""  # nobody knows
     assert line.run(annotate, store_curves=False)["kept_takes"] == 0
     line.code = "sources"
+    line.run(annotate, store_curves=False)
+    line.anew = True  # as with --force
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    line.anew = False
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 2
     line.run(annotate)
     line.run(learn_templates, methods=["soft"], where="class IS NOT NULL AND actor = 'ann'")
     assert line.run(annotate)["kept_takes"] == 2  # the clips of both are the same, and so are the templates
