@@ -62,7 +62,8 @@ class Prepared:
 class Annotated:
     """One annotation of the long takes.
 
-    motion_hours: of the long takes. stages: seconds by stage. worker_mib: the most memory of each worker;
+    motion_hours: of the long takes. stages: seconds by stage. cpu_seconds: of all processes, their start and the
+    evaluation included, which other work on the machine changes less. worker_mib: the most memory of each worker;
     coordinator_mib: of the process that collects, writes and evaluates. kept: takes that an earlier run had annotated.
     searched: the share of frames that templates were matched in. f1, f2: with the interval over takes (95 %).
     """
@@ -72,6 +73,7 @@ class Annotated:
     kept: int
     motion_hours: float
     stages: dict[str, float]
+    cpu_seconds: float
     worker_mib: list[float]
     coordinator_mib: float
     segments: int
@@ -123,6 +125,8 @@ def run(
     force = frozenset({"annotate"}) if anew and method is not None else frozenset[str]()
     with watched(pools):
         run_pipeline(file, store, executor="processes", workers=workers, force=force, terminal=silent())
+    spent = os.times()  # workers that have ended count
+    cpu = spent.user + spent.system + spent.children_user + spent.children_system
     opened = open_store(store)
     records = {name.split("/")[1]: one for name, one in opened.manifest.stages.items() if name.startswith(f"{NAME}/")}
     seconds = {name: one.seconds for name, one in records.items()}
@@ -133,7 +137,7 @@ def run(
     f1, f2 = intervals(opened, records["evaluate"].run)
     return Annotated(
         method, int(summary["takes"]), int(summary["kept_takes"]),
-        int(summary["frames"]) / opened.rate_hz / 3600, seconds, peaks, peak_mib(),
+        int(summary["frames"]) / opened.rate_hz / 3600, seconds, cpu, peaks, peak_mib(),
         int(summary["segments"]), float(summary["searched"]), f1, f2,
     )  # fmt: skip
 
@@ -183,8 +187,8 @@ def line(hours: str, one: Annotated) -> str:
     """A line of the table."""
     return (
         f"| {hours} | {one.method} | {one.takes} | {one.stages['annotate']:.1f} | {one.hours_a_minute:.1f} | "
-        f"{_mib(one.worker_mib)} | {one.coordinator_mib:.0f} | {one.searched:.1%} | {one.segments} | "
-        f"{_with_interval(one.f1)} | {_with_interval(one.f2)} |"
+        f"{one.cpu_seconds:.1f} | {_mib(one.worker_mib)} | {one.coordinator_mib:.0f} | {one.searched:.1%} | "
+        f"{one.segments} | {_with_interval(one.f1)} | {_with_interval(one.f2)} |"
     )
 
 
@@ -231,11 +235,13 @@ def _study(hours: float, given: argparse.Namespace) -> None:
     before = Prepared(**in_a_process_of_its_own(source, store, "", given.workers, given.runs))
     print(f"{_seconds(before.stages)}; workers {_mib(before.worker_mib)} MiB, coordinator {before.coordinator_mib:.0f}")
     print(
-        "\n| hours | method | takes | seconds | hours a minute | MiB of each worker | MiB of the coordinator | "
-        "frames matched | segments | F1 (95 %) | F2 (95 %) |\n|" + "---|" * 11
+        "\n| hours | method | takes | seconds | hours a minute | CPU seconds | MiB of each worker | "
+        "MiB of the coordinator | frames matched | segments | F1 (95 %) | F2 (95 %) |\n|" + "---|" * 12
     )
     methods = given.method or DEFAULT
     for method in methods:
+        if "queries" in method:  # they are learned in a process of their own, too
+            in_a_process_of_its_own(source, store, method, given.workers, given.runs, anew=False)
         found = Annotated(**in_a_process_of_its_own(source, store, method, given.workers, given.runs))
         print(line(f"{hours:g}", found), flush=True)
     added = one_more(source)
