@@ -237,11 +237,11 @@ def surviving(below: npt.NDArray[np.bool_], stretches: I64, reach: int) -> I64:
     apart = np.flatnonzero((np.diff(places) - 1) * _BLOCK > reach)
     begins = places[np.concatenate(([0], apart + 1))] * _BLOCK
     ends = (places[np.concatenate((apart, [len(places) - 1]))] + 1) * _BLOCK
-    # A stretch meets the pieces from the first that ends behind its beginning to the last that begins before its end.
-    first = np.searchsorted(ends, stretches[:, 0], side="right")
-    counts = np.maximum(np.searchsorted(begins, stretches[:, 1], side="left") - first, 0)
-    home = np.repeat(np.arange(len(stretches)), counts)
-    piece = np.arange(len(home)) - np.repeat(np.cumsum(counts) - counts, counts) + first[home]
+    # A piece meets the stretches from the first that ends behind its beginning to the last that begins before its end.
+    first = np.searchsorted(stretches[:, 1], begins, side="right")
+    counts = np.maximum(np.searchsorted(stretches[:, 0], ends, side="left") - first, 0)
+    piece = np.repeat(np.arange(len(begins)), counts)
+    home = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts) + first[piece]
     starts = np.maximum(begins[piece], stretches[home, 0])
     stops = np.minimum(ends[piece], stretches[home, 1])
     return np.stack([np.maximum(starts - reach, stretches[home, 0]), starts, stops], axis=1)
