@@ -24,7 +24,7 @@ def rank(
     store: StorePath,
     templates: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[TEMPLATE]...", help="classes of learned templates, or template files (.yaml, .csv)"),
+        typer.Argument(metavar="TEMPLATE", help="classes of learned templates, or template files (.yaml, .csv)"),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="by all learned templates of the store")] = False,
     take: Annotated[str | None, typer.Option(help="query by example: a take, or the stretch of it to look for")] = None,
