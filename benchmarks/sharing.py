@@ -27,10 +27,13 @@ def figures(store: Store) -> list[Figure]:
     """The memory of two processes that search the same twenty hours."""
     large = twenty_hours(store)
     index.build(large)
+    mapped, own = (_together(large.path, how) for how in ("mapped", "own"))
     return [
-        Figure(f"{PROCESSES} processes search {HOURS:g} h: {what}", _together(large.path, how), "MiB in all", 1.0)
-        for how, what in (("mapped", "slices mapped from the index"), ("own", "each its own slices"))
-    ]
+        Figure(
+            f"{PROCESSES} processes search {HOURS:g} h, slices mapped", mapped, "MiB in all", None,
+            "each its own slices", other_amount=own,
+        )
+    ]  # fmt: skip
 
 
 def _together(store: Path, how: str) -> float:
