@@ -32,6 +32,7 @@ from pipelines.config import load_pipeline
 from pipelines.runner import run_pipeline
 from pipelines.synth import RECORD, write_archive
 from storage.store import Store, open_store
+from storage.writer import StoreWriter
 
 NAME = "long-archive"
 CLIP_MINUTES = 30.0
@@ -183,6 +184,13 @@ def one_more(source: Path) -> Path:
     return added
 
 
+def _forget(path: Path, take: str) -> None:
+    store = open_store(path)
+    with StoreWriter.open(path, store.feature_set, store.rate_hz) as writer:
+        writer.drop_takes(store.takes().filter(pl.col("name") == take)["take_id"].to_list())
+        writer.commit()
+
+
 def line(hours: str, one: Annotated) -> str:
     """A line of the table."""
     return (
@@ -249,6 +257,7 @@ def _study(hours: float, given: argparse.Namespace) -> None:
         more = Annotated(**in_a_process_of_its_own(source, store, methods[-1], given.workers, given.runs, anew=False))
     finally:
         added.unlink()
+        _forget(store, added.stem)
     print(f"\none take more ({methods[-1]}), {more.kept} of {more.takes} kept as they were: {_seconds(more.stages)}\n")
     if given.remove:
         shutil.rmtree(source)
