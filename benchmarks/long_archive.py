@@ -121,7 +121,8 @@ def run(
     """
     file = store.parent / f"{store.name}.yaml"
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(yaml.safe_dump(stages(source, method, runs=runs), sort_keys=False), encoding="utf-8")
+    pipeline = stages(source, method, runs=runs)
+    file.write_text(yaml.safe_dump(pipeline, sort_keys=False), encoding="utf-8")
     pools: list[Watched] = []
     force = frozenset({"annotate"}) if anew and method is not None else frozenset[str]()
     with watched(pools):
@@ -130,7 +131,7 @@ def run(
     cpu = spent.user + spent.system + spent.children_user + spent.children_system
     opened = open_store(store)
     records = {name.split("/")[1]: one for name, one in opened.manifest.stages.items() if name.startswith(f"{NAME}/")}
-    seconds = {name: one.seconds for name, one in records.items()}
+    seconds = {name: records[name].seconds for name in pipeline["stages"]}
     peaks = sorted(peak for pool in pools for process, peak in pool.peaks.items() if process != os.getpid())
     if method is None:
         return Prepared(seconds, peaks, peak_mib())
