@@ -13,6 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from ops.bits import count_bits
+from ops.learning.fitness import INNER
 from ops.words import I64, U64
 
 
@@ -82,7 +83,7 @@ def draw_individual(rng, people, row, columns, breeding, taken):  # type: ignore
         _draw_gap(rng, people, row, k, breeding)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _draw_gap(rng, people, row, k, breeding):  # type: ignore[no-untyped-def]
     spacing = people.positions[row, k + 1] - people.positions[row, k]
     middle = spacing * breeding.centre
@@ -93,7 +94,7 @@ def _draw_gap(rng, people, row, k, breeding):  # type: ignore[no-untyped-def]
     people.highs[row, k] = max(people.lows[row, k], int(np.floor(high)))
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _choose(rng, taken, total, count):  # type: ignore[no-untyped-def]
     """Put `count` different numbers below `total` into taken, ascending (Floyd's sampling)."""
     for n in range(count):
@@ -144,7 +145,7 @@ def recombine(rng, people, one, other, row, breeding, taken):  # type: ignore[no
         _draw_gap(rng, people, row, k, breeding)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _insert(people, row, mask, value, position):  # type: ignore[no-untyped-def]
     """Insert a keyframe by its column and say where; −1 where it is there already, or where there is no room."""
     count = people.counts[row]
@@ -182,7 +183,7 @@ def mutate(rng, people, row, columns, breeding):  # type: ignore[no-untyped-def]
         change_gaps(rng, people, row, breeding.gap_step)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _add_keyframe(rng, people, row, columns, breeding):  # type: ignore[no-untyped-def]
     column = columns.usable[int(rng.random() * len(columns.usable))]
     k = _insert(people, row, columns.masks[column], columns.values[column], column)
@@ -199,7 +200,7 @@ def _add_keyframe(rng, people, row, columns, breeding):  # type: ignore[no-untyp
         _draw_gap(rng, people, row, k, breeding)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _remove_keyframe(rng, people, row, least):  # type: ignore[no-untyped-def]
     count = people.counts[row]
     if count <= least:
@@ -220,7 +221,7 @@ def _remove_keyframe(rng, people, row, least):  # type: ignore[no-untyped-def]
     people.counts[row] = count - 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _change_entries(rng, people, row, allowed, specialise, share):  # type: ignore[no-untyped-def]
     """Fix a wildcard of a keyframe, or open a fixed entry; of the latter several at once, up to a share of them."""
     k = int(rng.random() * people.counts[row])
@@ -244,7 +245,7 @@ def _change_entries(rng, people, row, allowed, specialise, share):  # type: igno
             values[k] &= ~bit
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def _bit(bits, number):  # type: ignore[no-untyped-def]
     """The bit of this number, from 0, among those that are on."""
     for _ in range(number):
@@ -263,7 +264,7 @@ def change_gaps(rng, people, row, gap_step):  # type: ignore[no-untyped-def]
         people.highs[row, k] = max(0, low, high)
 
 
-@njit(cache=True, nogil=True)
+@njit(**INNER)
 def copy_individual(people, source, target):  # type: ignore[no-untyped-def]
     """Copy an individual and its results into another row."""
     people.counts[target] = people.counts[source]

@@ -324,12 +324,12 @@ def _more_lanes(bitmaps, slots, count, lows, highs, begin, end, reached):  # typ
         if some == np.uint64(0) or low > most or low > highs[k - 1]:
             return False
         if low > 0:
-            _move(reached, lanes, low, False)
+            _move(reached, lanes, low, np.uint64(0))
         span = min(highs[k - 1], most) - low
         smeared = 0
         while smeared < span:
             step = min(smeared + 1, span - smeared)
-            _move(reached, lanes, step, True)
+            _move(reached, lanes, step, ~np.uint64(0))
             smeared += step
         some = np.uint64(0)
         for i in range(lanes):
@@ -340,7 +340,7 @@ def _more_lanes(bitmaps, slots, count, lows, highs, begin, end, reached):  # typ
 
 @njit(**INNER)
 def _move(lane, lanes, frames, keep):  # type: ignore[no-untyped-def]
-    # From the last lane to the first, so that what is read was not moved yet.
+    # From the last lane to the first, so that what is read was not moved yet; keep: the bits that also stay.
     whole = frames // 64
     part = np.uint64(frames % 64)
     rest = np.uint64(64) - part
@@ -351,4 +351,4 @@ def _move(lane, lanes, frames, keep):  # type: ignore[no-untyped-def]
             moved = lane[i - whole] << part
             if part != np.uint64(0) and i > whole:
                 moved |= lane[i - whole - 1] >> rest
-        lane[i] = (lane[i] | moved) if keep else moved
+        lane[i] = (lane[i] & keep) | moved
