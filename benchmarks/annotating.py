@@ -22,7 +22,8 @@ from catalog.queries import Gap, Keyframe, KeyframeQuery
 from ops.distances.decoding import background
 from ops.templates.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
 from ops.words import TakeWords
-from pipelines.annotation.annotating import BATCH_FRAMES, Annotator, annotate_words, make_annotator, ranges_of
+from pipelines.annotation.annotating import BATCH_FRAMES, annotate_words, ranges_of
+from pipelines.annotation.annotators import Annotator, make_annotator
 from pipelines.templates.learning import SubclassTemplate
 from storage.store import Store
 

@@ -22,7 +22,8 @@ from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from catalog.classes import load_classes
 from ops.distances.decoding import background
-from pipelines.annotation.annotating import Annotator, annotate_takes, make_annotator
+from pipelines.annotation.annotating import annotate_takes
+from pipelines.annotation.annotators import Annotator, make_annotator
 from pipelines.executors import Executor, make_executor
 from pipelines.runner import run_pipeline
 from pipelines.templates.learning import learn_templates, training_clips

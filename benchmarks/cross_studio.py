@@ -22,7 +22,8 @@ from ops.distances.decoding import explain
 from ops.distances.dtw import best_paths, distance_curves
 from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords, bits
-from pipelines.annotation.annotating import Annotator, annotate_words, make_annotator
+from pipelines.annotation.annotating import annotate_words
+from pipelines.annotation.annotators import Annotator, make_annotator
 from pipelines.evaluation.evaluating import Manual, place_ground_truth
 from pipelines.stages.annotate import usual_features
 from pipelines.templates.learning import read_templates

@@ -27,7 +27,8 @@ from ops.distances.decoding import Decoding, Explained, confidences, explain, la
 from ops.measures.metrics import Counts, compare, pooled
 from ops.templates.templates import Learned, learn_soft
 from ops.words import NO_WORD, U64, TakeWords
-from pipelines.annotation.annotating import annotate_words, make_annotator
+from pipelines.annotation.annotating import annotate_words
+from pipelines.annotation.annotators import make_annotator
 from pipelines.templates.learning import SubclassTemplate
 from pipelines.terminal import make_console
 from storage.store import Store, open_store

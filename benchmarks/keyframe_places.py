@@ -10,7 +10,8 @@ import numpy as np
 from catalog.classes import load_classes
 from ops.measures.metrics import Counts, compare
 from ops.words import I64, TakeWords
-from pipelines.annotation.annotating import annotate_words, make_annotator
+from pipelines.annotation.annotating import annotate_words
+from pipelines.annotation.annotators import make_annotator
 from pipelines.executors import Executor
 from pipelines.keyframes.learning import Outcome, keyframe_queries
 from pipelines.keyframes.margins import hit_ranges

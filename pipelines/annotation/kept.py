@@ -12,7 +12,8 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipelines.annotation.annotating import Annotator, split_takes
+from pipelines.annotation.annotating import split_takes
+from pipelines.annotation.annotators import Annotator
 from storage.store import Store
 
 

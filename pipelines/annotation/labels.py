@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import polars as pl
 
 from ops.errors import KinedexError, did_you_mean
-from pipelines.annotation.annotating import annotated_takes
+from pipelines.annotation.tables import annotated_takes
 from pipelines.wording import few
 from storage.labels.segments import Label, TakeLabels
 from storage.store import Store

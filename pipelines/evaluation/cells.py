@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 
 from ops.words import TakeWords
-from pipelines.annotation.annotating import BATCH_FRAMES, Annotator, annotate_words
+from pipelines.annotation.annotating import BATCH_FRAMES, annotate_words
+from pipelines.annotation.annotators import Annotator
 from pipelines.annotation.kept import setting_digest
 from pipelines.evaluation.exams import Exam, Fold
 from pipelines.evaluation.scheme import Method

@@ -21,17 +21,11 @@ from catalog.queries import KeyframeQuery
 from catalog.queryfiles import read_queries
 from ops.distances.decoding import background
 from ops.errors import KinedexError, did_you_mean
-from pipelines.annotation.annotating import (
-    Annotator,
-    annotate_takes,
-    annotations_table,
-    curves_table,
-    make_annotator,
-    takes_table,
-    targets_unknown,
-)
+from pipelines.annotation.annotating import annotate_takes
+from pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
 from pipelines.annotation.calibrating import Calibration, calibrate
 from pipelines.annotation.kept import fingerprints, kept_annotations, setting_digest
+from pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.keyframes.learning import keyframe_queries

@@ -18,7 +18,7 @@ from ops.distances.decoding import background
 from ops.errors import KinedexError
 from ops.measures.metrics import pooled
 from ops.templates.templates import Kind
-from pipelines.annotation.annotating import make_annotator, targets_unknown
+from pipelines.annotation.annotators import make_annotator, targets_unknown
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells

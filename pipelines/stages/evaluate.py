@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import Classes
 from ops.errors import KinedexError
-from pipelines.annotation.annotating import annotated_takes
+from pipelines.annotation.tables import annotated_takes
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.evaluating import (

@@ -13,7 +13,9 @@ from catalog.classes import Classes
 from catalog.queries import KeyframeQuery
 from ops.distances.decoding import background
 from ops.errors import KinedexError, did_you_mean
-from pipelines.annotation.annotating import annotate_takes, annotated_takes, annotations_table, make_annotator
+from pipelines.annotation.annotating import annotate_takes
+from pipelines.annotation.annotators import make_annotator
+from pipelines.annotation.tables import annotated_takes, annotations_table
 from pipelines.context import StageContext
 from pipelines.evaluation.evaluating import (
     SCOPES,

@@ -19,7 +19,8 @@ from ops.errors import KinedexError
 from ops.templates.templates import Learned, Template, learn_soft
 from ops.words import TakeWords
 from pipelines.annotation import annotating
-from pipelines.annotation.annotating import Annotator, annotate_words, make_annotator, split_takes, targets_unknown
+from pipelines.annotation.annotating import annotate_words, split_takes
+from pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
 from pipelines.searching.search import preselect
 from pipelines.searching.windows import template_ranges
 from pipelines.templates.learning import SubclassTemplate

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from ops.errors import KinedexError
-from pipelines.annotation.annotating import Annotator, make_annotator
+from pipelines.annotation.annotators import Annotator, make_annotator
 from pipelines.annotation.kept import setting_digest
 from pipelines.context import StageContext
 from pipelines.stages import annotate, learn_templates

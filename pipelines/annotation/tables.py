@@ -1,0 +1,108 @@
+"""The tables of an annotation: takes, segments and distance curves; and the takes that were annotated, read back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+
+from ops.errors import KinedexError
+from pipelines.annotation.annotating import TakeAnnotation
+from pipelines.annotation.annotators import Annotator
+from pipelines.templates.learning import run_of
+from pipelines.wording import few
+from storage.schemas import result_schema
+from storage.store import Store
+
+
+def takes_table(
+    takes: pl.DataFrame, run: str, searched: Mapping[int, float], prints: Mapping[int, str] | None = None
+) -> pa.Table:
+    """Lay the takes that are annotated out as results of the kind `annotated_takes`.
+
+    Parameters
+    ----------
+    searched: take_id → the share of its frames that a template was matched in, on average. prints: take_id →
+        fingerprint, by which a later run knows that nothing has changed.
+    """
+    ids = takes.sort("name")["take_id"].to_list()
+    columns = takes.sort("name").select(
+        pl.lit(run).alias("run"),
+        "take_id",
+        pl.col("name").alias("take"),
+        "frames",
+        pl.Series("searched", [searched[take_id] for take_id in ids], pl.Float64),
+        pl.Series("fingerprint", [(prints or {}).get(take_id) for take_id in ids], pl.String),
+    )
+    return columns.to_arrow().cast(result_schema("annotated_takes"))
+
+
+def annotated_takes(store: Store, stage: str) -> pl.DataFrame:
+    """The takes that a stage has annotated, found something in or not: their rows of takes, sorted by name.
+
+    Parameters
+    ----------
+    stage: "<pipeline>/<stage>".
+
+    Raises
+    ------
+    KinedexError: the stage has not run, or takes that it annotated have been replaced or dropped since.
+    """
+    table = pl.from_arrow(store.result("annotated_takes", run=run_of(store, stage)))
+    assert isinstance(table, pl.DataFrame)
+    seen = table.select("take_id", pl.col("take").alias("name"), "frames")
+    takes = store.takes().join(seen, on=seen.columns, how="semi", maintain_order="left")
+    gone = sorted(set(seen["name"]) - set(takes["name"]))
+    if gone or not seen.height:
+        what = f"takes that have been replaced or dropped since: {few(gone)}" if gone else "none of the store's takes"
+        raise KinedexError(f"stage {stage} annotated {what}; run it again: `--force {stage.split('/', 1)[-1]}`")
+    return takes
+
+
+def annotations_table(
+    found: Iterable[TakeAnnotation], annotator: Annotator, names: dict[int, str], rate_hz: float, run: str
+) -> pa.Table:
+    """Lay segments out as results of the kind `annotations`, by take name and start."""
+    rows = [
+        {
+            "run": run,
+            "take_id": one.take_id,
+            "take": names[one.take_id],
+            "class": annotator.classes[segment.class_index],
+            "subclass": annotator.subclasses[segment.subclass],
+            "start": segment.start,
+            "stop": segment.stop,
+            "start_seconds": segment.start / rate_hz,
+            "stop_seconds": segment.stop / rate_hz,
+            "cost": None if np.isnan(segment.cost) else segment.cost,
+            "confidence": segment.confidence,
+            "method": annotator.method,
+        }
+        for one in sorted(found, key=lambda one: names[one.take_id])
+        for segment in one.segments
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("annotations"))
+
+
+def curves_table(found: Iterable[TakeAnnotation], annotator: Annotator, names: dict[int, str], run: str) -> pa.Table:
+    """Lay distance curves out as results of the kind `distance_curves`, one row per take and subclass."""
+    schema = result_schema("distance_curves")
+    tables = []
+    for one in sorted(found, key=lambda one: names[one.take_id]):
+        if one.curves is None:
+            continue
+        count, length = one.curves.shape
+        offsets = pa.array(np.arange(count + 1, dtype=np.int32) * length, pa.int32())
+        columns = {
+            "run": pa.repeat(run, count),
+            "take_id": pa.repeat(one.take_id, count),
+            "take": pa.repeat(names[one.take_id], count),
+            "class": pa.array([annotator.classes[index] for index in annotator.class_index], pa.string()),
+            "subclass": pa.array(annotator.subclasses, pa.string()),
+            "costs": pa.ListArray.from_arrays(offsets, pa.array(one.curves.ravel(), pa.float32())),
+            "preselected": one.preselected,
+        }
+        tables.append(pa.table(columns, schema=schema))
+    return pa.concat_tables([schema.empty_table(), *tables])
