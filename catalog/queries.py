@@ -62,7 +62,8 @@ class KeyframeQuery:
     positions: for each keyframe the template column it stands for, or None where that is left to the template.
     margins: how many frames before and after a hit the motion may reach, or None where positions and template say it.
     takes: a SQL filter over the takes that are searched, or None for all. alternatives: further chains of keyframes,
-    without alternatives of their own, whose hits are hits of this query as well.
+    without alternatives of their own, whose hits are hits of this query as well. takes_at: the file and line where
+    `takes` stands, for errors alone.
     """
 
     name: str
@@ -74,6 +75,7 @@ class KeyframeQuery:
     takes: str | None = None
     margins: tuple[int, int] | None = None
     alternatives: tuple[KeyframeQuery, ...] = ()
+    takes_at: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if any(other.alternatives for other in self.alternatives):

@@ -113,16 +113,21 @@ class _Reader:
         return entry
 
     def query(self, name: str) -> KeyframeQuery:
-        entry = self.entries[name][1]
+        key, entry = self.entries[name]
         first, *others = self.chains_of(name, ())
         made = KeyframeQuery(
             name, entry.target or name, first.keyframes, first.gaps, first.positions, entry.description, entry.takes,
-            entry.margins,
+            entry.margins, takes_at="" if entry.takes is None else self.where(key, "takes"),
         )  # fmt: skip
         more = tuple(
             replace(made, keyframes=other.keyframes, gaps=other.gaps, positions=other.positions) for other in others
         )
         return replace(made, alternatives=more)
+
+    def where(self, *key: str | int) -> str:
+        """The file and the line of a key."""
+        line = self.located.line(*key)
+        return str(self.located.path) if line is None else f"{self.located.path}:{line}"
 
     def chains_of(self, name: str, within: tuple[str, ...]) -> list[Chain]:
         """The chains that a named query stands for; `within` are the queries that are being read."""

@@ -22,7 +22,11 @@ def search(
     name: Annotated[list[str] | None, typer.Option("--query", "-q", help="only this query; may be repeated")] = None,
     where: Where = None,
     explain: Annotated[
-        bool, typer.Option(help="show list sizes per keyframe, the frames kept, and the time of each step")
+        bool,
+        typer.Option(
+            help="show list sizes per keyframe, the frames kept, and times: a search takes `takes`, `open` and "
+            "`search`; lists and keyframes are read for the explanation alone"
+        ),
     ] = False,
     save: Annotated[
         str | None,

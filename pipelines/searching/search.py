@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import pyarrow as pa
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, choose_queries
 from catalog.queryfiles import ANALYSIS_RATE_HZ, read_queries
-from ops.errors import KinedexError
+from ops.errors import KinedexError, did_you_mean
 from ops.search.preselection import TakeRanges
 from ops.words import I64, TakeWords
 from pipelines.executors import cores
@@ -34,7 +35,7 @@ class SearchedTakes:
     @classmethod
     def of_store(cls, store: Store, take_filter: str | None) -> SearchedTakes:
         """The takes of a store for which a SQL filter holds; all of them for None."""
-        takes = store.takes_table(take_filter).sort_by("take_id")
+        takes = _filtered(store, take_filter).sort_by("take_id")
         return cls(
             takes.column("take_id").to_numpy().astype(np.int64),
             takes.column("name").to_pylist(),
@@ -46,9 +47,33 @@ class SearchedTakes:
         if query.takes is None:
             return np.ones(len(self.ids), bool)
         try:
-            return np.isin(self.ids, store.takes_table(query.takes).column("take_id").to_numpy())
+            return np.isin(self.ids, _filtered(store, query.takes).column("take_id").to_numpy())
         except KinedexError as fault:
-            raise KinedexError(f"query '{query.name}': {fault}") from None
+            at = f"{query.takes_at}: " if query.takes_at else ""
+            raise KinedexError(f"{at}query '{query.name}': {fault}") from None
+
+    def of_query(self, store: Store, query: KeyframeQuery) -> SearchedTakes:
+        """Of these takes those that the query's own filter leaves."""
+        if query.takes is None:
+            return self
+        kept = self.chosen(store, query)
+        return SearchedTakes(self.ids[kept], [self.names[i] for i in np.flatnonzero(kept)], self.frames[kept])
+
+
+_NO_COLUMN = re.compile(r'column "?([^"\n]+?)"? not found')
+
+
+def _filtered(store: Store, take_filter: str | None) -> pa.Table:
+    """The takes for which a filter holds; the error for a column that they do not have names the nearest."""
+    try:
+        return store.takes_table(take_filter)
+    except KinedexError as fault:
+        wrong = _NO_COLUMN.search(str(fault))
+        near = did_you_mean(wrong[1], store.takes_table().column_names) if wrong else ""
+        if not near.startswith("; did you mean") or "did you mean" in str(fault):
+            raise
+        first, *others = str(fault).splitlines()
+        raise KinedexError("\n".join([first + near, *others])) from None
 
 
 def load_query_file(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,26 +117,69 @@ def test_a_search_explains_what_its_keyframes_found(store: Store) -> None:
     assert (hand_up.keyframes[0].words, hand_up.keyframes[0].runs, hand_up.keyframes[0].segments) == (1, 3, 3)
 
 
-def test_an_explanation_has_a_row_for_reading_one_for_each_keyframe_and_one_for_the_hits(store: Store) -> None:
+def test_an_explanation_has_a_row_for_each_step_keyframe_search_and_hits(store: Store) -> None:
     table = explain_search(store, choose_queries(QUERIES, ["hand_up"]))
-    assert (np.array(table.column("milliseconds").to_pylist()) >= 0).all()
+    timed = [row["milliseconds"] for row in table.to_pylist()]
+    assert all(spent >= 0 for spent in timed[:-1])
+    assert timed[-1] is None
     nothing = dict.fromkeys(table.drop_columns(["milliseconds"]).column_names)
     pattern = "**1***********"
     first = {"query": "hand_up", "step": "1", "set": "upper", "pattern": pattern, "words": 1, "runs": 3}
     assert table.drop_columns(["milliseconds"]).to_pylist() == [
-        nothing | {"step": "read"},
+        nothing | {"step": "takes"},
+        nothing | {"step": "open"},
+        nothing | {"step": "lists"},
         nothing | first | {"segments": 3, "frames": 4, "share": 4 / 21, "surviving": 4},
+        nothing | {"query": "hand_up", "step": "search"},
         nothing | {"query": "hand_up", "step": "hits", "segments": 3, "frames": 4, "share": 4 / 21},
     ]
-    assert explain_search(store, QUERIES, "frames > 100").num_rows == 8
+    assert explain_search(store, QUERIES, "frames > 100").num_rows == 12
     assert explain_search(store, []).num_rows == 0
+
+
+def steps(store: Store, text: str) -> list[tuple[str, str | None, int | None]]:
+    """The rows of an explanation that belong to queries: step, name, frames."""
+    rows = explain_search(store, parse_queries(text, BODY)).to_pylist()
+    return [(row["step"], row["name"], row["frames"]) for row in rows if row["query"]]
 
 
 def test_alternatives_and_names_show_in_the_explanation(store: Store) -> None:
     text = "q: {any_of: [{keyframes: [{name: down, on: [body_low]}]}, {keyframes: [{on: [rhand_above_neck]}]}]}"
-    rows = explain_search(store, parse_queries(text, BODY)).to_pylist()
-    told = [(row["step"], row["name"], row["frames"]) for row in rows]
-    assert told == [("read", None, None), ("1.1", "down", 7), ("2.1", None, 4), ("hits", None, 11)]
+    assert steps(store, text) == [("1.1", "down", 7), ("2.1", None, 4), ("search", None, None), ("hits", None, 11)]
+
+
+def test_keyframes_are_numbered_as_written(store: Store) -> None:
+    text = """q: {keyframes: [{on: [1]}, {after: same frame, on: [rknee_bent, body_low]}, {after: any time, on: [1]}]}
+p: {keyframes: [{on: [1]}, {after: same frame, on: [rknee_bent]}]}"""
+    named = [step for step, _, _ in steps(store, text)]
+    assert named == ["1", "2a", "2b", "3", "search", "hits", "1", "2", "search", "hits"]
+
+
+def test_an_explanation_counts_only_the_takes_that_a_querys_own_filter_leaves(store: Store) -> None:
+    text = """own: {takes: "name = 'kim'", any_of: [both]}
+both: {keyframes: [{off: [rhand_above_neck]}, {after: within 1 s, on: [rhand_above_neck]}]}
+none: {takes: "frames > 100", any_of: [both]}"""
+    own, both, none = queries = parse_queries(text, BODY)
+    (filtered,) = explain_store(store, [both], "name = 'kim'")
+    found = explain_store(store, queries)
+    assert found[0].keyframes == tuple(
+        replace(keyframe, milliseconds=mine.milliseconds)
+        for keyframe, mine in zip(filtered.keyframes, found[0].keyframes, strict=True)
+    )
+    assert [keyframe.frames for keyframe in found[0].keyframes] == [6, 1]
+    assert (found[0].frames_searched, found[0].frames_kept, found[0].takes) == (7, 7, 1)
+    assert [keyframe.frames for keyframe in found[1].keyframes] == [17, 4]
+    assert [keyframe.frames for keyframe in found[2].keyframes] == [0, 0]
+    rows = explain_search(store, [own, none]).to_pylist()
+    assert [row["step"] for row in rows if row["query"] == "own"] == ["takes", "1", "2", "search", "hits"]
+    assert all(row["share"] is None or row["share"] <= 1 for row in rows)
+
+
+def test_what_is_explained_is_what_the_search_finds(store: Store) -> None:
+    queries = [QUERIES[1], *read_queries("example", BODY)]
+    hits = search_store(store, queries)
+    for report in explain_store(store, queries):
+        assert report.ranges == hits.column("query").to_pylist().count(report.query)
 
 
 def test_a_hit_of_an_alternative_is_a_hit_of_the_query(store: Store) -> None:
@@ -156,10 +200,18 @@ def test_a_query_searches_the_takes_of_its_own_filter(store: Store) -> None:
     assert search_store(store, [query], "name <> 'amy'").column("take").to_pylist() == ["kim", "kim"]
     (report,) = explain_store(store, [query])
     assert (report.takes, report.frames_kept, report.frames_searched) == (2, 6, 14)
-    with pytest.raises(KinedexError, match="query 'w': the filter over takes does not work"):
+    with pytest.raises(KinedexError, match=r"^queries:2: query 'w': the filter over takes does not work"):
         search_store(store, [wrong])
     with pytest.raises(KinedexError, match="'q' has a filter over takes"):
         preselect(store.words(), BODY, [query])
+
+
+def test_a_filter_over_a_column_that_takes_lack_names_the_nearest(store: Store) -> None:
+    (query,) = parse_queries("q:\n  keyframes: [{on: [1]}]\n  takes: actr = 'al'", BODY, "mine.yaml")
+    with pytest.raises(KinedexError, match=r"^mine\.yaml:3: query 'q': .*actr = 'al'; did you mean 'actor'"):
+        search_store(store, [query])
+    with pytest.raises(KinedexError, match="did you mean 'frames'"):
+        explain_store(store, [query], "frmes > 3")
 
 
 def test_hits_are_kept_in_place_of_those_of_the_same_name(tmp_path: Path) -> None:
