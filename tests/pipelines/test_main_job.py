@@ -12,6 +12,7 @@ from rich.console import Console
 
 from pipelines.demo import run_demo
 from pipelines.runner import Outcome
+from pipelines.searching.search import load_query_file, search_store
 from storage.store import open_store
 from storage.verify import verify
 
@@ -47,6 +48,19 @@ def test_the_demo_annotates_what_it_has_not_seen(synthetic: tuple[Path, Outcome,
     assert "leave one actor out" in said
     assert metrics(store, "leave_one_out")["pooled"]["f1"] >= 0.8
     assert verify(open_store(store)) == []
+
+
+@pytest.mark.parametrize(
+    ("query", "motion_class"),
+    [("kick_left", "kickLeft1Reps"), ("kick_right", "kickRight1Reps"), ("squat", "squat1Reps"), ("turn", "spinLeft")],
+)
+def test_the_shipped_queries_find_motions_of_the_demo(
+    synthetic: tuple[Path, Outcome, str], query: str, motion_class: str
+) -> None:
+    opened = open_store(synthetic[0])
+    hits = search_store(opened, load_query_file("example", opened.feature_set, [query]))
+    clips = set(opened.takes(f"class = '{motion_class}'")["name"].to_list())
+    assert len(clips & set(hits.column("take").to_pylist())) >= 0.9 * len(clips) > 0
 
 
 def test_the_demo_ends_with_one_page_that_needs_nothing_else(synthetic: tuple[Path, Outcome, str]) -> None:
