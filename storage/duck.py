@@ -49,7 +49,8 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
     A name in a query is that of a table, never of a variable of the program that happens to be called so.
     """
     connection = duckdb.connect(":memory:")
-    connection.execute("SET python_enable_replacements = false")
+    # global, and so also of the cursors of this connection
+    connection.execute("SET GLOBAL python_enable_replacements = false")
     connection.execute("SET enable_progress_bar = false")
     connection.execute("SET autoinstall_known_extensions = false")
     connection.execute("SET autoload_known_extensions = false")

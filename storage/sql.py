@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
@@ -29,7 +30,8 @@ def connect(store: Store, threads: int | None = None, memory_mb: int | None = No
     """Open a connection with all views and macros of a store.
 
     The index is attached read-only. Frames and results are read from the parts of this version, wherever the store is.
-    Where the index is missing or stale, the views `INDEXED` and the macros over them are left out, and the rest works.
+    Where the index is missing or stale, the views `INDEXED` and the macros over them say so when they are asked, and
+    the rest works.
 
     Raises
     ------
@@ -38,6 +40,77 @@ def connect(store: Store, threads: int | None = None, memory_mb: int | None = No
     connection = duck.connect(threads, memory_mb)
     try:
         indexed = _attach_index(connection, store)
+        if not indexed:
+            _tell_missing(connection, store)
+        _define(connection, store, indexed, complete=True)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+class Connections:
+    """The connections of one open store for `query`: as many as threads ask at the same time, all to one DuckDB.
+
+    What a query must not do is locked for all of them. The index is attached once: it stays readable for as long as
+    they are open, also when it has been removed.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._lock = threading.Lock()
+        self._first = duck.connect()
+        try:
+            self.indexed = _attach_index(self._first, store)
+            _define(self._first, store, self.indexed)
+            duck.lock(self._first)
+        except BaseException:
+            self._first.close()
+            raise
+        self._idle = [self._first]
+        self._taken = 0
+        self._closed = False
+
+    def take(self) -> duck.Connection:
+        """A connection that nobody else uses until it is given back; not after `close`."""
+        with self._lock:
+            connection = self._idle.pop() if self._idle else self._another()
+            self._taken += 1
+            return connection
+
+    def _another(self) -> duck.Connection:
+        connection = self._first.cursor()
+        try:
+            if self.indexed:
+                connection.execute("USE idx")
+            _define(connection, self._store, self.indexed)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def give_back(self, connection: duck.Connection) -> None:
+        """Take a connection back."""
+        with self._lock:
+            self._taken -= 1
+            self._idle.append(connection)
+            self._close()
+
+    def close(self) -> None:
+        """Close them, as soon as none is in use."""
+        with self._lock:
+            self._closed = True
+            self._close()
+
+    def _close(self) -> None:
+        if self._closed and not self._taken:
+            # with the first go its cursors, also one in which a query runs
+            self._first.close()
+
+
+def _define(connection: duck.Connection, store: Store, indexed: bool, *, complete: bool = False) -> None:
+    """Make the views and macros of a connection; complete: also the macros over an index that is not there."""
+    try:
         if not indexed:
             _without_index(connection, store)
         _view(connection, "help", duck.literal_rows(index.help_table()))
@@ -52,15 +125,20 @@ def connect(store: Store, threads: int | None = None, memory_mb: int | None = No
                 _view(connection, view.name, view.body)
         for macro in MACROS:
             # also those that the index file has for other clients: it may be of an older kinedex
-            if indexed or not _reads_index(macro):
+            if indexed or complete or not _reads_index(macro):
                 connection.execute(macro.sql(temporary=True))
     except duck.Error as fault:
-        connection.close()
         raise StoreError(f"{store.path}: SQL over this store does not work: {duck.first_line(fault)}") from None
-    except BaseException:
-        connection.close()
-        raise
-    return connection
+
+
+def _tell_missing(connection: duck.Connection, store: Store) -> None:
+    """Views in place of those of an index that is not there, which say why when they are asked."""
+    failing = f"error({duck.quote(str(index.missing(store.path, store.manifest)))})"
+    for view in VIEWS:
+        if view.name in INDEXED:
+            # also in the columns: a condition on NULL would be known to hold for nothing before anything is asked
+            columns = ", ".join(f"{failing}::{column.type} AS {duck.name(column.name)}" for column in view.columns)
+            _view(connection, view.name, f"SELECT {columns} WHERE {failing} IS NULL")
 
 
 def _attach_index(connection: duck.Connection, store: Store) -> bool:
@@ -80,7 +158,7 @@ def _attach_index(connection: duck.Connection, store: Store) -> bool:
 
 
 def query(store: Store, connection: duck.Connection, text: str, parameters: duck.Parameters) -> pa.Table:
-    """Run one reading query on a connection of `connect`; errors say what of the store is missing or damaged."""
+    """Run one reading query on a connection of `Connections`; errors say what of the store is missing or damaged."""
     try:
         return duck.interruptible_query(connection, text, parameters)
     except duck.UnknownName as fault:
@@ -96,7 +174,7 @@ def explain_unknown(store: Store, fault: duck.UnknownName) -> KinedexError:
     """Say why a name is not there: it needs the index, or it is nobody's; then with the nearest and with all names."""
     name = fault.name.lower()
     if name in INDEXED or any(macro.name == name and _reads_index(macro) for macro in MACROS):
-        return index.missing(store.path)
+        return index.missing(store.path, store.manifest)
     if name in NAMES:
         return KinedexError(str(fault))
     near = did_you_mean(fault.name, NAMES)

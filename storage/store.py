@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from storage import duck
+    from storage.sql import Connections
 
 
 def open_store(path: str | Path) -> Store:
@@ -52,6 +54,8 @@ class Store:
     def __init__(self, path: Path, manifest: Manifest) -> None:
         self.path = path
         self.manifest = manifest
+        self._lock = Lock()
+        self._opened: Connections | None = None
 
     def __repr__(self) -> str:
         return f"Store({str(self.path)!r}, version {self.manifest.version}, {len(self.manifest.live_takes)} takes)"
@@ -189,7 +193,7 @@ class Store:
         """
         generation = index.current(self.path, self.manifest)
         if generation is None:
-            raise index.missing(self.path)
+            raise index.missing(self.path, self.manifest)
         return generation / "index.duckdb"
 
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
@@ -211,7 +215,7 @@ class Store:
         return sql.connect(self, threads, memory_mb)
 
     def sql(self, query: str, params: duck.Parameters = None) -> pa.Table:
-        """Run one SQL query over the views and macros (`catalog.views`) and return its rows.
+        """Run one SQL query over the views and macros (`catalog.views`) and return its rows; threads may ask at once.
 
         Parameters
         ----------
@@ -224,19 +228,33 @@ class Store:
         """
         from storage import sql
 
-        return sql.query(self, self._connection, query, params)
+        with self._connection() as connection:
+            return sql.query(self, connection, query, params)
 
-    @cached_property
-    def _connection(self) -> duck.Connection:
-        from storage import duck
+    @contextmanager
+    def _connection(self) -> Iterator[duck.Connection]:
+        """One of the connections for `sql`, which nobody else uses meanwhile."""
+        from storage import sql
 
-        connection = self.connect()
-        duck.lock(connection)
-        return connection
+        with self._lock:
+            known = self._opened
+            # without an index, it may have been published since: look again
+            if known is not None and not known.indexed and index.current(self.path, self.manifest) is not None:
+                known.close()
+                known = None
+            if known is None:
+                known = sql.Connections(self)
+            self._opened = known
+            connection = known.take()
+        try:
+            yield connection
+        finally:
+            known.give_back(connection)
 
     def close(self) -> None:
-        """Close the connection that `sql` has opened; the store can still be used."""
-        opened = self.__dict__.pop("_connection", None)
+        """Close the connections that `sql` has opened; the store can still be used."""
+        with self._lock:
+            opened, self._opened = self._opened, None
         if opened is not None:
             opened.close()
 

@@ -187,7 +187,7 @@ def resident_store(store: Store) -> SharedWords:
     """
     shared = indexed_words(store)
     if shared is None:
-        raise index.missing(store.path)
+        raise index.missing(store.path, store.manifest)
     return shared
 
 

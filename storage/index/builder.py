@@ -24,15 +24,17 @@ from storage.index import tables
 from storage.index.generations import (
     BUILDING,
     FILE,
-    GENERATION,
     INDEX_VERSION,
+    KEPT,
     SAYS,
     Generation,
     Shard,
     current,
     file_digest,
     generations,
+    is_of,
     is_whole,
+    new_generation,
     read_generation,
     slices_name,
 )
@@ -60,7 +62,7 @@ Result = TypeVar("Result")
 def build(
     store: Store, threads: int | None = None, memory_mb: int | None = None, shard_frames: int = SHARD_FRAMES
 ) -> Path:
-    """Build and publish the index of a store's live takes, unless it stands already; the newest two are kept.
+    """Build and publish the index of a store's live takes, unless it stands already; the newest `KEPT` stay.
 
     What the generation before has of the same takes is copied, not made again.
 
@@ -90,22 +92,21 @@ def build(
         for leftover in folder.glob(f"{BUILDING}*"):
             shutil.rmtree(leftover)
         building = folder / f"{BUILDING}{uuid.uuid4().hex}"
-        replaced = folder / f"{BUILDING}{uuid.uuid4().hex}"
-        generation = folder / f"{GENERATION}{store.manifest.version:06d}"
+        generation = new_generation(store.path, store.manifest.version)
         try:
             with writing(building):
                 building.mkdir()
                 _build(store, building, threads, memory_mb, shard_frames)
-                if generation.exists():
-                    # damaged, of another version of the index, or with other macros: or it would have been returned
-                    os.rename(generation, replaced)
                 os.rename(building, generation)
                 sync_folder(folder)
         finally:
             shutil.rmtree(building, ignore_errors=True)
-            shutil.rmtree(replaced, ignore_errors=True)
-        for old in generations(store.path)[2:]:
-            shutil.rmtree(old)
+        for number, old in enumerate(generations(store.path)):
+            # of the same version: damaged, of another version of the index, or with other macros
+            if number >= KEPT or (old != generation and is_of(old, store.manifest.version)):
+                removed = folder / f"{BUILDING}{uuid.uuid4().hex}"
+                os.rename(old, removed)
+                shutil.rmtree(removed)
         return generation
 
 

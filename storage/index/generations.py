@@ -5,21 +5,28 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
 
 from ops.errors import StoreError
-from storage.manifest import Manifest
+from storage.manifest import Manifest, versions
 
 INDEX_VERSION = 4
 """Version of the index's tables and of its other files; an index of another version is built again."""
+
+KEPT = 8
+"""How many generations a build leaves, its own among them, for readers that have an older version open. Each is a copy
+of the file, so that there must be a bound; `kinedex gc` removes what no version that stays needs."""
 
 BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
 
 BUILDING, GENERATION = ".building-", "gen-"
 """How the folders of unfinished and of published indexes are named."""
+
+_NAME = re.compile(rf"{GENERATION}(\d+)(?:-(\d+))?")
 
 FILE, SAYS = "index.duckdb", "generation.json"
 """The files of a generation: the index itself, and what it says of itself; bit slices lie beside (`slices_name`)."""
@@ -108,10 +115,13 @@ def _shard(values: dict[str, object]) -> Shard:
 def current(store: Path, manifest: Manifest) -> Path | None:
     """The newest generation that indexes exactly the live takes of this version; None where there is none."""
     content = manifest.content_digest()
-    for generation in generations(store):
-        says = read_generation(generation)
-        if says is not None and says.content == content and _sound(generation, says):
-            return generation
+    found = None
+    # one that is there may be replaced before it is looked at; no name is ever given twice
+    while found != (found := generations(store)):
+        for generation in found:
+            says = read_generation(generation)
+            if says is not None and says.content == content and _sound(generation, says):
+                return generation
     return None
 
 
@@ -170,8 +180,14 @@ def file_digest(file: Path) -> str:
         return ""
 
 
-def missing(store: Path) -> StoreError:
-    """The error for a store whose index is missing or does not fit its takes."""
+def missing(store: Path, manifest: Manifest) -> StoreError:
+    """The error for a version of a store whose index is missing or does not fit its takes."""
+    newest = max(versions(store), default=0)
+    if newest > manifest.version:
+        return StoreError(
+            f"{store}: version {manifest.version}, which is open here, has no index, and version {newest} has been "
+            "published since; open the store again"
+        )
     state = "missing"
     if found := generations(store):
         sound = _sound(found[0], read_generation(found[0]))
@@ -183,4 +199,21 @@ def generations(store: Path) -> list[Path]:
     """The folders of all published generations, newest first."""
     folder = store / "index"
     names = os.listdir(folder) if folder.is_dir() else []
-    return [folder / name for name in sorted(names, reverse=True) if name.startswith(GENERATION)]
+    return [folder / name for name in sorted(names, key=_age, reverse=True) if name.startswith(GENERATION)]
+
+
+def new_generation(store: Path, version: int) -> Path:
+    """The folder of the next generation of a version, whose name none has had: `gen-000012`, then `gen-000012-2`."""
+    number = max((_age(folder.name)[1] for folder in generations(store) if is_of(folder, version)), default=0)
+    return store / "index" / (f"{GENERATION}{version:06d}" + (f"-{number + 1}" if number else ""))
+
+
+def is_of(generation: Path, version: int) -> bool:
+    """Whether a generation was made of this version, as its name says."""
+    return _age(generation.name)[0] == version
+
+
+def _age(name: str) -> tuple[int, int, str]:
+    """Version and number of a generation's name, by which generations are sorted."""
+    match = _NAME.fullmatch(name)
+    return (int(match[1]), int(match[2] or 1), name) if match else (0, 0, name)

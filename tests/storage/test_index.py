@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +19,8 @@ import pytest
 from ops.errors import StoreError
 from ops.words import NO_WORD, cut
 from storage import index
-from storage.index import tables
+from storage.index import generations, tables
+from storage.index.generations import KEPT
 from storage.lock import Lock
 from storage.parts import FramesWriter
 from storage.store import Store, open_store
@@ -121,12 +124,83 @@ def test_a_stale_index_is_not_used(store: Store) -> None:
     assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM takes").column(0).to_pylist() == [91]
 
 
+def test_a_reader_finds_the_generation_of_its_version_until_many_have_followed(store: Store) -> None:
+    lazy = open_store(store.path)
+    for frames in range(10, 13):
+        index.build(change(store, frames))
+    assert lazy.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
+    assert lazy.sql("SELECT count(*) AS n FROM word_runs") == store.sql("SELECT count(*) AS n FROM word_runs")
+    later = open_store(store.path)
+    for frames in range(13, 13 + KEPT):
+        index.build(change(store, frames))
+    assert len(list((store.path / "index").glob("gen-*"))) == KEPT
+    told = (
+        rf"version {later.manifest.version}, .* has no index, and version \d+ has been published since; open the store"
+    )
+    with pytest.raises(StoreError, match=told):
+        later.index_path()
+    with pytest.raises(StoreError, match=told):
+        later.sql("FROM word_runs")
+    with later.connect(threads=1) as connection:
+        for query in ("SELECT take_id FROM word_runs", "SELECT count(*) FROM vocabulary", "FROM runs_where(1)"):
+            with pytest.raises(duckdb.Error, match=told):
+                connection.execute(query).fetchall()
+        assert connection.execute("SELECT count(*) FROM takes").fetchall() == [(4,)]
+
+
+def test_an_index_that_is_published_after_the_first_question_is_found(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a": 40}))
+    with pytest.raises(StoreError, match="the index is missing"):
+        store.sql("FROM word_runs")
+    index.build(store)
+    assert store.sql("FROM word_runs").num_rows
+
+
+def test_there_is_always_an_index_while_one_of_the_same_version_is_replaced(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+    rename, removed = os.rename, shutil.rmtree
+
+    def look(function: Callable[..., None]) -> Callable[..., None]:
+        def looking(*args: object, **kwargs: object) -> None:
+            seen.append(index.current(store.path, store.manifest))
+            function(*args, **kwargs)
+            seen.append(index.current(store.path, store.manifest))
+
+        return looking
+
+    monkeypatch.setattr(tables, "surface", lambda *_: "other macros")
+    monkeypatch.setattr(os, "rename", look(rename))
+    monkeypatch.setattr(shutil, "rmtree", look(removed))
+    generation = index.build(store)
+    assert len(seen) >= 6
+    assert None not in seen
+    assert seen[-1] == generation
+    assert sorted(os.listdir(store.path / "index")) == [generation.name, "lock"]
+
+
+def test_a_reader_that_has_listed_what_is_replaced_looks_again(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = generations.generations
+    moved = store.index_path().parent
+
+    def replaced(path: Path) -> list[Path]:
+        found = listed(path)
+        if moved.exists():
+            moved.rename(moved.with_name(f"{moved.name}-2"))
+        return found
+
+    monkeypatch.setattr(generations, "generations", replaced)
+    assert index.current(store.path, store.manifest) == moved.with_name(f"{moved.name}-2")
+
+
 def test_a_reader_keeps_its_generation_and_old_ones_go(store: Store) -> None:
     store.sql("FROM vocabulary LIMIT 1")
     before = store.sql("SELECT count(*) AS n FROM word_runs").to_pylist()
-    for frames in (10, 20, 30):
+    for frames in range(10, 11 + KEPT):
         index.build(change(store, frames))
-    assert sorted(os.listdir(store.path / "index")) == ["gen-000004", "gen-000005", "lock"]
+    kept = [f"gen-{version:06d}" for version in range(4, 4 + KEPT)]
+    assert sorted(os.listdir(store.path / "index")) == [*kept, "lock"]
     assert store.sql("SELECT count(*) AS n FROM word_runs").to_pylist() == before
 
 
@@ -135,15 +209,16 @@ def test_a_damaged_index_is_built_again(store: Store) -> None:
     file.write_bytes(file.read_bytes()[:5000])
     with pytest.raises(StoreError, match="the index is"):
         store.index_path()
-    assert index.build(store) == file.parent
+    assert index.build(store) == file.parent.with_name("gen-000002-2")
+    assert not file.exists()
     assert open_store(store.path).sql("SELECT count(*) AS n FROM takes").to_pylist() == [{"n": 4}]
 
 
 def test_an_index_that_was_damaged_without_changing_its_size_is_built_again(store: Store) -> None:
     file = store.index_path()
     whole = file.read_bytes()
-    file.write_bytes(whole[:-5000] + bytes(5000))
-    assert index.build(store) == file.parent
+    file.write_bytes(whole[:-5000] + bytes(255 - byte for byte in whole[-5000:]))
+    assert index.build(store) == file.parent.with_name("gen-000002-2")
     assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary").to_pylist() == [{"n": 3 * 131}]
 
 

@@ -108,8 +108,10 @@ def test_what_would_write_is_refused(store: Store, tmp_path: Path, query: str) -
 
 
 def test_settings_of_queries_are_locked_whatever_gets_around_the_words(store: Store, tmp_path: Path) -> None:
-    with open_store(store.path) as other, pytest.raises(duckdb.Error, match="locked"):
-        other._connection.execute(f"CALL enable_logging(storage = 'file', storage_path = '{tmp_path / 'log'}')")
+    with open_store(store.path) as other, other._connection() as first, other._connection() as second:
+        for connection in (first, second):
+            with pytest.raises(duckdb.Error, match="locked"):
+                connection.execute(f"CALL enable_logging(storage = 'file', storage_path = '{tmp_path / 'log'}')")
     assert not (tmp_path / "log").exists()
 
 
@@ -120,9 +122,10 @@ def test_queries_may_read_other_files(store: Store, tmp_path: Path) -> None:
 
 def test_a_name_is_never_a_variable_of_the_program(store: Store) -> None:
     secrets = pa.table({"key": [1]})
-    for connection in (store._connection, store.connect()):
-        with pytest.raises(duckdb.CatalogException, match="secrets"):
-            connection.sql("SELECT * FROM secrets")
+    with store._connection() as first, store._connection() as second:
+        for connection in (first, second, store.connect()):
+            with pytest.raises(duckdb.CatalogException, match="secrets"):
+                connection.sql("SELECT * FROM secrets")
     with pytest.raises(KinedexError, match="no view or macro is named 'secrets'"):
         store.sql("SELECT * FROM secrets")
     assert secrets.num_rows == 1
@@ -304,6 +307,46 @@ def test_ctrl_c_stops_a_query_and_the_store_goes_on(store: Store) -> None:
 def test_a_thread_asks_as_well(store: Store) -> None:
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(store.sql, "SELECT 1 AS one").result().to_pylist() == [{"one": 1}]
+
+
+def test_many_threads_ask_one_store_and_are_refused_what_would_write(store: Store) -> None:
+    index.build(store)
+    queries = ["SELECT count(*) AS n FROM word_runs", "FROM timeline('a_one')", "SELECT count(*) AS n FROM frames"] * 8
+    expected = [open_store(store.path).sql(query) for query in queries]
+    secrets = pa.table({"key": [1]})
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(store.sql, queries)) == expected
+        for refused in pool.map(
+            lambda query: _refusal(store, query), ["CREATE TABLE t AS SELECT 1", "FROM secrets"] * 8
+        ):
+            assert "only queries that read" in refused or "no view or macro is named 'secrets'" in refused
+        assert list(pool.map(lambda _: _closed(store).sql(queries[0]), range(8))) == expected[:1] * 8
+    assert secrets.num_rows == 1
+
+
+def _closed(store: Store) -> Store:
+    store.close()
+    return store
+
+
+def _refusal(store: Store, query: str) -> str:
+    with pytest.raises(KinedexError) as refused:
+        store.sql(query)
+    return str(refused.value)
+
+
+def test_ctrl_c_stops_the_query_of_its_thread_only(store: Store) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    long = "SELECT count(*) AS n FROM range(20000) AS a, range({}) AS b WHERE a.range % 7 = b.range % 5"
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(store.sql, long.format(20_000))
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            store.sql(long.format(10_000_000))
+        timer.join()
+        signal.signal(signal.SIGINT, before)
+        assert other.result().num_rows == 1
 
 
 @pytest.mark.parametrize(
