@@ -19,12 +19,22 @@ FORMS = (
 )
 """The texts that are understood, by example."""
 
-_TIME = r"(?P<{0}>\d+(?:\.\d*)?|\.\d+)\s*(?P<{0}_unit>ms|s|seconds?|frames?)"
-_BARE = r"(?P<{0}>\d+(?:\.\d*)?|\.\d+)\s*(?P<{0}_unit>ms|s|seconds?|frames?)?"
+UNITS = "ms, s, min, h or frames, also written out"
+"""The units of time in these texts."""
+
+_SECONDS = {
+    "milliseconds?|ms": 0.001,
+    "seconds?|secs?|s": 1.0,
+    "minutes?|mins?": 60.0,
+    "hours?|h": 3600.0,
+}
+_UNIT = "|".join(["frames?", *_SECONDS])
+_TIME = r"(?P<{0}>\d+(?:\.\d*)?|\.\d+)\s*(?P<{0}_unit>" + _UNIT + ")"
+_BARE = _TIME + "?"
 _TEXTS = {
     "any": re.compile(r"any ?time"),
     "same": re.compile(r"(?:the )?same frame"),
-    "within": re.compile(f"within {_TIME.format('high')}"),
+    "within": re.compile(f"(?:within |up to )+{_TIME.format('high')}"),
     "least": re.compile(f"at least {_TIME.format('low')}"),
     "exact": re.compile(f"exactly {_TIME.format('middle')}"),
     "range": re.compile(f"{_BARE.format('low')}\\s*(?:to|–)\\s*{_TIME.format('high')}"),
@@ -69,7 +79,7 @@ def _from_text(located: Located, text: str, rate_hz: float, *key: str | int) -> 
     found = ((kind, match) for kind, form in _TEXTS.items() if (match := form.fullmatch(words)))
     kind, match = next(found, (None, None))
     if match is None:
-        raise located.error(f"'{text}' is no gap; written so: {FORMS}", *key)
+        raise located.error(f"'{text}' is no gap; written so: {FORMS}; units are {UNITS}", *key)
     if kind == "any":
         return Gap(0, UNBOUNDED)
     if kind == "same":
@@ -78,8 +88,7 @@ def _from_text(located: Located, text: str, rate_hz: float, *key: str | int) -> 
 
     def frames(name: str) -> float:
         unit = part[f"{name}_unit"] or part.get("high_unit") or part.get("tolerance_unit") or ""
-        each = 1.0 if unit.startswith("frame") else rate_hz / 1000 if unit == "ms" else rate_hz
-        return round(float(part[name]) * each, 9)
+        return round(float(part[name]) * _frames_in(unit, rate_hz), 9)
 
     if kind in ("exact", "soft"):
         stiffness = float(part["stiffness"]) if kind == "soft" else 1.0
@@ -93,6 +102,11 @@ def _from_text(located: Located, text: str, rate_hz: float, *key: str | int) -> 
         low = 0.0 if kind == "within" else frames("low")
         high = math.inf if kind == "least" else frames("high")
     return _range(located, max(low, 0.0), high, repr(text), *key)
+
+
+def _frames_in(unit: str, rate_hz: float) -> float:
+    """The frames of one unit of time."""
+    return next((seconds * rate_hz for form, seconds in _SECONDS.items() if re.fullmatch(form, unit)), 1.0)
 
 
 def _from_mapping(located: Located, entry: GapEntry, rate_hz: float, *key: str | int) -> Gap:
@@ -135,6 +149,10 @@ def _from_distance(located: Located, entry: GapEntry, rate_hz: float, *key: str 
 
 
 def _range(located: Located, low: float, high: float, written: str, *key: str | int) -> Gap:
+    if low > high:
+        raise located.error(
+            f"must have low <= high: the first time must not be more than the second, got {written}", *key
+        )
     least = math.ceil(low)
     most = UNBOUNDED if high >= UNBOUNDED else math.floor(high)
     if not 0 <= least <= most or least > UNBOUNDED:

@@ -46,6 +46,13 @@ def parse_queries(
     return _queries(parse_yaml(text, path), feature_set, rate_hz)
 
 
+def part_names(name_or_path: str | Path) -> tuple[str, ...]:
+    """The queries of a file that are parts (`part: true`): there for others, and not among those that are read."""
+    data = load_yaml(config_path("queries", name_or_path)).data
+    items = data.items() if isinstance(data, dict) else ((None, body) for body in data)
+    return tuple(str(body.get("name", key)) for key, body in items if isinstance(body, dict) and body.get("part"))
+
+
 class _QueryEntry(ChainEntry):
     name: str | None = None
     description: str = ""

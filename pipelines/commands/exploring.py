@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from ops.errors import KinedexError, did_you_mean
-from pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
+from pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
 from pipelines.terminal import make_console
 
 
-@command
+class _SqlCommand(TyperCommand):
+    """A statement may begin with a comment: where white space follows two dashes before any =, they are no option."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if "--" not in args:
+            statements = [word for word in args if re.match(r"--[^\s=]*\s", word)]
+            if statements:
+                args = [*(word for word in args if word not in statements), "--", *statements]
+        return super().parse_args(ctx, args)
+
+
+@app.command(cls=_SqlCommand)
+@guard
 def sql(
     store: StorePath,
     query: Annotated[

@@ -77,7 +77,14 @@ SetOption = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help="a setting of the pipeline, or stage.parameter; may be repeated"),
 ]
 Format = Annotated[str, typer.Option("--format", help="table, csv, json or parquet")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="write to this file instead of the terminal")]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        help="write to this file instead of the terminal: .csv, .json or .parquet, unless --format says",
+    ),
+]
 ExecutorOption = Annotated[str, typer.Option(help="serial, processes or dask")]
 SchedulerOption = Annotated[
     str | None,
@@ -106,11 +113,12 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
 
 
 def show_table(table: pa.Table, form: str, output: Path | None) -> None:
-    """Print a table, or write it to a file, in the form asked for."""
+    """Print a table, or write it to a file, in the form asked for; else in that of the file's ending, or CSV without
+    one."""
     from pipelines.tables import Shown, encode
 
     if output is not None and form == "table":
-        form = {".csv": "csv", ".json": "json", ".parquet": "parquet"}.get(output.suffix, "csv")
+        form = _form_of(output)
     if form == "table":
         make_console().print(Shown(table))
         return
@@ -121,6 +129,16 @@ def show_table(table: pa.Table, form: str, output: Path | None) -> None:
         raise KinedexError("Parquet is not for the terminal: name a file with --output, or redirect")
     else:
         sys.stdout.buffer.write(data)
+
+
+def _form_of(output: Path) -> str:
+    form = output.suffix.lower().removeprefix(".") or "csv"
+    if form not in ("csv", "json", "parquet"):
+        raise KinedexError(
+            f"--output {output}: no format has the ending '{output.suffix}'; known are .csv, .json and .parquet, or "
+            "say --format"
+        )
+    return form
 
 
 def run_to_the_end(

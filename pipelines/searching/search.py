@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, choose_queries
-from catalog.queryfiles import ANALYSIS_RATE_HZ, read_queries
+from catalog.queryfiles import ANALYSIS_RATE_HZ, part_names, read_queries
 from ops.errors import KinedexError, did_you_mean
 from ops.search.preselection import TakeRanges
 from ops.words import I64, TakeWords
@@ -86,9 +86,16 @@ def load_query_file(
 
     Raises
     ------
-    ConfigError: the file is wrong; with line and key. KinedexError: it has no query of a name asked for.
+    ConfigError: the file is wrong; with line and key. KinedexError: it has no query of a name asked for, or a part.
     """
-    return choose_queries(read_queries(name_or_path, feature_set, rate_hz), names or ())
+    queries = read_queries(name_or_path, feature_set, rate_hz)
+    for name in names or ():
+        if name in part_names(name_or_path):
+            raise KinedexError(
+                f"'{name}' is a part (`part: true`): other queries are made of it, and it is not searched itself; "
+                f"ask for one of these, or take `part` out of it: {', '.join(query.name for query in queries)}"
+            )
+    return choose_queries(queries, names or ())
 
 
 def search_store(

@@ -111,6 +111,26 @@ def test_sql_answers_from_an_argument_a_file_and_standard_input(store: Path, tmp
     assert kinedex("sql", store, "--format", "csv", stdin=query).stdout == expected
 
 
+def test_a_statement_may_begin_with_a_comment(store: Path) -> None:
+    for comment in ("-- why", "--why", "--", "-- a = b"):
+        for words in (["--format", "csv"], []):
+            done = kinedex("sql", store, f"{comment}\nSELECT 2 AS two", *words)
+            assert done.returncode == 0, done.stderr
+            assert "two" in done.stdout
+    assert kinedex("sql", store, "SELECT 1", "--formt", "csv").returncode == 2
+
+
+def test_output_is_written_by_its_ending_and_refused_by_an_unknown_one(store: Path, tmp_path: Path) -> None:
+    for name, begins in (("x.csv", b"a\n"), ("x.JSON", b"["), ("x.parquet", b"PAR1"), ("x", b"a\n")):
+        assert kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / name).returncode == 0
+        assert (tmp_path / name).read_bytes().startswith(begins)
+    refused = kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / "x.xlsx")
+    assert refused.returncode == 1
+    assert "no format has the ending '.xlsx'; known are .csv, .json and .parquet" in refused.stderr
+    assert not (tmp_path / "x.xlsx").exists()
+    assert kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / "x.txt", "--format", "csv").returncode == 0
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -232,6 +232,15 @@ def test_a_query_file_is_loaded_whole_or_by_name() -> None:
         load_query_file("example", BODY, ["squad"])
 
 
+def test_a_part_asked_for_by_name_is_told_from_a_name_that_is_not_there(tmp_path: Path) -> None:
+    (tmp_path / "q.yaml").write_text("a: {part: true, keyframes: [{on: [1]}]}\nb: {any_of: [a]}\n")
+    (tmp_path / "q.json").write_text('[{"name": "a", "part": true, "keyframes": [{"on": [1]}]}]')
+    for file in ("q.yaml", "q.json"):
+        with pytest.raises(KinedexError, match=r"'a' is a part \(`part: true`\): other queries are made of it"):
+            load_query_file(tmp_path / file, BODY, ["a"])
+    assert [query.name for query in load_query_file(tmp_path / "q.yaml", BODY, ["b"])] == ["b"]
+
+
 def ranges_of(found: TakeRanges) -> list[list[list[int]]]:
     return [[part.tolist() for part in found.take(i)] for i in range(len(found))]
 
