@@ -196,27 +196,29 @@ def _ours(name: str) -> bool:
 
 def _index(store: Store, *, sound: bool) -> Iterable[Finding]:
     """What is wrong with the index; it is compared with the words of the parts only where these are sound."""
-    generations = sorted((store.path / "index").glob("gen-*"))
+    generations = index.generations(store.path)
     if not generations:
         return
     generation = index.current(store.path, store.manifest)
     if generation is None:
-        newest = f"index/{generations[-1].name}"
-        says = index.read_generation(generations[-1])
-        if says is None or says.content == store.manifest.content_digest():
+        newest = f"index/{generations[0].name}"
+        says = index.read_generation(generations[0])
+        if says is None or says.index_version != index.INDEX_VERSION:
             yield Finding(newest, "the index is damaged or of another version", index.BUILD)
+        elif says.content == store.manifest.content_digest():
+            for name, problem in index.wrong_sizes(generations[0], says):
+                yield Finding(f"{newest}/{name}", f"the index is damaged: the file {problem}", index.BUILD)
         else:
             yield Finding(newest, "the index is stale: the takes have changed since", index.BUILD, fault=False)
         return
     says = index.read_generation(generation)
     assert says is not None
     folder = f"index/{generation.name}"
-    remove = f"remove the folder {folder}, then {index.BUILD}"
     wrong = [name for name, (_, sha256) in index.files(says).items() if index.file_digest(generation / name) != sha256]
     for name in wrong:
-        yield Finding(f"{folder}/{name}", "its content does not fit its checksum", remove)
+        yield Finding(f"{folder}/{name}", "its content does not fit its checksum", index.BUILD)
     try:
         for name, problem in problems(store, generation, says, words=sound) if not wrong else ():
-            yield Finding(f"{folder}/{name}", problem, remove)
+            yield Finding(f"{folder}/{name}", problem, index.BUILD)
     except (KinedexError, duck.Error) as fault:
-        yield Finding(folder, f"cannot be read: {str(fault).splitlines()[0]}", remove)
+        yield Finding(folder, f"cannot be read: {str(fault).splitlines()[0]}", index.BUILD)

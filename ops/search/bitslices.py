@@ -85,6 +85,12 @@ class BitSlices:
         """uint64 (f + 1, B): a bitmap over all blocks for each feature, and that of the valid frames."""
         return self.bits.reshape(-1, self.features + 1).T
 
+    @property
+    def granules(self) -> npt.NDArray[np.uint8]:
+        """uint8 (2 f + 1, B or more): the coarse copy by blocks; zeros after the last."""
+        little = self.coarse.reshape(2 * self.features + 1, -1).astype("<u8", copy=False)
+        return little.view(np.uint8)
+
 
 def coarse_words(blocks: int) -> int:
     """How many uint64 one row of the coarse copy has."""
@@ -119,41 +125,6 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     )
     left = np.repeat(first[1:], np.diff(first)) - 1 - np.arange(blocks)
     return BitSlices(bits, coarse.ravel(), first, frames.astype(np.int64), left.astype(np.int32), features)
-
-
-def slice_runs(takes: I64, starts: I64, stops: I64, words: U64, frames: I64, features: int) -> BitSlices:
-    """Slice takes that are given by the word runs of all feature sets.
-
-    Parameters
-    ----------
-    takes: int64 (R,), the position of each run's take. starts, stops: int64 (R,), frames of the take.
-    words: uint64 (R,), bits of whole words: those of one feature set, shifted up to its place.
-    frames: int64 (T,), the length of each take; a frame in no run is invalid. features: number of features, 1 to 63.
-
-    Raises
-    ------
-    ParameterError: a run beyond its take, or a number of features out of range.
-    """
-    if len(takes) and not (
-        takes.min() >= 0
-        and takes.max() < len(frames)
-        and starts.min() >= 0
-        and (starts < stops).all()
-        and (stops <= frames[takes]).all()
-    ):
-        raise ParameterError("runs", "within their takes, none of them empty", "others")
-    offsets = np.zeros(len(frames) + 1, np.int64)
-    np.cumsum(frames, out=offsets[1:])
-    laid = np.full(int(offsets[-1]), NO_WORD)
-    _lay(laid, offsets[takes] + starts, offsets[takes] + stops, words)
-    return slice_words(laid, offsets, features)
-
-
-@njit(cache=True, nogil=True)
-def _lay(laid, starts, stops, words):  # type: ignore[no-untyped-def]
-    for run in range(len(starts)):
-        for frame in range(starts[run], stops[run]):
-            laid[frame] = words[run] if laid[frame] == NO_WORD else laid[frame] | words[run]
 
 
 @njit(cache=True, nogil=True)

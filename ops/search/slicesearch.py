@@ -27,21 +27,6 @@ CHUNK = 4096
 """About how many blocks of whole takes are searched together: their bitmaps stay in a processor's nearest cache."""
 
 
-def keyframe_segments(slices: BitSlices, mask: int, value: int) -> Segments:
-    """The inverted list of a keyframe (thesis, Eq. 3.4 to 3.6): where `word & mask == value`, as maximal segments.
-
-    Parameters
-    ----------
-    slices: T takes; take t has index t on the axis of positions.
-    mask, value: bits of whole words.
-
-    Raises
-    ------
-    ParameterError: a mask beyond the features, or a value beyond the mask.
-    """
-    return search_slices(slices, [mask], [value], [])
-
-
 def search_slices(
     slices: BitSlices,
     masks: Sequence[int],

@@ -19,8 +19,10 @@ from storage.index.generations import (
     current,
     file_digest,
     files,
+    generations,
     missing,
     read_generation,
+    wrong_sizes,
 )
 from storage.index.slices import ShardSlices, open_slices
 
@@ -40,10 +42,12 @@ __all__ = [
     "features_table",
     "file_digest",
     "files",
+    "generations",
     "help_table",
     "missing",
     "open_slices",
     "read_generation",
+    "wrong_sizes",
 ]
 
 

@@ -131,10 +131,16 @@ _OTHER = "it is damaged, or was built by another version of kinedex"
 def _sound(generation: Path, says: Generation | None) -> bool:
     """Whether a generation is of this version and has files of the right size."""
     return (
-        says is not None
-        and says.index_version == INDEX_VERSION
-        and all(_size(generation / name) == size for name, (size, _) in files(says).items())
+        says is not None and says.index_version == INDEX_VERSION and next(wrong_sizes(generation, says), None) is None
     )
+
+
+def wrong_sizes(generation: Path, says: Generation) -> Iterator[tuple[str, str]]:
+    """The files of a generation that are missing or too short or long, and what is wrong with each."""
+    for name, (wanted, _) in files(says).items():
+        size = _size(generation / name)
+        if size != wanted:
+            yield name, "is missing" if size is None else f"has {size} bytes, the index says {wanted}"
 
 
 def _size(file: Path) -> int | None:

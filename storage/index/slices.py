@@ -110,7 +110,10 @@ def _open(file: Path, shard: Shard) -> ShardSlices:
     # what search uses as indices: nothing else in a damaged file could lead it out of the file
     if not _fit(arrays["first"], arrays["frames"], arrays["left"]):
         raise _damaged(file, "holds takes that do not fit together")
-    return ShardSlices(take_ids, _live(take_ids, shard), BitSlices(features=features, **arrays))
+    live = _live(take_ids, shard)
+    if (take_ids[1:] <= take_ids[:-1]).any() or not np.array_equal(take_ids[live], _wanted(shard)):
+        raise _damaged(file, "holds other takes than its shard")
+    return ShardSlices(take_ids, live, BitSlices(features=features, **arrays))
 
 
 def _fit(first: I64, frames: I64, left: npt.NDArray[np.int32]) -> bool:
@@ -123,6 +126,12 @@ def _fit(first: I64, frames: I64, left: npt.NDArray[np.int32]) -> bool:
         and (lengths == frames // BLOCK + 1).all()
         and (left == np.repeat(first[1:], lengths) - 1 - np.arange(len(left))).all()
     )
+
+
+def _wanted(shard: Shard) -> I64:
+    """The takes that a shard holds, ascending."""
+    ranges = sorted(pair for part in shard.parts for pair in part.takes)
+    return np.concatenate([np.empty(0, np.int64), *(np.arange(first, stop) for first, stop in ranges)])
 
 
 def _live(take_ids: I64, shard: Shard) -> npt.NDArray[np.bool_]:
@@ -145,4 +154,4 @@ def _shapes(features: int, takes: int, blocks: int) -> Iterator[tuple[str, str, 
 
 
 def _damaged(file: Path, what: str) -> StoreError:
-    return StoreError(f"{file}: the index is damaged: the file {what}; {BUILD}, `kinedex verify` says more")
+    return StoreError(f"{file}: the index is damaged: the file {what}; {BUILD}")

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ops.errors import StoreError
-from ops.search.bitslices import slice_words
-from ops.words import NO_WORD
+from ops.search.bitslices import BitSlices, slice_words
+from ops.words import I64, NO_WORD
+from pipelines.searching.resident import resident_store
 from storage import index
 from storage.index.generations import Generation, Shard, ShardPart, slices_name
 from storage.index.slices import LAYOUT, MAGIC, ShardSlices, open_slices, write_slices
@@ -48,7 +49,7 @@ def test_what_is_mapped_is_what_was_written(
     size, sha256 = write_slices(folder / slices_name(1), take_ids, slices)
     assert (folder / slices_name(1)).stat().st_size == size
     assert index.file_digest(folder / slices_name(1)) == sha256
-    found = opened(folder, shard(size, sha256, (0, 6), (9, 10)))
+    found = opened(folder, shard(size, sha256, *((take, take + 1) for take in (5, 9) if take in take_ids)))
     assert found.take_ids.tolist() == take_ids.tolist()
     assert found.live.tolist() == [take in (5, 9) for take in take_ids.tolist()]
     assert found.slices.features == features
@@ -107,7 +108,7 @@ def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) ->
     file.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
     (finding,) = verify(store)
     assert finding.fault
-    assert "shard-000002.slices: its content does not fit its checksum; remove the folder" in str(finding)
+    assert "shard-000002.slices: its content does not fit its checksum; run the stage" in str(finding)
     generation = index.build(store, threads=1)
     says = index.read_generation(generation)
     assert says is not None
@@ -117,17 +118,63 @@ def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) ->
 
 def test_slices_that_are_not_those_of_the_words_are_found(store: Store) -> None:
     file = file_of(store)
-    says = index.read_generation(file.parent)
-    assert says is not None
     words = store.words()
     changed = words.words ^ np.uint64(1)
     file.unlink()
-    written = write_slices(file, words.take_ids, slice_words(changed, words.offsets, 40))
+    publish_slices(file, words.take_ids, slice_words(changed, words.offsets, 40))
+    found = [str(finding) for finding in verify(store)]
+    assert all("shard-000001.slices: its slices" in finding for finding in found)
+    assert ["(bits)" in finding for finding in found] == [True, False]
+
+
+def publish_slices(file: Path, take_ids: I64, slices: BitSlices) -> None:
+    """Slices with the checksum and size that the index says."""
+    file.unlink(missing_ok=True)
+    size, sha256 = write_slices(file, take_ids, slices)
+    says = index.read_generation(file.parent)
+    assert says is not None
     (first,) = says.shards
-    said = replace(says, shards=(replace(first, slices_bytes=written[0], slices_sha256=written[1]),))
+    said = replace(says, shards=(replace(first, slices_bytes=size, slices_sha256=sha256),))
     (file.parent / "generation.json").write_text(said.to_json())
+
+
+@pytest.mark.parametrize("at", [0, 5, -1])
+def test_a_coarse_copy_that_is_not_that_of_the_words_is_found(store: Store, at: int) -> None:
+    words = store.words()
+    slices = slice_words(words.words, words.offsets, 40)
+    coarse = slices.coarse.copy()
+    coarse[at] ^= np.uint64(1 << 63 if at == -1 else 2)
+    publish_slices(file_of(store), words.take_ids, replace(slices, coarse=coarse))
     (finding,) = verify(store)
-    assert "shard-000001.slices: its slices are not those of the takes' words" in str(finding)
+    assert "shard-000001.slices: its slices (coarse) are not those of the takes' words" in str(finding)
+
+
+@pytest.mark.parametrize("ids", [[6, 2], [2, 1], [1, 3], [1, 1]])
+def test_other_takes_than_those_of_the_shard_are_told_and_never_searched(store: Store, ids: list[int]) -> None:
+    file = file_of(store)
+    content = bytearray(file.read_bytes())
+    content[64 : 64 + 16] = np.array(ids, "<i8").tobytes()
+    file.write_bytes(content)
+    with pytest.raises(StoreError, match=r"shard-000001\.slices: .* holds other takes than its shard; run the stage"):
+        resident_store(store)
+    (finding,) = verify(store)
+    assert str(finding).endswith(f"its content does not fit its checksum; {index.BUILD}")
+    index.build(store, threads=1)
+    assert verify(store) == []
+    assert resident_store(open_store(store.path)).take_ids.tolist() == [1, 2]
+
+
+def test_files_that_are_cut_short_or_gone_are_named_by_verify(store: Store) -> None:
+    file = file_of(store)
+    size = file.stat().st_size
+    file.write_bytes(file.read_bytes()[:-64])
+    (file.parent / "index.duckdb").unlink()
+    gone, short = sorted(str(finding) for finding in verify(store))
+    assert gone.endswith(f"index.duckdb: the index is damaged: the file is missing; {index.BUILD}")
+    said = f"the file has {size - 64} bytes, the index says {size}; {index.BUILD}"
+    assert short.endswith(f"shard-000001.slices: the index is damaged: {said}")
+    index.build(store, threads=1)
+    assert verify(store) == []
 
 
 def test_an_index_of_another_version_is_told_and_built_again(store: Store) -> None:

@@ -120,9 +120,9 @@ def test_a_changed_index_is_found(store: Store) -> None:
     file = store.index_path()
     content = file.read_bytes()
     file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    assert "index.duckdb: its content does not fit its checksum; remove the folder" in problems(store)
+    assert "index.duckdb: its content does not fit its checksum; run the stage" in problems(store)
     file.write_bytes(content[:-1])
-    assert "the index is damaged" in problems(store)
+    assert f"index.duckdb: the index is damaged: the file has {len(content) - 1} bytes" in problems(store)
 
 
 def test_a_damaged_old_manifest_is_a_note(store: Store) -> None:

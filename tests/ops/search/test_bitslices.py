@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from ops.errors import ParameterError
 from ops.search import slicesearch
-from ops.search.bitslices import GRANULE, BitSlices, slice_runs, slice_words
+from ops.search.bitslices import GRANULE, BitSlices, slice_words
 from ops.search.keyframes import UNBOUNDED, Segments, from_axis, gap_bounds, keyframe_list, search, to_axis
 from ops.search.runs import word_runs
-from ops.search.slicesearch import keyframe_segments, search_slices
+from ops.search.slicesearch import search_slices
 from ops.words import NO_WORD, U64, bits, cut
 from tests.oracles.keyframes import ranges_by_enumeration, ranges_by_sets
 
@@ -109,25 +109,8 @@ def test_the_coarse_copy_says_what_occurs_in_a_few_frames(features: int) -> None
 def test_slices_are_made_again_from_their_arrays() -> None:
     slices = slices_of([np.arange(30, dtype=np.uint64)])
     again = BitSlices(**slices.arrays, features=slices.features)
-    assert by_take(keyframe_segments(again, 3, 2), 1) == by_take(keyframe_segments(slices, 3, 2), 1)
+    assert by_take(search_slices(again, [3], [2], []), 1) == by_take(search_slices(slices, [3], [2], []), 1)
     assert not any(array.flags.writeable for array in again.arrays.values())
-
-
-@given(archives(longest=150))
-def test_runs_of_all_sets_give_the_slices_of_the_words(archive: list[U64]) -> None:
-    words, offsets = np.concatenate([np.zeros(0, np.uint64), *archive]), offsets_of(archive)
-    low, high = (word_runs(cut(words, first, count), offsets) for first, count in ((1, 2), (3, 3)))
-    together = [np.concatenate(pair) for pair in zip(low[:3], high[:3], strict=True)]
-    shifted = np.concatenate([low.word, high.word << np.uint64(2)])
-    found = slice_runs(*together, shifted, np.diff(offsets), FEATURES)
-    np.testing.assert_array_equal(found.bits, slices_of(archive).bits)
-    np.testing.assert_array_equal(found.left, slices_of(archive).left)
-
-
-def test_a_run_beyond_its_take_is_refused() -> None:
-    for take, start, stop in ((1, 0, 1), (0, 0, 4), (0, 2, 2), (0, -1, 2), (-1, 0, 1)):
-        with pytest.raises(ParameterError, match="within their takes"):
-            slice_runs(*(np.array([one]) for one in (take, start, stop)), np.ones(1, np.uint64), np.array([3]), 5)
 
 
 @settings(max_examples=150, deadline=None)
@@ -164,7 +147,7 @@ def test_slices_and_lists_find_the_same(archive: list[U64], query: Query) -> Non
     lists = [keyframe_list(starts, stops, runs.word, *one) for one in zip(masks, values, strict=True)]
     slices = slices_of(archive)
     for one, mask, value in zip(lists, masks, values, strict=True):
-        alone = keyframe_segments(slices, mask, value)
+        alone = search_slices(slices, [mask], [value], [])
         np.testing.assert_array_equal(alone.starts, one.starts)
         np.testing.assert_array_equal(alone.stops, one.stops)
     expected, found = search(lists, gaps), search_slices(slices, masks, values, gaps)
@@ -188,7 +171,7 @@ def test_a_hit_may_span_invalid_frames_but_not_begin_or_end_there() -> None:
     slices = slices_of([take])
     assert by_take(search_slices(slices, [1, 2], [1, 2], [(0, 9)]), 1) == [[(0, 5)]]
     assert by_take(search_slices(slices, [0, 0], [0, 0], [(0, 9)]), 1) == [[(0, 5)]]
-    assert by_take(keyframe_segments(slices, 4, 0), 1) == [[(0, 2), (4, 5)]]
+    assert by_take(search_slices(slices, [4], [0], []), 1) == [[(0, 2), (4, 5)]]
 
 
 @pytest.mark.parametrize("length", [63, 64, 65, 128])
@@ -215,8 +198,8 @@ def test_an_hour_between_two_poses_is_found() -> None:
 def test_sets_cut_from_words_are_stretches_of_their_rows() -> None:
     words = np.random.default_rng(3).integers(0, 2**FEATURES, 200).astype(np.uint64)
     upper = cut(words, 3, 3)
-    found = keyframe_segments(slices_of([words]), 0b10100, 0b00100)
-    expected = keyframe_segments(slices_of([upper], 3), 0b101, 0b001)
+    found = search_slices(slices_of([words]), [0b10100], [0b00100], [])
+    expected = search_slices(slices_of([upper], 3), [0b101], [0b001], [])
     assert by_take(found, 1) == by_take(expected, 1)
 
 
