@@ -178,8 +178,9 @@ def explain_unknown(store: Store, fault: duck.UnknownName) -> KinedexError:
     if name in NAMES:
         return KinedexError(str(fault))
     near = did_you_mean(fault.name, NAMES)
+    kind = "function" if re.search(r"(Function|Macro) with name", str(fault)) else "view"
     return KinedexError(
-        f"no view or macro is named '{fault.name}'{near if near.startswith('; did') else ''}\n"
+        f"no {kind} or macro is named '{fault.name}'{near if near.startswith('; did') else ''}\n"
         f"  the views and macros of a store: {', '.join(sorted(NAMES))}"
     )
 

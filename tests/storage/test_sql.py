@@ -141,6 +141,9 @@ def test_a_misspelt_view_is_answered_with_the_nearest_and_all(store: Store) -> N
         store.sql("FROM word_run")
     with pytest.raises(KinedexError, match="did you mean 'runs_where'"):
         store.sql("FROM runs_were(1)")
+    for call in ("SELECT getenv('HOME')", "FROM getenv('HOME')"):
+        with pytest.raises(KinedexError, match=r"^no function or macro is named 'getenv'\n"):
+            store.sql(call)
     with pytest.raises(KinedexError, match='Referenced column "nam" not found'):
         store.sql("SELECT nam FROM takes")
     with pytest.raises(KinedexError, match="syntax error"):
