@@ -217,8 +217,10 @@ def _index(store: Store, *, sound: bool) -> Iterable[Finding]:
     wrong = [name for name, (_, sha256) in index.files(says).items() if index.file_digest(generation / name) != sha256]
     for name in wrong:
         yield Finding(f"{folder}/{name}", "its content does not fit its checksum", index.BUILD)
+    # the checksums fit, so that a build would find nothing to make anew
+    remove = f"remove the folder {folder}, then {index.BUILD}"
     try:
         for name, problem in problems(store, generation, says, words=sound) if not wrong else ():
-            yield Finding(f"{folder}/{name}", problem, index.BUILD)
+            yield Finding(f"{folder}/{name}", problem, remove)
     except (KinedexError, duck.Error) as fault:
-        yield Finding(folder, f"cannot be read: {str(fault).splitlines()[0]}", index.BUILD)
+        yield Finding(folder, f"cannot be read: {str(fault).splitlines()[0]}", remove)
