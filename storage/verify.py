@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from ops.errors import KinedexError
 from storage import duck, index
 from storage.index.checks import problems
+from storage.index.generations import generations
 from storage.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
 from storage.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
 from storage.store import Store
@@ -196,17 +197,17 @@ def _ours(name: str) -> bool:
 
 def _index(store: Store, *, sound: bool) -> Iterable[Finding]:
     """What is wrong with the index; it is compared with the words of the parts only where these are sound."""
-    generations = index.generations(store.path)
-    if not generations:
+    published = generations(store.path)
+    if not published:
         return
     generation = index.current(store.path, store.manifest)
     if generation is None:
-        newest = f"index/{generations[0].name}"
-        says = index.read_generation(generations[0])
+        newest = f"index/{published[0].name}"
+        says = index.read_generation(published[0])
         if says is None or says.index_version != index.INDEX_VERSION:
             yield Finding(newest, "the index is damaged or of another version", index.BUILD)
         elif says.content == store.manifest.content_digest():
-            for name, problem in index.wrong_sizes(generations[0], says):
+            for name, problem in index.wrong_sizes(published[0], says):
                 yield Finding(f"{newest}/{name}", f"the index is damaged: the file {problem}", index.BUILD)
         else:
             yield Finding(newest, "the index is stale: the takes have changed since", index.BUILD, fault=False)
