@@ -111,6 +111,8 @@ def _groups(template: QuantisedTemplate) -> tuple[U64, F64]:
     weights, home = np.unique(template.feature_weights, return_inverse=True)
     bits = np.zeros(len(weights), np.uint64)
     np.bitwise_or.at(bits, home, np.uint64(1) << np.arange(len(home), dtype=np.uint64))
+    if not (weights > 0).any():  # as wildcards alone: nothing is contradicted
+        return np.zeros(1, np.uint64), np.ones(1)
     return bits[weights > 0], weights[weights > 0]
 
 

@@ -254,3 +254,14 @@ def test_wrong_ranges_and_ends_are_refused_in_words():
         start_frames(template, words, np.array([5]), np.array([[0, 4]]))
     with pytest.raises(ParameterError, match="ascending"):
         start_frames(template, words, np.array([5, 4]))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_wildcards_alone_cost_nothing_whatever_their_weights(dtype: type):
+    wild = np.zeros(4, np.uint64)
+    plain, none = QuantisedTemplate(wild, wild), QuantisedTemplate(wild, wild, np.zeros(40))
+    words = np.arange(20, dtype=np.uint64)
+    expected = distance_curves([plain], words, dtype=dtype)[0]
+    for chosen in ([none], [none, none], [none, plain]):
+        for curve in distance_curves(chosen, words, dtype=dtype):
+            np.testing.assert_array_equal(curve, expected)
