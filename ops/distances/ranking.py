@@ -22,8 +22,11 @@ from ops.words import U64, TakeWords
 _MARGIN = 0.12
 """By what share of τ the best hits are looked for beyond their coarse bounds, which are that much too low at times."""
 
-_KEYS = 1e9
+KEYS = 1e9
 """Costs are compared as whole billionths: those that are closer are equal, and the earlier frame comes first."""
+
+_BLOCK = 1024
+"""Frames of a still stretch, where neighbour stands beside neighbour, whose costs are computed together at most."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +57,13 @@ def rank(
     ranges: I64 | None = None,
     coded: CodedWords | None = None,
     coarse: Coarse | None = None,
+    order: I64 | None = None,
 ) -> Hits:
     """Rank the hits of a template: local minima of its distance curve below a threshold, the best first.
 
     A hit that is taken, of m frames, rules out those in its take that end within 0.5 m before to 0.1 m after its end or
     start within 0.1 m before to 0.5 m after its start. Costs closer than 1e-9 are equal; of equal hits that of
-    the first take comes first, and within it the one that ends first.
+    the first take comes first (in `order`), and within it the one that ends first.
 
     The hits are those of the whole curve in float64 (`tests/oracles/ranking.py` does it that way). Here minima come
     with a lower bound (`ops.distances.pruning`); the most promising is taken up, computed, and put back with its
@@ -77,6 +81,7 @@ def rank(
         that paths must not leave; None: the takes.
     coded: `encode(words.words)`, where several templates share it. coarse: this template's coarse bound for τ or
         more on these words and ranges, where it is known.
+    order: int64 (T,), the place of each take among equal hits; as they are laid out for None.
 
     Raises
     ------
@@ -90,7 +95,7 @@ def rank(
     coded = encode(words.words) if coded is None else coded
     if coarse is None:
         coarse = coarse_bound(template, coded, threshold, stretches)
-    return _rank(template, words, threshold, most, stretches, coded, coarse)
+    return _rank(template, words, threshold, most, stretches, coded, coarse, _order(words, order))
 
 
 def rank_together(
@@ -99,19 +104,23 @@ def rank_together(
     thresholds: F64,
     most: int | None = None,
     coded: CodedWords | None = None,
+    order: I64 | None = None,
 ) -> list[Hits]:
     """Rank the hits of several templates, with one pass over the words for the coarse bounds of all of them.
 
     The hits are those of `rank` of each. thresholds: float64 (T,), the other parameters as there.
     """
     if len(templates) < 2:
-        return [rank(one, words, float(tau), most, None, coded) for one, tau in zip(templates, thresholds, strict=True)]
+        return [
+            rank(one, words, float(tau), most, None, coded, order=order)
+            for one, tau in zip(templates, thresholds, strict=True)
+        ]
     if most is not None and most < 1:
         raise ParameterError("most", "at least 1, or None", most)
     coded = encode(words.words) if coded is None else coded
     stretches = _stretches(words, None)
     return [
-        _rank(template, words, float(tau), most, stretches, coded, coarse)
+        _rank(template, words, float(tau), most, stretches, coded, coarse, _order(words, order))
         for template, tau, coarse in zip(
             templates, thresholds, coarse_bounds(templates, coded, thresholds, stretches), strict=True
         )
@@ -126,16 +135,24 @@ def _rank(
     stretches: I64,
     coded: CodedWords,
     coarse: Coarse | None,
+    order: I64,
 ) -> Hits:
     """The hits below a threshold, or the best of them, of checked input; below lower thresholds first."""
     computed = 0
     for tau in [threshold] if coarse is None else _rising(coarse, threshold, most, len(template)):
-        hits = _rank_below(template, words, tau, most, stretches, coded, coarse)
+        hits = _rank_below(template, words, tau, most, stretches, coded, coarse, order)
         computed += hits.computed
         # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
         if most is not None and len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
             break
     return replace(hits, computed=computed)
+
+
+def _order(words: TakeWords, order: I64 | None) -> I64:
+    """The places of takes among equal hits, checked."""
+    if order is not None and len(order) != len(words):
+        raise ParameterError("order", f"one place for each of {len(words)} takes", len(order))
+    return np.arange(len(words), dtype=np.int64) if order is None else np.ascontiguousarray(order, np.int64)
 
 
 def _stretches(words: TakeWords, ranges: I64 | None) -> I64:
@@ -169,24 +186,21 @@ def _rank_below(
     stretches: I64,
     coded: CodedWords,
     coarse: Coarse | None,
+    order: I64,
 ) -> Hits:
     """The hits below a threshold, all of them or the best."""
     bounds = bounds_below(template, coded, threshold, stretches, coarse)
     candidates, possible = possible_minima(bounds.units, bounds.spans, bounds.slack)
     place = np.searchsorted(stretches[:, 0], candidates, side="right") - 1
     homes = np.searchsorted(words.offsets, stretches[place, 0], side="right") - 1
-    apart = (np.diff(candidates) > len(template) // 8 + 1) | (np.diff(place) > 0)
-    apart |= np.diff(candidates // (len(template) + 8)) > 0
-    # A plateau is cut where a window grows long, but never between neighbours, which decide about each other.
-    apart &= (np.diff(candidates) > 1) | (np.diff(place) > 0)
-    groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)
+    groups = grouped(candidates, place, len(template))
     layout, columns = lay_out([template]), len(template)
     limit = len(candidates) if most is None else min(most, len(candidates))
     starts, ends, costs = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit)
     found = take_best(
         coded.vocabulary, coded.codes, layout.values[:columns], layout.parts[:, :columns], layout.worths[:, :columns],
         layout.counted[:columns], threshold, bounds.units, bounds.unit, candidates, possible,
-        groups if len(candidates) else groups[:1], stretches[place, 0], homes, len(words), starts, ends, costs,
+        groups, stretches[place, 0], homes, order, starts, ends, costs,
     )  # fmt: skip
     starts, ends, costs = starts[:found], ends[:found], costs[:found]
     takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
@@ -194,30 +208,54 @@ def _rank_below(
     return Hits(takes, starts - shift, ends + 1 - shift, costs, bounds.frames, bounds.computed)
 
 
+def grouped(candidates: I64, place: I64, columns: int) -> I64:
+    """Which candidates are computed together, in one window: int64 (G + 1,), group g begins with groups[g].
+
+    What costs one of them lies in the 2(N − 1) frames before it, so that candidates close to each other share most of
+    the work. Where candidates are neighbours, as in a still stretch, they stay together in blocks of `_BLOCK`
+    frames; a window therefore spans so many frames and those before, however long a still stretch is.
+
+    Parameters
+    ----------
+    candidates: int64 (C,), frames, ascending. place: int64 (C,), the stretch of each. columns: N.
+    """
+    if not len(candidates):
+        return np.zeros(1, np.int64)
+    far, other = np.diff(candidates) > columns // 8 + 1, np.diff(place) > 0
+    far |= np.diff(candidates // (columns + 8)) > 0
+    # Neighbours decide about each other: it is cheaper to have them in one window.
+    apart = (far & (np.diff(candidates) > 1)) | other | (np.diff(candidates // _BLOCK) > 0)
+    return np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)
+
+
 @nb.njit(cache=True, nogil=True)
 def take_best(
     vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, threshold: float, units: U16,
-    unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, takes: int,
+    unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, order: I64,
     starts: I64, ends: I64, costs: F64,
 ) -> int:  # fmt: skip
     """Take hits, the best first, until there are enough or none is left; return how many (kernel).
 
     candidates, possible: see `ops.distances.pruning.possible_minima`. groups: int64 (G + 1,), those from groups[g] on
-    are computed together. begins, homes: int64 (C,), where the stretch of each begins, and its take. starts, ends,
-    costs: what is found; their length is how many are enough.
+    are computed together. begins, homes: int64 (C,), where the stretch of each begins, and its take. order: int64 (T,),
+    the places of takes among equal hits. starts, ends, costs: what is found; their length is how many are enough.
+
+    A minimum is decided by its neighbours. Where one of these is in another group, as where a still stretch is divided,
+    it is computed here too.
     """
     columns = len(values)
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
-    grid, local, row_of, used = workspace(longest + 2 * columns, columns, len(vocabulary))
-    newest = np.full(takes, -1, np.int64)  # the last hit taken in each take, and the one before each hit
+    grid, local, row_of, used = workspace(longest + 2 + 2 * columns, columns, len(vocabulary))
+    sums = np.empty(longest + 3)
+    newest = np.full(len(order), -1, np.int64)  # the last hit taken in each take, and the one before each hit
     older = np.empty(len(costs), np.int64)
     exact, paths = np.empty(len(candidates)), np.empty(len(candidates), np.int64)
-    heap = first_bounds(units, unit, candidates, possible, groups)
+    heap = first_bounds(units, unit, candidates, possible, groups, homes, order)
     count = 0
     while len(heap) > 0 and count < len(costs):
-        _, known, c = heapq.heappop(heap)
+        _, known, _, c = heapq.heappop(heap)
         if known == 1:
             home = homes[c]
             if not ruled_out(paths[c], candidates[c], newest[home], older, starts, ends, True):
@@ -233,8 +271,9 @@ def take_best(
             left |= possible[i] and not ruled_out(0, candidates[i], newest[home], older, starts, ends, False)
         if not left:
             continue
-        begin = max(candidates[first] - 2 * (columns - 1), begins[first])
-        inside = candidates[first:stop]
+        low, high = with_neighbours(candidates, begins, first, stop)
+        begin = max(candidates[low] - 2 * (columns - 1), begins[first])
+        found = sums[: high - low]
         # A path that has the least units costs less than these and N more; no more is of interest.
         units_there = 0
         for i in range(first, stop):
@@ -242,38 +281,62 @@ def take_best(
                 units_there = max(units_there, int(units[candidates[i]]))
         limit = (units_there + columns + 1) * unit * columns
         sum_group(
-            vocabulary, codes, values, parts, worths, counted, inside, begin, limit, grid, local, row_of, used,
-            exact[first:stop],
+            vocabulary, codes, values, parts, worths, counted, candidates[low:high], begin, limit, grid, local, row_of,
+            used, found,
         )  # fmt: skip
-        exact[first:stop] /= columns
+        found /= columns
         for i in range(first, stop):
-            low = possible[i] and exact[i] < threshold - TOLERANCE
-            if i > first and candidates[i - 1] == candidates[i] - 1:
-                low &= exact[i] <= exact[i - 1] + TOLERANCE
-            if i + 1 < stop and candidates[i + 1] == candidates[i] + 1:
-                low &= exact[i] <= exact[i + 1] + TOLERANCE
-            if low:
+            if possible[i] and least_beside(candidates, found, low, i, threshold):
+                exact[i] = found[i - low]
                 paths[i] = begin + walk_back(grid, local, row_of, codes[begin:], candidates[i] - begin)
-                heapq.heappush(heap, (np.int64(np.rint(exact[i] * _KEYS)), np.int64(1), np.int64(i)))
+                key = np.int64(np.rint(exact[i] * KEYS))
+                heapq.heappush(heap, (key, np.int64(1), np.int64(order[home]), np.int64(i)))
     return count
 
 
 @nb.njit(cache=True, nogil=True)
+def with_neighbours(candidates: I64, begins: I64, first: int, stop: int) -> tuple[int, int]:
+    """Widen a group by the candidate on each side that is the next frame of the same stretch (kernel)."""
+    low, high = first, stop
+    if first > 0 and begins[first - 1] == begins[first] and candidates[first - 1] == candidates[first] - 1:
+        low -= 1
+    if stop < len(candidates) and begins[stop] == begins[first] and candidates[stop] == candidates[stop - 1] + 1:
+        high += 1
+    return low, high
+
+
+@nb.njit(cache=True, nogil=True)
+def least_beside(candidates: I64, costs: F64, low: int, i: int, threshold: float) -> bool:
+    """Whether a candidate is below the threshold and not above its neighbours (kernel).
+
+    costs: float64, of the candidates from `low` on. A frame beside it that is no candidate is provably dearer.
+    """
+    at = i - low
+    if not costs[at] < threshold - TOLERANCE:
+        return False
+    if at > 0 and candidates[i - 1] == candidates[i] - 1 and costs[at] > costs[at - 1] + TOLERANCE:
+        return False
+    after = at + 1 < len(costs) and candidates[i + 1] == candidates[i] + 1
+    return not (after and costs[at] > costs[at + 1] + TOLERANCE)
+
+
+@nb.njit(cache=True, nogil=True)
 def first_bounds(
-    units: U16, unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64
-) -> list[tuple[np.int64, np.int64, np.int64]]:
+    units: U16, unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, homes: I64, order: I64
+) -> list[tuple[np.int64, np.int64, np.int64, np.int64]]:
     """Make a heap of groups by the least bound in each (kernel).
 
     Of equal keys a bound (0) comes before a cost (1): what it stands for may have to go first.
     """
-    heap = [(np.int64(0), np.int64(0), np.int64(0))]
+    heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
     heap.pop()
     for g in range(len(groups) - 1):
         least = CAP
         for i in range(groups[g], groups[g + 1]):
             if possible[i]:
                 least = min(least, int(units[candidates[i]]))
-        heap.append((np.int64(np.floor(least * unit * _KEYS)), np.int64(0), np.int64(g)))
+        key = np.int64(np.floor(least * unit * KEYS))
+        heap.append((key, np.int64(0), np.int64(order[homes[groups[g]]]), np.int64(g)))
     heapq.heapify(heap)
     return heap
 

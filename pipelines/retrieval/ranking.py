@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from catalog.queries import KeyframeQuery
 from ops.distances.costs import I64, encode
-from ops.distances.ranking import Hits, rank, rank_together
+from ops.distances.ranking import KEYS, Hits, rank, rank_together
 from ops.errors import KinedexError
 from ops.templates.templates import QuantisedTemplate, quantise
 from pipelines.executors import cores
@@ -26,10 +26,6 @@ from storage.store import Store
 
 BATCH_FRAMES = 200_000
 """Analysis frames (under two hours) that a thread reads and ranks at a time; a longer take makes a batch of its own."""
-
-
-KEYS = 1e9
-"""Costs are compared as whole billionths, as in `ops.distances.ranking`."""
 
 Item = tuple[tuple[int, ...], tuple[float, ...]]
 """Takes, by id, and the threshold of every template."""
@@ -112,6 +108,9 @@ def rank_store(
 ) -> list[Ranking]:
     """Rank the takes of a store by each of some templates, all of them in one pass over the words.
 
+    Of equal hits that of the take whose name comes first is first, and within it the one that ends first: the best 3
+    are the head of the best 10, whatever takes share a batch and in whatever order they were ingested.
+
     Memory does not grow with the archive: besides the hits that are kept it holds a batch or two for each thread.
     The hits are the same for any number of threads, and for templates together or one by one; how many frames can
     be skipped depends on what is known already when a batch begins.
@@ -138,7 +137,7 @@ def rank_store(
     bars = [tau] * len(templates)
 
     def work(item: Item) -> list[tuple[I64, Hits]]:
-        return list(_rank_batch(store, templates, *item, top))
+        return list(_rank_batch(store, templates, *item, top, names))
 
     items = ((batch, tuple(bars)) for batch in batches)
     for found in _in_threads(work, items, cores() if workers is None else workers):
@@ -181,7 +180,12 @@ def _batches(take_ids: Sequence[int], frames: Sequence[int]) -> list[tuple[int, 
 
 
 def _rank_batch(
-    store: Store, templates: Sequence[Searched], take_ids: tuple[int, ...], taus: tuple[float, ...], top: int | None
+    store: Store,
+    templates: Sequence[Searched],
+    take_ids: tuple[int, ...],
+    taus: tuple[float, ...],
+    top: int | None,
+    names: Mapping[int, str],
 ) -> Iterator[tuple[I64, Hits]]:
     """The hits of each template in some takes, with the takes' ids and, last, how many frames they have."""
     words = store.words(take_ids)
@@ -189,10 +193,13 @@ def _rank_batch(
     queries = {query.name: query for one in templates for query in one.queries}
     hits = preselect_stored(store, words, list(queries.values()))
     ids = np.concatenate((words.take_ids, [len(words.words)])).astype(np.int64)
+    by_name = {take_id: place for place, take_id in enumerate(sorted(take_ids, key=lambda each: names[each]))}
+    order = np.array([by_name[take_id] for take_id in words.take_ids.tolist()], np.int64)
     free = [place for place, one in enumerate(templates) if not one.queries]
     found = rank_together(
-        [templates[place].template for place in free], words, np.array([taus[place] for place in free]), top, coded
-    )
+        [templates[place].template for place in free], words, np.array([taus[place] for place in free]), top, coded,
+        order,
+    )  # fmt: skip
     everywhere = dict(zip(free, found, strict=True))
     for place, (one, tau) in enumerate(zip(templates, taus, strict=True)):
         if not one.queries:
@@ -202,7 +209,7 @@ def _rank_batch(
         within = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
         shift = np.repeat(words.offsets[:-1], np.diff(within.offsets))
         ranges = np.stack([within.starts + shift, within.stops + shift], axis=1)
-        yield ids, rank(one.template, words, tau, top, ranges, coded)
+        yield ids, rank(one.template, words, tau, top, ranges, coded, order=order)
 
 
 def _in_threads(

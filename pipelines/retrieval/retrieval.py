@@ -14,6 +14,7 @@ from rich.table import Table
 
 from catalog.classes import OWN, load_classes
 from ops.distances.dtw import distance_curves
+from ops.distances.ranking import KEYS
 from ops.measures.retrieval import average_precision
 from ops.templates.templates import QuantisedTemplate
 from ops.words import TakeWords
@@ -22,8 +23,6 @@ from pipelines.retrieval.ranking import Hit
 from storage.ground_truth import ground_truth_files, read_ground_truth
 from storage.schemas import result_schema
 from storage.store import Store
-
-_KEYS = 1e9  # costs closer than a billionth are equal, as in ops.distances.ranking
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ def judge_clips(
     fold: str, label: str, costs: np.ndarray, labels: Sequence[str], names: Sequence[str], tau: float
 ) -> Judged:
     """Judge the clips of a fold, ranked by their least distance; of equal ones the first by name comes first."""
-    keys = [round(cost * _KEYS) if math.isfinite(cost) else math.inf for cost in costs.tolist()]
+    keys = [round(cost * KEYS) if math.isfinite(cost) else math.inf for cost in costs.tolist()]
     order = sorted(range(len(names)), key=lambda i: (keys[i], names[i]))
     relevant = tuple(labels[i] == label for i in order)
     total = sum(relevant)

@@ -216,6 +216,51 @@ def test_a_hit_of_ten_frames_rules_out_what_ends_or_starts_close_to_it():
     assert (inside.takes.tolist(), inside.starts.tolist(), inside.stops.tolist()) == ([1], [10], [20])
 
 
+def test_equal_hits_come_in_the_order_that_takes_are_given():
+    template = QuantisedTemplate(np.full(6, 1023, np.uint64), np.arange(1, 7, dtype=np.uint64))
+    take = np.concatenate([np.full(12, 1020, np.uint64), np.arange(1, 7, dtype=np.uint64)])
+    words = TakeWords(np.arange(5), np.arange(0, 91, 18), np.tile(take, 5))
+    order = np.array([3, 0, 4, 1, 2])
+    for most in (None, 1, 2, 3, 5):
+        assert rank(template, words, 0.1, most).takes.tolist() == [0, 1, 2, 3, 4][:most]
+        assert rank(template, words, 0.1, most, order=order).takes.tolist() == [1, 3, 4, 0, 2][:most]
+        for hits in rank_together([template, template], words, np.array([0.1, 0.1]), most, order=order):
+            assert hits.takes.tolist() == [1, 3, 4, 0, 2][:most]
+    with pytest.raises(ParameterError, match="order must be"):
+        rank(template, words, 0.1, order=order[:2])
+
+
+@pytest.mark.parametrize("block", [1, 2, 3, 7, 1000])
+def test_a_still_stretch_is_divided_without_a_trace(block: int, monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(block)
+    still = np.full(90, 0b1011, np.uint64)
+    for at in rng.integers(0, len(still), 9):
+        still[at] ^= np.uint64(1 << int(rng.integers(0, 4)))
+    words = TakeWords(np.arange(2), np.array([0, 50, 180]), np.concatenate([still, still]))
+    template = QuantisedTemplate(np.full(5, 0b1111, np.uint64), np.array([11, 11, 11, 3, 11], np.uint64))
+    ranges = np.array([[3, 20], [20, 50], [60, 61], [62, 175]])
+    monkeypatch.setattr(ranking, "_BLOCK", 1 << 40)
+    whole = [
+        rank(template, words, tau, most, own) for tau in (0.1, 0.5) for most in (None, 3) for own in (None, ranges)
+    ]
+    monkeypatch.setattr(ranking, "_BLOCK", block)
+    parts = [
+        rank(template, words, tau, most, own) for tau in (0.1, 0.5) for most in (None, 3) for own in (None, ranges)
+    ]
+    for one, other in zip(parts, whole, strict=True):
+        assert_same_hits(one, other)
+    assert len(whole[4]) > 5
+
+
+def test_the_window_does_not_grow_with_a_still_stretch():
+    for frames in (10_000, 100_000):
+        still = np.arange(frames, dtype=np.int64)
+        groups = ranking.grouped(still, np.zeros(frames, np.int64), 150)
+        assert groups[0] == 0
+        assert groups[-1] == frames
+        assert np.diff(groups).max() <= ranking._BLOCK
+
+
 def test_wrong_wishes_are_refused_in_words():
     template = QuantisedTemplate(np.ones(4, np.uint64), np.ones(4, np.uint64))
     takes = TakeWords(np.array([1, 2]), np.array([0, 4, 8]), np.ones(8, np.uint64))

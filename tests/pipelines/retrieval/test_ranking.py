@@ -73,6 +73,26 @@ def test_threads_and_batches_change_nothing(store: Store, monkeypatch: pytest.Mo
             ]
 
 
+def test_the_best_hits_are_the_head_of_more_where_costs_tie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    archive = tmp_path / "archive"
+    names = ["m", "c", "x", "a", "k", "b"]  # ingested one by one: other names than numbers come first
+    for name in names:
+        write_archive(archive, {f"x_{name}.amc": 120}, first_seed=5)
+        run_pipeline("ingest", tmp_path / "store", assignments={"source": str(archive)}, executor="serial")
+    store = open_store(tmp_path / "store")
+    assert store.takes().sort("take_id")["name"].to_list() == [f"x_{name}" for name in names]
+    searched = [Searched("one", example(store, "x_m", 5, 20)), Searched("other", example(store, "x_a", 2, 25))]
+    for chosen in (searched, searched[:1]):
+        whole = rank_store(store, chosen, 0.3, workers=1)
+        assert [hit.take for hit in whole[0].hits[:6]] == [f"x_{name}" for name in sorted(names)]
+        for frames in (1, 60, 90, 200_000):
+            monkeypatch.setattr(ranking, "BATCH_FRAMES", frames)
+            for top in (1, 2, 3, 4, 5, 10):
+                for workers in (1, 2):
+                    few = rank_store(store, chosen, 0.3, top=top, workers=workers)
+                    assert [one.hits for one in few] == [one.hits[:top] for one in whole]
+
+
 def test_a_filter_that_selects_nothing_is_said(store: Store):
     with pytest.raises(KinedexError, match="selects none"):
         rank_store(store, [Searched("c", example(store, "x_c", 10, 40))], 0.1, where="name = 'zzz'")
