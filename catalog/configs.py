@@ -113,6 +113,11 @@ class Located:
             return self.error(f"no such key{did_you_mean(str(first['loc'][-1]), known)}", *at)
         if first["type"] == "missing":
             return self.error("this key is missing", *at)
+        if first["type"] in ("too_short", "string_too_short"):
+            least = first["ctx"]["min_length"]
+            what = "character" if first["type"] == "string_too_short" else "entry"
+            many = what if least == 1 else {"character": "characters", "entry": "entries"}[what]
+            return self.error(f"must have at least {least} {many}, got {first['input']!r}", *at)
         reason = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
         got = "" if first["type"] == "value_error" else f", got {first['input']!r}"
         must = "" if first["type"] == "value_error" else "must be "

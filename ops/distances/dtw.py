@@ -30,8 +30,8 @@ def distance_curves(
     weight where features have weights (Σ_f weight_f · contradicted_f / Σ_f weight_f over the fixed entries f), 0 for
     a column of wildcards alone, ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a
     (2,1) step counts the local cost twice. A path starts at any frame, in the template's first column. Time is
-    proportional to columns × frames; memory (besides the result) is bounded, however long the take and however
-    many its words.
+    proportional to columns × frames. Memory, besides the result, is 20 to 28 bytes a frame while the words are numbered
+    and 4 to 12 after that; tables of costs and sums are bounded, however long the take and however many its words.
 
     Parameters
     ----------

@@ -35,7 +35,8 @@ class Hits:
 
     takes: int64 (H,), which of the takes. starts, stops: int64 (H,), frames of the take, half-open. costs: float64
     (H,), the distance at the last frame. frames: how many frames the takes (or ranges) have; computed: in how many of
-    them a bound was computed column by column in 16 bits (see `ops.distances.pruning.Minima`), twice if twice.
+    them a bound was computed column by column in 16 bits (see `ops.distances.pruning.Bounds`), twice if
+    twice. bounded: whether the coarse bound was tried, without which nothing is skipped.
     """
 
     takes: I64
@@ -44,6 +45,7 @@ class Hits:
     costs: F64
     frames: int
     computed: int
+    bounded: bool
 
     def __len__(self) -> int:
         return len(self.costs)
@@ -205,7 +207,7 @@ def _rank_below(
     starts, ends, costs = starts[:found], ends[:found], costs[:found]
     takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
     shift = words.offsets[takes]
-    return Hits(takes, starts - shift, ends + 1 - shift, costs, bounds.frames, bounds.computed)
+    return Hits(takes, starts - shift, ends + 1 - shift, costs, bounds.frames, bounds.computed, coarse is not None)
 
 
 def grouped(candidates: I64, place: I64, columns: int) -> I64:

@@ -43,7 +43,10 @@ def rank(
     ] = None,
     queries: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="only within the hits of this query file's queries for each TEMPLATE"),
+        typer.Option(
+            metavar="FILE",
+            help="only within the hits of this query file's queries for each TEMPLATE; in all frames without one",
+        ),
     ] = None,
     where: Where = None,
     workers: Annotated[int | None, typer.Option(min=1, help="threads; all cores unless given")] = None,
@@ -58,7 +61,12 @@ def rank(
 
     opened = open_store(store)
     names = list(dict.fromkeys(templates or ()))
-    if (bool(names) + every + (take is not None)) != 1:
+    ways = [said for said, given in (("TEMPLATE", names), ("--all", every), ("--take", take is not None)) if given]
+    if len(ways) > 1:
+        raise KinedexError(
+            f"{' and '.join(ways)} exclude each other: rank by the names of templates, by --all, or by an example"
+        )
+    if not ways:
         raise KinedexError("rank by the names of TEMPLATES, by --all, or by an example: --take NAME --start … --stop …")
     if take is None and (start is not None or stop is not None):
         raise KinedexError("--start and --stop say which stretch of --take is the example")
@@ -74,15 +82,17 @@ def rank(
     plain = form == "table" and output is None
     unsaid = ["run", "take_id"] if len(searched) > 1 else ["run", "template", "take_id"]
     show_table(table.drop_columns(unsaid) if plain else table, form, output)
+    if output is not None:
+        print(output)
     if plain:
         kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
-        skipped = sum(one.skipped for one in rankings) / len(rankings)
+        shares = [one.skipped for one in rankings if one.skipped is not None]
         make_console().print(
             f"{table.num_rows} hits below {tau:g}"
             + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
             + f"; {rankings[0].frames:,} frames"
             + (f", {kept:.1%} of them within keyframe hits" if queries is not None else "")
-            + (f", {skipped:.0%} skipped as provably without one" if skipped else "")
+            + (f", {sum(shares) / len(shares):.0%} skipped as provably without one" if shares else "")
             + f"; {seconds:.2f} s",
             markup=False,
         )
@@ -114,14 +124,17 @@ def _searched(
 ) -> list[Searched]:
     """What to rank by: templates quantised, each with its queries.
 
+    Templates without a query, where others have one, are ranked in all frames, as by the stage `rank`; that is said.
     lenient: templates of wildcards alone are left out, and that is said; else there must be none.
     """
     from catalog.queryfiles import read_queries
     from ops.templates.templates import quantise
     from pipelines.retrieval.ranking import Searched
+    from pipelines.wording import few
 
     loaded = [] if queries is None else read_queries(queries, store.feature_set, store.rate_hz)
-    searched = []
+    searched: list[Searched] = []
+    unasked = []
     for name, template in wanted.items():
         quantised = quantise(template, delta)
         if not quantised.fixed and lenient and len(wanted) > 1:
@@ -131,9 +144,13 @@ def _searched(
             raise KinedexError(f"at --delta {delta:g} the template '{name}' is wildcards alone and would fit anything")
         chosen: tuple[KeyframeQuery, ...] = tuple(query for query in loaded if query.target == name)
         if queries is not None and not chosen:
-            targets = ", ".join(sorted({query.target for query in loaded}))
-            raise KinedexError(f"{queries} has no query for '{name}'; its queries are for: {targets}")
+            unasked.append(name)
         searched.append(Searched(name, quantised, chosen))
     if not searched:
         raise KinedexError(f"at --delta {delta:g} all templates are wildcards alone and would fit anything")
+    if queries is not None and len(unasked) == len(searched):
+        targets = ", ".join(sorted({query.target for query in loaded}))
+        raise KinedexError(f"{queries} has no query for {few(unasked)}; its queries are for: {targets}")
+    if unasked:
+        typer.echo(f"no query in {queries}, so ranked in all frames: {few(unasked)}", err=True)
     return searched

@@ -55,13 +55,17 @@ class Search:
 
 @dataclass(frozen=True)
 class TwoStages:
-    """One row of the table of both stages (thesis, Table 3.2); search is None without queries, ranking in ms."""
+    """One row of the table of both stages (thesis, Table 3.2); search is None without queries.
+
+    reading, ranking: in ms. skipped is None where no bound was tried.
+    """
 
     label: str
     columns: int
     search: Search | None
+    reading: float | None
     ranking: float
-    skipped: float
+    skipped: float | None
     hits: int
     best: float | None
 
@@ -145,8 +149,10 @@ def two_stages(summary: Mapping[str, Any], hits: Sequence[Row]) -> list[TwoStage
         own = [row["cost"] for row in hits if row["template"] == label]
         lists = summary["lists"].get(label)
         search = _search(lists, summary["kept"][label]) if lists else None
-        ranking, skipped = 1000 * summary["seconds"][label], summary["skipped"][label]
-        found.append(TwoStages(label, columns, search, ranking, skipped, len(own), min(own, default=None)))
+        read = summary.get("reading", {}).get(label)  # rankings of earlier versions have none
+        reading, ranking = None if read is None else 1000 * read, 1000 * summary["seconds"][label]
+        skipped = summary["skipped"][label]
+        found.append(TwoStages(label, columns, search, reading, ranking, skipped, len(own), min(own, default=None)))
     return found
 
 

@@ -6,6 +6,8 @@ import os
 import tempfile
 from pathlib import Path
 
+from ops.errors import KinedexError
+
 
 def write_page(page: str, path: Path) -> int:
     """Write a page under a temporary name, then rename it into place.
@@ -13,7 +15,15 @@ def write_page(page: str, path: Path) -> int:
     Returns
     -------
     Its size in bytes.
+
+    Raises
+    ------
+    KinedexError: the folder is not there.
     """
+    if not path.parent.is_dir():
+        raise KinedexError(
+            f"{path}: there is no folder {path.parent}; make it (mkdir -p {path.parent}) or name another"
+        )
     content = page.encode("utf-8")
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:

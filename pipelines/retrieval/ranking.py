@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,7 +17,9 @@ from catalog.queries import KeyframeQuery
 from ops.distances.costs import I64, encode
 from ops.distances.ranking import KEYS, Hits, rank, rank_together
 from ops.errors import KinedexError
+from ops.search.preselection import TakeRanges
 from ops.templates.templates import QuantisedTemplate, quantise
+from ops.words import TakeWords
 from pipelines.executors import cores
 from pipelines.searching.search import preselect_stored
 from pipelines.searching.windows import template_ranges
@@ -52,18 +55,39 @@ class Hit:
 
 
 @dataclass(frozen=True)
+class Found:
+    """What a batch holds: its takes and how many frames they have, and of each template the hits and the seconds."""
+
+    ids: I64
+    frames: int
+    hits: tuple[Hits, ...]
+    reading: float
+    ranking: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Ranking:
-    """The hits of one template, the best first; of how many frames were searched, how many were looked at closely."""
+    """The hits of one template, the best first; of how many frames were searched, how many were looked at closely.
+
+    bounded: whether a bound was tried, without which nothing is skipped. reading: the seconds of the whole pass that
+    are no ranking: takes are listed, words read and coded, keyframes looked up. ranking: the template's own seconds, of
+    templates that are ranked together its part by columns. Seconds are those of all threads added up.
+    """
 
     name: str
     hits: tuple[Hit, ...]
     frames: int
     searched: int
     computed: int
+    bounded: bool
+    reading: float
+    ranking: float
 
     @property
-    def skipped(self) -> float:
-        """The share of the searched frames that provably had no hit and were skipped."""
+    def skipped(self) -> float | None:
+        """The share of the searched frames that provably had no hit; None where no bound was tried."""
+        if not self.bounded:
+            return None
         return max(0.0, 1 - self.computed / self.searched) if self.searched else 0.0
 
     @property
@@ -124,6 +148,7 @@ def rank_store(
     ------
     KinedexError: no take is selected, or a query does not fit the features.
     """
+    begin = time.perf_counter()
     takes = store.takes(where).sort("take_id")
     if not takes.height:
         raise KinedexError("no take to rank" + (f": the filter `{where}` selects none" if where else " in this store"))
@@ -131,23 +156,27 @@ def rank_store(
     batches = _batches(takes["take_id"].to_list(), takes["frames"].to_list())
     best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
     counts = np.zeros((len(templates), 3), np.int64)
+    bounded = np.zeros(len(templates), np.bool_)
+    reading, seconds = time.perf_counter() - begin, np.zeros(len(templates))
 
     # Where enough hits are known, one that is no better than the last of them is of no interest any more. The others
     # stay as they are: what is taken rules out what is dearer, never the other way round.
     bars = [tau] * len(templates)
 
-    def work(item: Item) -> list[tuple[I64, Hits]]:
-        return list(_rank_batch(store, templates, *item, top, names))
+    def work(item: Item) -> Found:
+        return _rank_batch(store, templates, *item, top, names)
 
     items = ((batch, tuple(bars)) for batch in batches)
     for found in _in_threads(work, items, cores() if workers is None else workers):
-        for place, (ids, hits) in enumerate(found):
-            total = int(ids[-1])
-            counts[place] += (total, hits.frames, hits.computed)
+        reading += found.reading
+        seconds += found.ranking
+        for place, hits in enumerate(found.hits):
+            counts[place] += (found.frames, hits.frames, hits.computed)
+            bounded[place] |= hits.bounded
             entries = [
                 (round(cost * KEYS), names[take_id], stop, Hit(take_id, names[take_id], start, stop, cost))
                 for take_id, start, stop, cost in zip(
-                    ids[:-1][hits.takes].tolist(), hits.starts.tolist(), hits.stops.tolist(), hits.costs.tolist(),
+                    found.ids[hits.takes].tolist(), hits.starts.tolist(), hits.stops.tolist(), hits.costs.tolist(),
                     strict=True,
                 )
             ]  # fmt: skip
@@ -157,8 +186,10 @@ def rank_store(
                 # equal costs (keys that are the same, and the tolerance below a threshold) are still let in
                 bars[place] = min(tau, (best[place][-1][0] + 2) / KEYS)
     return [
-        Ranking(one.name, tuple(entry[3] for entry in kept), *(int(number) for number in count))
-        for one, kept, count in zip(templates, best, counts, strict=True)
+        Ranking(one.name, tuple(entry[3] for entry in kept), count[0], count[1], count[2], tried, reading, own)
+        for one, kept, count, tried, own in zip(
+            templates, best, counts.tolist(), bounded.tolist(), seconds.tolist(), strict=True
+        )
     ]
 
 
@@ -186,35 +217,46 @@ def _rank_batch(
     taus: tuple[float, ...],
     top: int | None,
     names: Mapping[int, str],
-) -> Iterator[tuple[I64, Hits]]:
-    """The hits of each template in some takes, with the takes' ids and, last, how many frames they have."""
+) -> Found:
+    """The hits of each template in some takes."""
+    begin = time.perf_counter()
     words = store.words(take_ids)
     coded = encode(words.words)
     queries = {query.name: query for one in templates for query in one.queries}
     hits = preselect_stored(store, words, list(queries.values()))
-    ids = np.concatenate((words.take_ids, [len(words.words)])).astype(np.int64)
     by_name = {take_id: place for place, take_id in enumerate(sorted(take_ids, key=lambda each: names[each]))}
     order = np.array([by_name[take_id] for take_id in words.take_ids.tolist()], np.int64)
+    ranges = {place: _ranges(store, one, words, hits) for place, one in enumerate(templates) if one.queries}
+    reading = time.perf_counter() - begin
+    seconds = [0.0] * len(templates)
+    begin = time.perf_counter()
     free = [place for place, one in enumerate(templates) if not one.queries]
     found = rank_together(
         [templates[place].template for place in free], words, np.array([taus[place] for place in free]), top, coded,
         order,
     )  # fmt: skip
-    everywhere = dict(zip(free, found, strict=True))
-    for place, (one, tau) in enumerate(zip(templates, taus, strict=True)):
-        if not one.queries:
-            yield ids, everywhere[place]
-            continue
-        columns = one.template.values(len(store.feature_set.features))
-        within = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
-        shift = np.repeat(words.offsets[:-1], np.diff(within.offsets))
-        ranges = np.stack([within.starts + shift, within.stops + shift], axis=1)
-        yield ids, rank(one.template, words, tau, top, ranges, coded, order=order)
+    ranked = dict(zip(free, found, strict=True))
+    columns = sum(len(templates[place].template) for place in free)
+    spent = time.perf_counter() - begin
+    for place in free:
+        seconds[place] = spent * len(templates[place].template) / columns
+    for place, own in ranges.items():
+        begin = time.perf_counter()
+        ranked[place] = rank(templates[place].template, words, taus[place], top, own, coded, order=order)
+        seconds[place] = time.perf_counter() - begin
+    every = tuple(ranked[place] for place in range(len(templates)))
+    return Found(words.take_ids, len(words.words), every, reading, tuple(seconds))
 
 
-def _in_threads(
-    work: Callable[[Item], list[tuple[I64, Hits]]], items: Iterable[Item], workers: int
-) -> Iterator[list[tuple[I64, Hits]]]:
+def _ranges(store: Store, one: Searched, words: TakeWords, hits: Mapping[str, TakeRanges]) -> I64:
+    """The frames of words laid end to end that the hits of a template's queries leave, int64 (R, 2)."""
+    columns = one.template.values(len(store.feature_set.features))
+    within = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
+    shift = np.repeat(words.offsets[:-1], np.diff(within.offsets))
+    return np.stack([within.starts + shift, within.stops + shift], axis=1)
+
+
+def _in_threads(work: Callable[[Item], Found], items: Iterable[Item], workers: int) -> Iterator[Found]:
     """Apply the work to every item in threads, two a thread in flight; results come in the items' order.
 
     An item is asked for only when there is room, after the results before it have been looked at.
@@ -223,9 +265,7 @@ def _in_threads(
     """
     source = iter(items)
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        waiting: deque[Future[list[tuple[I64, Hits]]]] = deque(
-            pool.submit(work, item) for item in islice(source, 2 * workers)
-        )
+        waiting: deque[Future[Found]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
         try:
             while waiting:
                 yield waiting.popleft().result()

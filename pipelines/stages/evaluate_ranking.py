@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
-from ops.errors import KinedexError
+from ops.errors import KinedexError, did_you_mean
 from ops.templates.templates import Kind, quantise
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
@@ -131,7 +131,8 @@ def _folds(store: Store, params: Params) -> Sequence[Fold]:
         return params.folds
     takes = store.takes(params.clips)
     if params.leave_out not in takes.columns:
-        raise KinedexError(f"leave_out: takes have no column '{params.leave_out}'")
+        known = did_you_mean(params.leave_out, takes.columns)
+        raise KinedexError(f"leave_out: takes have no column '{params.leave_out}'{known}")
     values = takes[params.leave_out].cast(pl.String).drop_nulls().unique().sort().to_list()
     column = f'CAST("{params.leave_out}" AS VARCHAR)'
     quoted = [(value, "'" + value.replace("'", "''") + "'") for value in values]

@@ -92,7 +92,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     learned = completed(learned, params, store.feature_set)
     warnings = _warnings(learned)
     for text, classes in warnings.items():
-        context.say(f"warning: {text}: {few(classes)}")
+        context.say(f"warning: {few(classes)}: {text}")
     with context.writer() as writer:
         table = templates_table(learned, context.run, params.where)
         writer.put_results("templates", table, stage=context.key(), run=context.run)
@@ -106,7 +106,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "clips": used,
         "single_clip_subclasses": [one.subclass for one in clips if len(one.names) == 1],
         "most_rounds": max(one.learned.rounds for one in learned),
-        "warnings": [f"{text}: {', '.join(classes)}" for text, classes in warnings.items()],
+        "warnings": [f"{', '.join(classes)}: {text}" for text, classes in warnings.items()],
     }
 
 
@@ -154,14 +154,20 @@ def completed(
 
 
 def _warnings(templates: Sequence[SubclassTemplate]) -> dict[str, list[str]]:
-    """What is to be said of templates → of which subclasses."""
-    found: dict[str, list[str]] = {}
+    """What is to be said of templates → of which subclasses, with the kind where it is not true of all kinds."""
+    kinds: dict[str, set[str]] = {}
+    found: dict[str, dict[str, list[str]]] = {}
     for one in templates:
+        kinds.setdefault(one.subclass, set()).add(one.kind)
         said = list(one.remarks)
         if one.learned.rounds == MOST_ROUNDS:
-            said.append(f"not settled after {MOST_ROUNDS} rounds ({one.kind})")
+            said.append(f"not settled after {MOST_ROUNDS} rounds")
         for text in said:
-            classes = found.setdefault(text, [])
-            if one.subclass not in classes:
-                classes.append(one.subclass)
-    return found
+            found.setdefault(text, {}).setdefault(one.subclass, []).append(one.kind)
+    return {
+        text: [
+            subclass if set(own) == kinds[subclass] else f"{subclass} ({', '.join(own)})"
+            for subclass, own in classes.items()
+        ]
+        for text, classes in found.items()
+    }

@@ -32,7 +32,7 @@ class Params(BaseModel):
     where: str = Field("class IS NULL", description="takes to rank: a SQL filter over the columns of takes")
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
     delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
-    tau: float = Field(0.1, gt=0, le=1, description="distances below tau make a hit")
+    tau: float = Field(0.1, ge=1e-6, le=1, description="distances below tau make a hit")
     top: int | None = Field(100, ge=1, description="how many hits a template at most; null for all")
     queries: list[str] = Field([], description="keyframe queries that preselect frames: files, by names or paths")
 
@@ -50,10 +50,10 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     searched, vague = searched_templates(learned, params.delta, queries)
     if vague:
         context.say(f"templates of wildcards alone, which would fit anything, left out: {few(vague)}")
-    rankings, seconds = _rank(context, store, searched, params)
+    rankings = _rank(context, store, searched, params)
     table = ranking_table(rankings, store.rate_hz, context.run)
     lists = _lists(store, searched, params.where)
-    context.terminal.show(_shown(searched, rankings, seconds, lists))
+    context.terminal.show(_shown(searched, rankings, lists))
     with context.writer() as writer:
         writer.put_results("ranked_hits", table, stage=context.key(), run=context.run)
         writer.commit()
@@ -63,21 +63,17 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "tau": params.tau,
         "delta": params.delta,
         "frames": rankings[0].frames,
-        "skipped": {one.name: round(one.skipped, 4) for one in rankings},
+        "skipped": {one.name: None if one.skipped is None else round(one.skipped, 4) for one in rankings},
         "kept": {one.name: round(one.kept, 4) for one in rankings},
-        "seconds": {one.name: round(took, 4) for one, took in zip(rankings, seconds, strict=True)},
+        "reading": {one.name: round(one.reading, 4) for one in rankings},
+        "seconds": {one.name: round(one.ranking, 4) for one in rankings},
         "columns": {one.name: len(one.template) for one in searched},
         "lists": {name: asdict(found) for name, found in lists.items()},
     }
 
 
-def _rank(
-    context: StageContext, store: Store, searched: Sequence[Searched], params: Params
-) -> tuple[list[Ranking], list[float]]:
-    """The ranking of each template, and its seconds.
-
-    Templates without queries share one pass over the archive; its seconds are divided among them by their columns.
-    """
+def _rank(context: StageContext, store: Store, searched: Sequence[Searched], params: Params) -> list[Ranking]:
+    """The ranking of each template: those with queries one by one, those without in one pass over the archive."""
     workers = context.executor.workers
     free = [one for one in searched if not one.queries]
     groups = [[one] for one in searched if one.queries] + ([free] if free else [])
@@ -86,18 +82,18 @@ def _rank(
         for take_id in some:
             rank_store(store, group, params.tau, 1, f"take_id = {take_id}", workers)
     if len(free) > 1:
-        context.say(f"{len(free)} templates in one pass: the time of each is its part of the columns")
-    found: dict[str, tuple[Ranking, float]] = {}
+        context.say(
+            f"{len(free)} templates in one pass, and reading is that of the pass; of its ranking each has its part of "
+            "the columns"
+        )
+    context.say("reading: takes are listed, words read and coded, keyframes looked up; ranking: what comes then")
+    found: dict[str, Ranking] = {}
     with context.progress("templates", len(searched)) as progress:
         for group in groups:
-            begin = time.perf_counter()
             rankings = rank_store(store, group, params.tau, params.top, params.where, workers)
-            took = (time.perf_counter() - begin) / sum(len(one.template) for one in group)
-            found |= {
-                one.name: (ranking, took * len(one.template)) for one, ranking in zip(group, rankings, strict=True)
-            }
+            found |= {one.name: one for one in rankings}
             progress.advance(len(group))
-    return [found[one.name][0] for one in searched], [found[one.name][1] for one in searched]
+    return [found[one.name] for one in searched]
 
 
 @dataclass(frozen=True)
@@ -136,22 +132,23 @@ def _lists(store: Store, searched: Sequence[Searched], where: str) -> dict[str, 
 def _shown(
     searched: Sequence[Searched],
     rankings: Sequence[Ranking],
-    seconds: Sequence[float],
     lists: dict[str, Lists],
 ) -> Table:
     """A row for each class: keyframe search, what it keeps, and the ranking of that."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = ["class", "columns", "skipped", "ranking ms", "hits", "best"]
+    columns = ["class", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:
         columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]
     for column in columns:
         table.add_column(column, justify="left" if column == "class" else "right")
-    for one, ranking, took in zip(searched, rankings, seconds, strict=True):
+    for one, ranking in zip(searched, rankings, strict=True):
         first = [one.name, str(len(one.template))]
         if lists:
             own = lists.get(one.name, Lists(0, None, 0, 0.0, 0.0))
             first += [str(own.keyframes), "–" if own.stiffness is None else f"{own.stiffness:.2f}", f"{own.segments:,}"]
             first += [f"{1000 * own.seconds:.1f}", f"{1000 * own.lists_seconds:.2f}", f"{ranking.kept:.1%}"]
         best = f"{ranking.hits[0].cost:.3f}" if ranking.hits else "–"
-        table.add_row(*first, f"{ranking.skipped:.0%}", f"{1000 * took:.1f}", str(len(ranking.hits)), best)
+        skipped = "not tried" if ranking.skipped is None else f"{ranking.skipped:.0%}"
+        times = [f"{1000 * seconds:.1f}" for seconds in (ranking.reading, ranking.ranking)]
+        table.add_row(*first, skipped, *times, str(len(ranking.hits)), best)
     return table

@@ -18,7 +18,7 @@ from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.retrieval.ranking import searched_templates
 from pipelines.retrieval.retrieval import mean_average_precision, names_filter, read_truth
-from pipelines.retrieval.stiffness import Trial, run_trials, trial_rows
+from pipelines.retrieval.stiffness import WRITTEN, Trial, run_trials, trial_rows
 from pipelines.templates.learning import read_templates
 from storage.ground_truth import ground_truth_files
 from storage.store import Store
@@ -70,14 +70,15 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
 
 
 def _shown(trials: Sequence[Trial]) -> Table:
-    """A row for each variant, over all classes that it is about."""
+    """A row for each variant, all over the same classes: those with queries where there are any, as on the page."""
+    asked = {trial.judged.label for trial in trials if trial.variant == WRITTEN}
     table = Table(
         box=box.SIMPLE_HEAD, pad_edge=False, title="rankings by stiffness of the queries", title_justify="left"
     )
     for column in ("gaps", "classes", "kept", "to find", "ranked", "mean AP"):
         table.add_column(column, justify="left" if column == "gaps" else "right")
     for variant in dict.fromkeys(trial.variant for trial in trials):
-        own = [trial for trial in trials if trial.variant == variant]
+        own = [trial for trial in trials if trial.variant == variant and (not asked or trial.judged.label in asked)]
         total = sum(trial.judged.total for trial in own)
         ranked = sum(sum(trial.judged.relevant) for trial in own)
         average = mean_average_precision([trial.judged for trial in own])

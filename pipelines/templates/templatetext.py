@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -26,6 +26,8 @@ def template_lines(
     """
     template = one.learned.template
     yield heading(one, rate_hz)
+    if template.feature_weights is not None:
+        yield weights_line(template.feature_weights.tolist(), features)
     yield from (f"! {remark}" for remark in one.remarks)
     if len(one.learned.costs) > 1:
         yield f"largest cost between two clips, round by round: {trace(one.learned.costs)}"
@@ -54,6 +56,13 @@ def heading(one: SubclassTemplate, rate_hz: float) -> str:
         made = f"{counted(len(one.clips), 'clip')}, {counted(one.learned.rounds, 'round')} of averaging"
         made += one.origin.removeprefix("learned").replace(", ", "; ", 1)
     return f"{one.subclass}, {one.kind}: {counted(columns, 'column')} ({columns / rate_hz:.2f} s); {made}"
+
+
+def weights_line(weights: Sequence[float], features: FeatureSet) -> str:
+    """How much features count, those that do not count as 1 by name."""
+    pairs = zip(features.features, weights, strict=True)
+    unlike = [f"{feature.name} {weight:g}" for feature, weight in pairs if weight != 1]
+    return f"feature weights: {', '.join(unlike)}; all others 1" if unlike else "feature weights: all 1"
 
 
 def trace(costs: tuple[float, ...]) -> str:

@@ -107,7 +107,7 @@ WRONG = [
     ('a:\n  row:\n    rknee_bent: "01"', 2, "did you mean 'rows'"),
     ("a: 3", 1, "a template is a mapping"),
     ('3:\n  rows: {F20: "1"}', 1, "put it in quotes"),
-    ("a:\n  rows: {}", 2, "at least 1"),
+    ("a:\n  rows: {}", 2, "must have at least 1 entry, got {}"),
     ("{}", 1, "holds no template"),
 ]
 

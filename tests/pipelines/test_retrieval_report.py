@@ -84,7 +84,8 @@ def summary(lists: bool) -> dict[str, Any]:
     found = {"keyframes": 3, "stiffness": 0.6, "segments": 1234, "seconds": 0.02, "lists_seconds": 0.001}
     return {
         "frames": 5000, "tau": 0.1, "delta": 0.1, "columns": {"kick": 20}, "skipped": {"kick": 0.5},
-        "kept": {"kick": 0.2}, "seconds": {"kick": 0.03}, "lists": {"kick": found} if lists else {},
+        "kept": {"kick": 0.2}, "reading": {"kick": 0.004}, "seconds": {"kick": 0.03},
+        "lists": {"kick": found} if lists else {},
     }  # fmt: skip
 
 
@@ -97,6 +98,15 @@ def test_the_page_shows_both_stages_and_needs_nothing_from_outside() -> None:
     assert all(reference.startswith(("data:", "#")) for reference in reading.references)
     assert page.count("<svg") == page.count('role="img"') + page.count('<svg aria-hidden="true"')
     assert page == retrieval_page("Kicks <ranked>", summary(True), hits, quality_rows(), trials())
+
+
+def test_reading_and_ranking_stand_apart_and_a_bound_that_was_not_tried_is_said() -> None:
+    tried = retrieval_page("Kicks", summary(True), [], quality_rows(), trials())
+    assert "<td>4.0</td><td>30.0</td><td>50 %</td>" in tried
+    untried = summary(True) | {"skipped": {"kick": None}}
+    assert "not tried" in retrieval_page("Kicks", untried, [], quality_rows(), trials())
+    earlier = {name: value for name, value in summary(True).items() if name != "reading"}
+    assert "<td>–</td><td>30.0</td>" in retrieval_page("Kicks", earlier, [], quality_rows(), trials())
 
 
 def test_what_was_not_done_is_a_sentence() -> None:

@@ -11,10 +11,13 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from catalog.configs import parse_yaml
 from catalog.templatefiles import read_templates
+from ops.errors import ConfigError
 from ops.words import NO_WORD
 from pipelines.cli import app
 from pipelines.stages import learn_templates
+from pipelines.templates.recipes import Combination
 from tests.pipelines.labelled import BODY, POSES, Line, clip, motion, write_store
 
 CLIPS = [
@@ -113,3 +116,21 @@ def test_an_example_that_cannot_be_one_is_explained(store: Path):
 
 def test_a_store_without_templates_says_so(tmp_path: Path):
     assert "has no templates yet" in run("list", write_store(tmp_path / "store", CLIPS[:1]), code=1)
+
+
+def test_a_folder_that_is_not_there_is_named_and_no_other_file(store: Path, tmp_path: Path):
+    said = run("from-clip", store, "ann_kick_002", "-o", tmp_path / "nodir" / "ann_kick_002.csv", code=1)
+    assert "there is no folder" in said
+    assert "mkdir -p" in said
+    assert ".ann_kick_002" not in said
+
+
+def test_feature_weights_are_shown(tmp_path: Path):
+    line = Line(write_store(tmp_path / "store", CLIPS))
+    line.run(learn_templates, weights={"rhand_forwards": 0, "lhand_forwards": 2.5})
+    assert "feature weights: rhand_forwards 0, lhand_forwards 2.5; all others 1" in run("show", line.store, "kick")
+
+
+def test_a_combination_of_one_part_is_refused_in_plain_words():
+    with pytest.raises(ConfigError, match="must have at least 2 entries, got"):
+        parse_yaml("both: {parts: [walk]}", "x.yaml").model(Combination, "both")

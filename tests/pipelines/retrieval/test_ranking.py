@@ -16,8 +16,11 @@ from pipelines.cli import app
 from pipelines.evaluation.evaluating import Manual
 from pipelines.retrieval import ranking
 from pipelines.retrieval.ranking import Hit, Searched, rank_store, ranking_table
-from pipelines.retrieval.retrieval import judge_clips, judge_hits, mean_average_precision, recall_at_tau
+from pipelines.retrieval.retrieval import Judged, judge_clips, judge_hits, mean_average_precision, recall_at_tau
+from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial
 from pipelines.runner import run_pipeline
+from pipelines.stages import evaluate_ranking, vary_stiffness
+from pipelines.stages import rank as rank_stage
 from storage.store import Store, open_store
 from tests.pipelines.archives import write_archive
 
@@ -91,6 +94,17 @@ def test_the_best_hits_are_the_head_of_more_where_costs_tie(tmp_path: Path, monk
                 for workers in (1, 2):
                     few = rank_store(store, chosen, 0.3, top=top, workers=workers)
                     assert [one.hits for one in few] == [one.hits[:top] for one in whole]
+
+
+def test_the_seconds_of_reading_and_of_ranking_are_apart_and_what_was_not_tried_is_no_number(store: Store):
+    one, other = Searched("c", example(store, "x_c", 10, 40)), Searched("e", example(store, "x_e", 0, 25))
+    both = rank_store(store, [one, other], 0.1, workers=1)
+    assert both[0].reading == both[1].reading > 0
+    assert both[0].ranking / 30 == pytest.approx(both[1].ranking / 25)
+    assert both[0].skipped is not None
+    (alone,) = rank_store(store, [one], 0.1, workers=1)  # too few columns for a bound that pays
+    assert alone.skipped is None
+    assert alone.ranking > 0
 
 
 def test_a_filter_that_selects_nothing_is_said(store: Store):
@@ -213,3 +227,58 @@ def test_takes_without_frames_rank_nothing():
     empty = TakeWords(np.array([1]), np.array([0, 0]), np.empty(0, np.uint64))
     template = QuantisedTemplate(np.ones(3, np.uint64), np.ones(3, np.uint64))
     assert len(rank(template, empty, 0.1)) == 0
+
+
+def test_classes_without_a_query_are_ranked_in_all_frames_and_that_is_said(store: Store, tmp_path: Path):
+    runner = CliRunner()
+    files = []
+    for name in ("asked", "free"):
+        files.append(str(tmp_path / f"{name}.yaml"))
+        made = runner.invoke(
+            app, ["template", "from-clip", str(store.path), "x_c", "10", "40", "--name", name, "-o", files[-1]]
+        )
+        assert made.exit_code == 0, made.output
+    written = runner.invoke(app, ["query", "from-clip", str(store.path), "x_c", "10", "40", "--name", "asked"])
+    assert written.exit_code == 0, written.output
+    queries = tmp_path / "queries.yaml"
+    queries.write_text(written.stdout)
+    options = ["--queries", str(queries), "--format", "csv"]
+    found = runner.invoke(app, ["rank", str(store.path), *files, *options])
+    assert found.exit_code == 0, found.output
+    assert "ranked in all frames: free" in found.stderr
+    assert ",free,1," in found.stdout
+    none = runner.invoke(app, ["rank", str(store.path), files[1], *options])
+    assert none.exit_code == 1
+    assert "has no query for free; its queries are for: asked" in none.stderr
+
+
+def test_wishes_that_exclude_each_other_are_named_and_a_written_file_too(store: Store, tmp_path: Path):
+    runner = CliRunner()
+    both = runner.invoke(app, ["rank", str(store.path), "kick", "--take", "x_c"])
+    assert both.exit_code == 1
+    assert "TEMPLATE and --take exclude each other" in both.stderr
+    file = tmp_path / "hits.csv"
+    stretch = ["--take", "x_c", "--start", "10", "--stop", "40"]
+    written = runner.invoke(app, ["rank", str(store.path), *stretch, "-o", str(file)])
+    assert written.exit_code == 0, written.output
+    assert written.stdout.strip() == str(file)
+    assert file.read_text().count("x_c") > 1
+
+
+def test_a_threshold_too_small_to_count_in_is_refused_by_the_stage():
+    with pytest.raises(ValueError, match=r"0\.000001"):
+        rank_stage.Params(tau=1e-300)
+
+
+def test_a_misspelt_column_is_answered_by_the_right_one(store: Store):
+    with pytest.raises(KinedexError, match="no column 'actr'; did you mean 'actor'"):
+        evaluate_ranking._folds(store, evaluate_ranking.Params(clips="true", leave_out="actr"))
+
+
+def test_all_rows_of_the_stiffness_table_are_about_the_same_classes():
+    def trial(variant: str, label: str, relevant: tuple[bool, ...]) -> Trial:
+        return Trial(variant, None, Judged("takes", "", label, relevant, len(relevant), 0), 1.0)
+
+    trials = [trial(EVERYWHERE, "kick", (True,)), trial(EVERYWHERE, "walk", (False, False)), trial(WRITTEN, "kick", ())]
+    assert list(vary_stiffness._shown(trials).columns[1].cells) == ["1", "1"]
+    assert list(vary_stiffness._shown(trials[:2]).columns[1].cells) == ["2"]

@@ -9,10 +9,10 @@ import pytest
 
 from catalog.templatefiles import NamedTemplate, write_yaml
 from ops.errors import KinedexError
-from ops.templates.templates import quantise
+from ops.templates.templates import Kind, Learned, Template, quantise
 from ops.words import NO_WORD
 from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
-from pipelines.templates.learning import read_templates
+from pipelines.templates.learning import SubclassTemplate, read_templates
 from storage.store import open_store
 from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
 
@@ -129,7 +129,7 @@ def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(li
         "clips with invalid frames in the middle, left out: dan_kick_hole",
         "clips with invalid frames at an end, which are cut off: dan_kick_ends",
     ]
-    assert "warning: clips with invalid frames in the middle, left out: dan_kick_hole: kick" in line.said.getvalue()
+    assert "warning: kick: clips with invalid frames in the middle, left out: dan_kick_hole" in line.said.getvalue()
     with pytest.raises(KinedexError, match=r"subclass kick is left without a clip .*\(dan_kick_hole\)"):
         line.run(learn_templates, where="name = 'dan_kick_hole'")
 
@@ -145,3 +145,12 @@ def test_a_clip_of_another_motion_is_told_from_the_others(line: Line):
     assert "dan_kick_wrong (cost" in remarks
     assert "dan_kick_slow (150 frames)" in remarks
     assert len(summary["warnings"]) == 2  # type: ignore[arg-type]
+
+
+def test_a_warning_of_one_kind_says_which_and_the_class_comes_first():
+    def made(subclass: str, kind: Kind, *remarks: str) -> SubclassTemplate:
+        learned = Learned(Template(np.zeros((2, 40)), np.ones(2)), 1, ())
+        return SubclassTemplate(subclass, kind, learned, ("a",), remarks=remarks)
+
+    templates = [made("kick", "soft", "both", "one"), made("kick", "hard", "both"), made("walk", "soft", "both")]
+    assert learn_templates._warnings(templates) == {"both": ["kick", "walk"], "one": ["kick (soft)"]}
