@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from catalog.classes import Classes, load_classes
 from ops.distances.decoding import explain
-from ops.distances.dtw import best_paths, distance_curves
+from ops.distances.dtw import distance_curves
 from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords, bits
 from pipelines.annotation.annotating import annotate_words
@@ -97,9 +97,25 @@ def best_fit(annotator: Annotator, words: U64, start: int, stop: int, chosen: Se
         return None
     row, place = divmod(int(np.argmin(curves)), curves.shape[1])
     template, end = annotator.templates[chosen[row]], start + place
-    begin = int(best_paths(template, words, np.array([end]))[0][0])
+    begin = begin_of(template, words, end)
     shares = contributions(template, words[begin : end + 1], len(annotator.feature_set.features))
     return Fit(annotator.subclasses[chosen[row]], float(curves[row, place]), begin, end + 1, shares)
+
+
+def begin_of(template: QuantisedTemplate, words: U64, end: int) -> int:
+    """The frame where a best path that ends at a frame begins; of several the last one.
+
+    A range that begins later leaves out paths, so that the distance at the end only grows with where it begins.
+    """
+    low, high = max(0, end - 2 * (len(template) - 1)), end + 1
+    least = distance_curves([template], words, np.array([[low, end + 1]]))[0, end]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if distance_curves([template], words, np.array([[middle, end + 1]]))[0, end] == least:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str:

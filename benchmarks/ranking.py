@@ -17,9 +17,9 @@ from benchmarks.archive import BUILD
 from benchmarks.archive import store as synthetic
 from benchmarks.harness import Figure, calibrate, seconds, show, silent
 from benchmarks.ranking_memory import made_up, searched_classes
-from ops.distances.costs import CodedWords, cost_table, encode, lay_out
+from ops.distances.costs import cost_table, encode, lay_out
 from ops.distances.dtw import distance_curves
-from ops.distances.pruning import bounds_below, coarse_bounds, minima_below, surviving
+from ops.distances.pruning import bounds_below, coarse_bounds, surviving
 from ops.distances.ranking import rank, rank_together
 from ops.distances.sweep import CAP, pieces_of, sweep
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
@@ -81,6 +81,8 @@ def _made_up() -> tuple[QuantisedTemplate, npt.NDArray[np.uint64]]:
 
 
 def _curves() -> list[Figure]:
+    """The sweep in float64, which annotation, calibration and evaluation run, and in float32, which callers of
+    `distance_curves` can ask for and no stage does; rankings sweep bounds in 8 and 16 bits."""
     template, words = _made_up()
     coded, layout = encode(words), lay_out([template])
     pieces = pieces_of(np.array([[0, FRAMES]]), 4096, 2 * (COLUMNS - 1))
@@ -151,7 +153,7 @@ def _archive(store: Store) -> tuple[str, list[str], list[QuantisedTemplate], Tak
 
 
 def _rankings(store: Store) -> list[Figure]:
-    """Hits of all classes below τ together and one by one, and all minima; cells are those of the whole curves.
+    """The best hits of all classes below τ together and one by one, and all hits; cells are those of the whole curves.
 
     Skipped are frames that no sum in 16 bits was computed for. What could be skipped at most, by whatever bound, are
     all but blocks of 8 frames with a distance below τ and the 2(N − 1) frames that lead in to them.
@@ -178,22 +180,15 @@ def _rankings(store: Store) -> list[Figure]:
     found.append(Figure(title, cells, "G cells", together, "one by one", alone_in_all))
     computed = possible = 0
     for template, bound in zip(templates, bounds, strict=True):
-        computed += len(template) * minima_below(template, words.words, TAU, stretches, coded, coarse=bound).computed
+        computed += len(template) * bounds_below(template, coded, TAU, stretches, bound).computed
         exact = bounds_below(template, coded, TAU, stretches).units < CAP
         left = surviving(exact, stretches, 2 * (len(template) - 1))
         possible += len(template) * int((left[:, 2] - left[:, 0]).sum())
-    time = seconds(lambda: _minima(templates, words, coded, thresholds, stretches), 3)
+    time = seconds(lambda: rank_together(templates, words, thresholds, None, coded), 3)
     plain = seconds(lambda: [distance_curves([t], words.words, stretches, np.float32) for t in templates], 1)
     whole = int(columns.sum()) * frames
-    title = f"{archive}, all minima and paths, {_share(whole, computed)} of {_share(whole, possible)} skipped"
+    title = f"{archive}, all hits, {_share(whole, computed)} of {_share(whole, possible)} skipped"
     return [*found, Figure(title, cells, "G cells", time, "float32 curves alone", plain)]
-
-
-def _minima(
-    templates: list[QuantisedTemplate], words: TakeWords, coded: CodedWords, thresholds: F64, stretches: I64
-) -> None:
-    for template, bound in zip(templates, coarse_bounds(templates, coded, thresholds, stretches), strict=True):
-        minima_below(template, words.words, TAU, stretches, coded, coarse=bound)
 
 
 def _share(frames: int, computed: int) -> str:

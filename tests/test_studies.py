@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from benchmarks.bandai import NONE, confusions, draw, summary, winner
-from benchmarks.cross_studio import contributions
+from benchmarks.cross_studio import begin_of, contributions
 from benchmarks.long_archive import METHODS, stages
-from ops.distances.dtw import best_paths
 from ops.templates.templates import QuantisedTemplate
 from pipelines.config import load_pipeline
+from tests.oracles.minima import best_paths
 
 
 def _takes(**counts: int) -> pl.DataFrame:
@@ -66,6 +66,9 @@ def test_what_features_add_is_the_distance(seed: int) -> None:
     starts, distances = best_paths(template, words, ends)
     for start, end, distance in zip(starts, ends, distances, strict=True):
         assert contributions(template, words[start : end + 1], 40).sum() == pytest.approx(distance)
+        begin = begin_of(template, words, int(end))
+        assert begin >= start  # the last of the best paths
+        assert contributions(template, words[begin : end + 1], 40).sum() == pytest.approx(distance)
 
 
 def test_words_that_no_path_fits_are_refused() -> None:

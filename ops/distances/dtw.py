@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import F64, I64, CodedWords, cost_table, encode, lay_out
-from ops.distances.sweep import pieces_of, sweep, trace_paths
+from ops.distances.costs import I64, cost_table, encode, lay_out
+from ops.distances.sweep import pieces_of, sweep
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import U64
@@ -69,89 +69,6 @@ def distance_curves(
         sweep(table, coded.codes, pieces - start, layout.firsts, layout.lasts, curves[:, start:stop])
     curves /= layout.lengths[:, None].astype(dtype)
     return curves
-
-
-def start_frames(template: QuantisedTemplate, words: U64, ends: I64, ranges: I64 | None = None) -> I64:
-    """Return where the best path that ends at each of some frames begins (thesis, 5.2: the frame a_l).
-
-    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1).
-
-    Parameters
-    ----------
-    template, words, ranges: as in `distance_curves`.
-    ends: int64 (E,), ascending frames at which the curve is finite.
-
-    Returns
-    -------
-    int64 (E,).
-
-    Raises
-    ------
-    ParameterError: if an end is outside the words or the ranges, no path ends there, or ends do not ascend.
-    """
-    starts, distances = best_paths(template, words, ends, ranges)
-    if np.any(np.isinf(distances)):
-        raise ParameterError("ends", "frames at which a path ends", np.asarray(ends)[np.isinf(distances)].tolist()[:8])
-    return starts
-
-
-def best_paths(
-    template: QuantisedTemplate,
-    words: U64,
-    ends: I64,
-    ranges: I64 | None = None,
-    limits: F64 | None = None,
-    coded: CodedWords | None = None,
-) -> tuple[I64, F64]:
-    """Return where the best path that ends at each of some frames begins, and its distance.
-
-    A path of N columns that ends at frame l begins at l − 2(N − 1) or later, so a window is enough; ends that
-    lie close together share one.
-
-    Parameters
-    ----------
-    template, words, ranges: as in `distance_curves`.
-    ends: int64 (E,), ascending frames.
-    limits: float64 (E,), what the distances are known not to exceed: dearer cells need not be computed.
-    coded: `encode(words)`, where it is known: then each word's costs are computed once.
-
-    Returns
-    -------
-    int64 (E,), −1 where no path ends; float64 (E,), what `distance_curves` has there.
-
-    Raises
-    ------
-    ParameterError: if an end is outside the words or the ranges, or ends do not ascend.
-    """
-    stretches = check_ranges(ranges, len(words))
-    ends = np.ascontiguousarray(ends, np.int64)
-    if np.any(np.diff(ends) <= 0):
-        raise ParameterError("ends", "ascending", ends.tolist()[:8])
-    home = np.searchsorted(stretches[:, 0], ends, side="right") - 1
-    if len(ends) and (home.min() < 0 or np.any(ends >= stretches[home, 1])):
-        raise ParameterError("ends", "frames within the ranges", ends.tolist()[:8])
-    starts, sums = np.empty(len(ends), np.int64), np.empty(len(ends))
-    if not len(ends):
-        return starts, sums
-    columns = len(template)
-    reach = 2 * (columns - 1)
-    opens = np.maximum(ends - reach, stretches[home, 0])
-    # A window of its own costs 0.75 N² cells; a shared one N for each frame between two ends. One that would grow large
-    # is divided, which costs another window but no path.
-    block = ends // max(reach + 1, _TABLE_CELLS // columns)
-    apart = (np.diff(ends) > 0.75 * columns) | (home[1:] != home[:-1]) | (block[1:] != block[:-1])
-    groups = np.concatenate(([0], np.flatnonzero(apart) + 1, [len(ends)])).astype(np.int64)
-    layout = lay_out([template])
-    most = np.full(len(groups) - 1, np.inf)
-    if limits is not None:
-        most = np.maximum.reduceat(limits, groups[:-1]) * columns * (1 + 1e-9)
-    if coded is None:
-        coded = CodedWords(np.ascontiguousarray(words, np.uint64), np.arange(len(words), dtype=np.int32))
-    trace_paths(
-        coded.vocabulary, coded.codes, layout.values[:columns], layout.parts[:, :columns], layout.worths[:, :columns],
-        layout.counted[:columns], ends, opens, groups, most, starts, sums,
-    )  # fmt: skip
-    return starts, sums / columns
 
 
 def check_ranges(ranges: I64 | None, frames: int) -> I64:

@@ -1,4 +1,9 @@
-"""Exact pruning: the minima of a distance curve below a threshold, without the curve where it provably has none."""
+"""Exact pruning: where a distance curve can have minima below a threshold, without the curve where it has none.
+
+Three bounds, each proven below, keep the work small: whole units and windows (`bounds_below`), and coarse units before
+them (`coarse_bounds`). What they leave is computed in float64 by `ops.distances.ranking`, and over short ranges by
+`ops.distances.within`; that decides, so that hits are those of the whole curve of `ops.distances.dtw.distance_curves`.
+"""
 
 from __future__ import annotations
 
@@ -10,39 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64, PADDING, CodedWords, bound_table, encode, lay_out
-from ops.distances.dtw import best_paths, check_ranges
+from ops.distances.costs import F64, I32, I64, PADDING, CodedWords, bound_table, lay_out
 from ops.distances.sweep import CAP, COARSE_CAP, U8, U16, pieces_of, sweep_bounds, sweep_coarse
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
-from ops.words import U64
 
 _PIECE = 4096  # frames of a stretch that are computed apart from the rest of it
 _BLOCK = 8  # frames that are ruled out together: as many bytes as fit into a word of the machine
 _TABLE_CELLS = 16_000_000  # most bytes of a table of coarse costs; where words are many, fewer templates share a pass
 _WORTHWHILE = 128  # columns from which coarse sums cost less than they save: rows of few are as slow as in 16 bits
 _LONG_ROW = 256  # columns from which a row of 8-bit sums is filled up to a multiple of so many
-
-
-@dataclass(frozen=True)
-class Minima:
-    """Local minima of one template's distance curve below a threshold, by frame.
-
-    ends: int64 (M,), their frames. starts: int64 (M,), the first frame of the best path that ends there. costs: float64
-    (M,), the distances. frames: how many frames the curve has. computed: in how many a bound of it was computed column
-    by column in 16 bits, those that lead in to others included; the rest was skipped.
-    """
-
-    ends: I64
-    starts: I64
-    costs: F64
-    frames: int
-    computed: int
-
-    @property
-    def skipped(self) -> float:
-        """The share of the frames that was skipped."""
-        return max(0.0, 1 - self.computed / self.frames) if self.frames else 0.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +51,8 @@ class Bounds:
 
     units: uint16 (L,), `ops.distances.sweep.CAP` where no path below the threshold ends. unit: what one is worth, as a
     distance. slack: by how many units a minimum may seem to be above its neighbour. spans: int64 (S, 2), ascending
-    stretches outside of which all is `CAP`. frames, computed: as in `Minima`.
+    stretches outside of which all is `CAP`. frames: how many the curve has; computed: in how
+    many the units were computed column by column, those that lead in to others included; the rest was skipped.
     """
 
     units: U16
@@ -78,58 +61,6 @@ class Bounds:
     spans: I64
     frames: int
     computed: int
-
-
-def minima_below(
-    template: QuantisedTemplate,
-    words: U64,
-    threshold: float,
-    ranges: I64 | None = None,
-    coded: CodedWords | None = None,
-    prune: bool = True,
-    coarse: Coarse | None = None,
-) -> Minima:
-    """Find the local minima of a distance curve below a threshold, with the paths that lead to them.
-
-    The result is that of `ops.distances.annotation.local_minima` on the curve of `ops.distances.dtw.distance_curves`
-    in float64, with `start_frames`. Three bounds, each proven below, keep the work small.
-
-    1. *Whole units.* With u = τN / 21845 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
-       costs, each counted once or twice, N counted ones in all; the sum of their whole units is no more than
-       cost / u and more than cost / u − N. Sums that reach 21845 are at τN or above: no hit. So the curve of
-       least whole units, in 16 bits, is a lower bound within N units of the true one (for paths below τ), and
-       a frame can be a minimum only if it is not more than N units above a neighbour. Distances in float64 are
-       computed for these frames and their neighbours alone, and decide.
-    2. *Coarse units.* The same with u = τN / 255 and sums in 8 bits that stop at 255, four times as many of which are
-       added at once. The sum of a path's whole units is no more than cost / u here too, and a sum that has stopped at
-       255 stands for one that is no less: where the least sum is q units, no path costs less than q u, and where
-       it is 255, none is below τ. So a path below any τ' ≤ τ ends only at frames of fewer than τ'N / u units.
-       `coarse_bounds` computes that for many templates side by side, in one pass over the words.
-    3. *Windows.* A path that ends at frame l lies within the 2(N − 1) frames before it. What remains is
-       therefore computed in 16 bits with so many frames before it, and in all else as if these were whole takes.
-
-    Parameters
-    ----------
-    template, words, ranges: as in `ops.distances.dtw.distance_curves`.
-    threshold: τ > 0.
-    coded: `encode(words)`, where several templates share it.
-    prune: False leaves out the coarse bound, to compare.
-    coarse: the coarse bound, where it is known: made for these words and ranges, and for this τ or a greater one.
-
-    Raises
-    ------
-    ParameterError: a threshold that is not above 0, or wrong ranges.
-    """
-    stretches = check_ranges(ranges, len(words))
-    coded = encode(words) if coded is None else coded
-    if prune and coarse is None:
-        coarse = coarse_bound(template, coded, threshold, stretches)
-    bounds = bounds_below(template, coded, threshold, stretches, coarse)
-    candidates, possible = possible_minima(bounds.units, bounds.spans, bounds.slack)
-    limits = (bounds.units[candidates] + (len(template) + 1.0)) * bounds.unit  # see bound 1
-    starts, costs = best_paths(template, words, candidates, stretches, limits, coded)
-    kept = possible & _true_minima(candidates, costs, stretches, threshold)
-    return Minima(candidates[kept], starts[kept], costs[kept], bounds.frames, bounds.computed)
 
 
 def coarse_bound(template: QuantisedTemplate, coded: CodedWords, threshold: float, stretches: I64) -> Coarse | None:
@@ -142,7 +73,13 @@ def coarse_bound(template: QuantisedTemplate, coded: CodedWords, threshold: floa
 def coarse_bounds(
     templates: Sequence[QuantisedTemplate], coded: CodedWords, thresholds: F64, stretches: I64
 ) -> list[Coarse]:
-    """Bound the distance curves of templates from below, all in one pass over the words (bound 2 of `minima_below`).
+    """Bound the distance curves of templates from below, all in one pass over the words.
+
+    *Coarse units.* With u = τN / 255 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
+    costs, each counted once or twice, N counted ones in all, and the sum of their whole units is no more than cost / u.
+    Sums are kept in 8 bits that stop at 255; one that has stopped stands for one that is no less. So where the least
+    sum is q units, no path costs less than q u, and where it is 255, none is below τ: a path below any τ' ≤ τ ends only
+    at frames of fewer than τ'N / u units.
 
     Parameters
     ----------
@@ -185,11 +122,20 @@ def _sweep_together(
 def bounds_below(
     template: QuantisedTemplate, coded: CodedWords, threshold: float, stretches: I64, coarse: Coarse | None = None
 ) -> Bounds:
-    """Bound a distance curve from below, as far as it may be below a threshold (bounds 1 and 3 of `minima_below`).
+    """Bound a distance curve from below, as far as it may be below a threshold.
+
+    *Whole units.* With u = τN / 21845 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
+    costs, each counted once or twice, N counted ones in all; the sum of their whole units is no more than cost / u
+    and more than cost / u − N. Sums that reach 21845 are at τN or above: no hit. So the curve of least whole units, in
+    16 bits, is a lower bound within N units of the true one (for paths below τ), and a frame can be a minimum only
+    if it is not more than N units above a neighbour.
+
+    *Windows.* A path that ends at frame l lies within the 2(N − 1) frames before it. What the coarse bound leaves is
+    therefore computed with so many frames before it, and in all else as if these were whole takes.
 
     Parameters
     ----------
-    coarse: where to look, see `minima_below`; None: everywhere.
+    coarse: where to look, made for these words and ranges and for this τ or a greater one; None: everywhere.
 
     Raises
     ------
@@ -245,16 +191,6 @@ def surviving(below: npt.NDArray[np.bool_], stretches: I64, reach: int) -> I64:
     starts = np.maximum(begins[piece], stretches[home, 0])
     stops = np.minimum(ends[piece], stretches[home, 1])
     return np.stack([np.maximum(starts - reach, stretches[home, 0]), starts, stops], axis=1)
-
-
-def _true_minima(candidates: I64, costs: F64, stretches: I64, threshold: float) -> npt.NDArray[np.bool_]:
-    """Which candidates are minima, with the distances of all frames that could deny it (float64)."""
-    home = np.searchsorted(stretches[:, 0], candidates, side="right")
-    low = costs < threshold - TOLERANCE
-    joined = (np.diff(candidates) == 1) & (np.diff(home) == 0)
-    low[1:] &= ~joined | (costs[1:] <= costs[:-1] + TOLERANCE)
-    low[:-1] &= ~joined | (costs[:-1] <= costs[1:] + TOLERANCE)
-    return low
 
 
 @nb.njit(cache=True, nogil=True)

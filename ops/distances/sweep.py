@@ -202,35 +202,6 @@ def sweep_coarse(table: U8, codes: I32, pieces: I64, firsts: I64, lasts: I64, su
 
 
 @nb.njit(cache=True, nogil=True)
-def trace_paths(
-    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, opens: I64,
-    groups: I64, limits: F64, starts: I64, sums: F64,
-) -> None:  # fmt: skip
-    """Find the best path that ends at each of some frames, in float64 (kernel).
-
-    ends: int64 (E,), ascending frames. opens: int64 (E,), where the window of each begins, 2(N − 1) frames before or
-    where its stretch does. groups: int64 (G + 1,): ends groups[g] to groups[g + 1] − 1 share a window. limits: float64
-    (G,), of no interest are paths of a group that cost more. starts (E,) gets the first frame of each path, −1 where
-    there is none; sums (E,) its cost.
-    """
-    longest = 0
-    for g in range(len(groups) - 1):
-        longest = max(longest, ends[groups[g + 1] - 1] + 1 - opens[groups[g]])
-    grid, costs, row_of, used = workspace(longest, len(values), len(vocabulary))
-    for g in range(len(groups) - 1):
-        own = slice(groups[g], groups[g + 1])
-        begin = opens[groups[g]]
-        sum_group(
-            vocabulary, codes, values, parts, worths, counted, ends[own], begin, limits[g], grid, costs, row_of, used,
-            sums[own],
-        )  # fmt: skip
-        for place in range(groups[g], groups[g + 1]):
-            starts[place] = -1
-            if sums[place] < np.inf:
-                starts[place] = begin + walk_back(grid, costs, row_of, codes[begin:], ends[place] - begin)
-
-
-@nb.njit(cache=True, nogil=True)
 def workspace(frames: int, columns: int, words: int) -> tuple[F64, F64, I32, I64]:
     """Room for the sums of a window and for the costs of words: each word that occurs is one row (kernel).
 
@@ -305,6 +276,8 @@ def sum_group(
 @nb.njit(cache=True, nogil=True)
 def walk_back(grid: F64, costs: F64, row_of: I32, codes: I32, frame: int) -> int:
     """Return the frame where the best path begins that ends in the last column at a frame of the window (kernel).
+
+    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1).
 
     codes: int32, the words from the window's first frame on.
     """

@@ -35,7 +35,7 @@ def minima_within(
 ) -> Matches:
     """Find the local minima of distance curves below a threshold within ranges, with the paths that lead to them.
 
-    They are those of `ops.distances.pruning.minima_below`, to the bit.
+    They are those of the whole curves of `ops.distances.dtw.distance_curves` in float64, to the bit.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def begin_of(table: F64, rows: I32, columns: int, sums: F64, frame: int) -> int:
-    """The frame in which the best path begins that ends at a frame; of equal ones as in `best_paths` (kernel)."""
+    """The frame in which the best path begins that ends at a frame; of equal ones as in `walk_back` (kernel)."""
     n = columns - 1
     while n > 0:
         cost = table[rows[frame], n]

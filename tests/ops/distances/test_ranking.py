@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 from ops.distances import pruning, ranking
 from ops.distances.annotation import local_minima
 from ops.distances.costs import encode
-from ops.distances.dtw import distance_curves, start_frames
-from ops.distances.pruning import coarse_bounds, minima_below
+from ops.distances.dtw import distance_curves
+from ops.distances.pruning import coarse_bounds
 from ops.distances.ranking import Hits, rank, rank_together
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import NO_WORD, TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
+from tests.oracles.minima import minima_below, start_frames
 
 thresholds = st.sampled_from([0.05, 0.1, 0.3, 0.5, 1.0])
 

@@ -14,7 +14,7 @@ from catalog.classes import Classes, MotionClass, load_classes
 from catalog.queries import Gap, Keyframe, KeyframeQuery
 from ops.distances.annotation import local_minima
 from ops.distances.decoding import background
-from ops.distances.dtw import distance_curves, start_frames
+from ops.distances.dtw import distance_curves
 from ops.errors import KinedexError
 from ops.templates.templates import Learned, Template, learn_soft
 from ops.words import TakeWords
@@ -25,6 +25,7 @@ from pipelines.searching.search import preselect
 from pipelines.searching.windows import template_ranges
 from pipelines.templates.learning import SubclassTemplate
 from tests.oracles import annotation as naive
+from tests.oracles.minima import start_frames
 from tests.pipelines.labelled import BODY, POSES, motion
 
 
