@@ -15,7 +15,8 @@ import pyarrow as pa
 
 from catalog.queries import KeyframeQuery
 from ops.distances.costs import I64, encode
-from ops.distances.ranking import KEYS, Hits, rank, rank_together
+from ops.distances.ranking import Hits, rank, rank_together
+from ops.distances.taking import KEYS
 from ops.errors import KinedexError
 from ops.search.preselection import TakeRanges
 from ops.templates.templates import QuantisedTemplate, quantise

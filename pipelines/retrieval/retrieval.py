@@ -14,7 +14,7 @@ from rich.table import Table
 
 from catalog.classes import OWN, load_classes
 from ops.distances.dtw import distance_curves
-from ops.distances.ranking import KEYS
+from ops.distances.taking import KEYS
 from ops.measures.retrieval import average_precision
 from ops.templates.templates import QuantisedTemplate
 from ops.words import TakeWords
