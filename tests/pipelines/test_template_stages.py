@@ -48,7 +48,7 @@ def test_templates_do_not_depend_on_the_executor(line: Line, monkeypatch: pytest
 
 def test_a_single_clip_is_used_and_said_and_no_clip_at_all_is_explained(line: Line):
     line.run(learn_templates, where="name LIKE '%003'", methods=["soft"])
-    assert "one clip only, which then is the template: kick, walk, wave" in line.said.getvalue()
+    assert "kick, walk, wave: one clip only, which then is the template" in line.said.getvalue()
     with pytest.raises(KinedexError, match=r"`actor = 'eve'` selects none of the 11 takes, 9 of which have a class"):
         line.run(learn_templates, where="actor = 'eve'")
     with pytest.raises(KinedexError, match=r"2 takes to learn from that have no class, such as bob_take01"):
