@@ -157,20 +157,24 @@ class Store:
             raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
         return read_frames(self.path, self.manifest, take_id, start, end)
 
-    def result(self, kind: str, run: str | None = None, pipeline: str | None = None) -> pa.Table:
+    def result(
+        self, kind: str, run: str | None = None, pipeline: str | None = None, stage: str | None = None
+    ) -> pa.Table:
         """The rows of one kind of result of the live runs; with the right columns where there are none.
 
         Parameters
         ----------
         kind: one of `storage.schemas.RESULT_KINDS`.
         run: only the rows of this run.
-        pipeline: only the rows that stages of this pipeline wrote.
+        pipeline: only the rows that stages of this pipeline wrote. stage: only those of this one, "<pipeline>/<stage>".
         """
         schema = result_schema(kind)
         tables = [
             _read_part(part_file(self.path, part.path), schema)
             for part in self.manifest.results.get(kind, ())
-            if (run is None or part.run == run) and (pipeline is None or part.stage.startswith(f"{pipeline}/"))
+            if (run is None or part.run == run)
+            and (pipeline is None or part.stage.startswith(f"{pipeline}/"))
+            and (stage is None or part.stage == stage)
         ]
         return pa.concat_tables(tables) if tables else schema.empty_table()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,6 +37,11 @@ ClassOption = Annotated[
     list[str] | None, typer.Option("--class", "-c", metavar="CLASS", help="only this one; may be repeated")
 ]
 
+PipelineOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="the pipeline that learned them, or pipeline/stage; the newest unless given"),
+]
+
 
 def learn(
     store: StorePath,
@@ -48,26 +54,36 @@ def learn(
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
 ) -> None:
-    """Learn a keyframe query for each class of a store; finished runs are never lost."""
+    """Learn a keyframe query for each class of a store; an interruption loses 20 seconds of finished runs at most."""
     from storage.store import open_store
 
     open_store(store)
     run_to_the_end(pipeline, store, assignments_of(assign), executor, workers, scheduler, force)
 
 
-def show(store: StorePath, name: ClassOption = None, form: Format = "table", output: Output = None) -> None:
-    """Show learned queries: how well they tell the training clips apart, and what they ask for."""
+def show(
+    store: StorePath,
+    name: ClassOption = None,
+    pipeline: PipelineOption = None,
+    form: Format = "table",
+    output: Output = None,
+) -> None:
+    """Show learned queries: how well they tell the training clips apart, and what they ask for.
+
+    Precision and recall are those of all queries of a class together, so they stand on its first row only.
+    """
     from pipelines.keyframes.tables import overview
     from storage.store import open_store
 
     opened = open_store(store)
-    outcomes = _outcomes(opened, name)
-    show_table(overview(outcomes, opened.feature_set), form, output)
+    outcomes, taken = _outcomes(opened, name, pipeline)
+    show_table(overview(outcomes, opened.feature_set, taken), form, output)
 
 
 def export(
     store: StorePath,
     name: ClassOption = None,
+    pipeline: PipelineOption = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="file to write (.yaml); the terminal unless given")
     ] = None,
@@ -78,8 +94,13 @@ def export(
     from storage.disk import writing
     from storage.store import open_store
 
+    if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
+        raise KinedexError(f"--output {output}: query files end in .yaml, or they cannot be searched with")
+    if output is not None and not output.parent.is_dir():
+        raise KinedexError(f"--output {output}: there is no directory {output.parent}; make it first")
     opened = open_store(store)
-    queries = [query for one in _outcomes(opened, name) for query in keyframe_queries(one, opened.feature_set)]
+    outcomes, taken = _outcomes(opened, name, pipeline)
+    queries = [query for one in outcomes for query in keyframe_queries(one, opened.feature_set, taken)]
     text = write_queries(queries, opened.feature_set)
     if output is None:
         print(text, end="")
@@ -89,16 +110,34 @@ def export(
     make_console().print(f"{len(queries)} queries written to {output}", markup=False)
 
 
-def _outcomes(store: Store, names: list[str] | None) -> list[Outcome]:
+def _outcomes(store: Store, names: list[str] | None, pipeline: str | None) -> tuple[list[Outcome], set[str]]:
+    """The outcomes asked for, each once, and the names of all classes that were learned with them."""
     from pipelines.keyframes.runs import outcomes_of
 
-    found = {one.subclass: one for one in outcomes_of(store.result("queries"))}
-    if not found:
-        raise KinedexError(f"{store.path} has no learned queries; learn some: kinedex keyframes learn {store.path}")
+    stage = _stage(store, pipeline)
+    found = {one.subclass: one for one in outcomes_of(store.result("queries", stage=stage))}
     for name in names or ():
         if name not in found:
-            raise KinedexError(f"no query was learned for '{name}'{did_you_mean(name, found)}")
-    return [found[name] for name in names] if names else list(found.values())
+            raise KinedexError(f"no query was learned for '{name}' by {stage}{did_you_mean(name, found)}")
+    return [found[name] for name in dict.fromkeys(names or found)], set(found)
+
+
+def _stage(store: Store, pipeline: str | None) -> str:
+    """Which stage's queries are meant, "<pipeline>/<stage>": the newest ones unless said; where there are several, it
+    is said which these are."""
+    # what was written last stands last
+    stages = [part.stage for part in store.manifest.results.get("queries", ())]
+    if not stages:
+        raise KinedexError(f"{store.path} has no learned queries; learn some: kinedex keyframes learn {store.path}")
+    fitting = [one for one in stages if pipeline is None or pipeline in (one, one.partition("/")[0])]
+    if not fitting:
+        assert pipeline is not None
+        there = ", ".join(dict.fromkeys(one.partition("/")[0] for one in stages))
+        raise KinedexError(f"--pipeline {pipeline}: no queries were learned by it; there are those of {there}")
+    if len(fitting) > 1:
+        others = ", ".join(fitting[:-1])
+        print(f"queries of {fitting[-1]}, the newest; --pipeline shows others: {others}", file=sys.stderr)
+    return fitting[-1]
 
 
 for _function in (learn, show, export):

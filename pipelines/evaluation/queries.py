@@ -11,8 +11,8 @@ from catalog.queries import KeyframeQuery
 from ops.errors import KinedexError
 from pipelines.context import StageContext
 from pipelines.evaluation.exams import Fold
-from pipelines.keyframes.learning import Outcome, keyframe_queries, lessons
-from pipelines.keyframes.runs import Course, known_runs, learn, runs_table
+from pipelines.keyframes.learning import Outcome, every_query, lessons
+from pipelines.keyframes.runs import Course, known_runs, learn, runs_of, runs_table
 from pipelines.stages import learn_keyframes
 
 
@@ -43,7 +43,7 @@ class QueryLearner:
         finished: list[Course] = []
 
         def save(courses: list[Course]) -> None:
-            table = runs_table(_distinct([*finished, *courses]), context.run)
+            table = runs_table(runs_of(_distinct([*finished, *courses])), context.run)
             with context.writer() as writer:
                 writer.put_results("keyframe_runs", table, stage=context.key(), run=context.run)
                 writer.commit()
@@ -60,18 +60,14 @@ class QueryLearner:
                     )
                 courses = learn(wanted, setting, rounds, context.executor, known, save, progress.advance)
                 finished += courses
-                known += [(course.key, number, run) for course in courses for number, run in course.runs.items()]
+                known += runs_of(courses)
                 self._outcomes[fold.split, fold.name] = [course.outcomes[-1] for course in courses]
         save([])
 
     def queries(self, fold: Fold) -> list[KeyframeQuery]:
         """The queries of a fold."""
         feature_set = self._context.feature_set
-        return [
-            query
-            for outcome in self._outcomes[fold.split, fold.name]
-            for query in keyframe_queries(outcome, feature_set)
-        ]
+        return every_query(self._outcomes[fold.split, fold.name], feature_set)
 
 
 def _distinct(courses: Sequence[Course]) -> list[Course]:

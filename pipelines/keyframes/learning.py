@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import count, pairwise
+from pathlib import Path
 from typing import Literal
 from zlib import crc32
 
@@ -16,13 +17,17 @@ from catalog.classes import Classes
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from ops.errors import KinedexError
+from ops.learning import breeding, fitness, genetics, greedy
+from ops.learning import lessons as learned_from
 from ops.learning.consensus import AtLeast, Consensus, consent
 from ops.learning.fitness import Query, training_frames
 from ops.learning.genetics import evolve, random_search
 from ops.learning.greedy import forward_selection
 from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
+from ops.templates import templates as template_code
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import U64
+from pipelines.digests import files_digest
 from pipelines.keyframes.margins import Margins, clips_hit, margins_of
 from pipelines.templates.learning import TrainingClips
 
@@ -63,16 +68,35 @@ class Lesson:
         return f"the keyframe query of {self.subclass}"
 
     def key(self, setting: Setting) -> str:
-        """A hash of all that a run follows from except its number: runs of the same key need not be run again."""
+        """All that a run follows from except its number, hashed: runs of the same key need not be run again.
+
+        It begins with that of the clips (`clips_key`), and a hyphen.
+        """
         same = replace(
             setting, margins="learned", alternatives=0, at_least="median", reach=0.0
         )  # what they say is about finished runs
-        hasher = hashlib.sha256(repr((self.subclass, sorted(asdict(same).items(), key=str))).encode())
-        for group in (self.positives, self.negatives, self.background):
-            hasher.update(len(group).to_bytes(8, "little"))
-            for words in group:
-                hasher.update(len(words).to_bytes(8, "little") + np.ascontiguousarray(words).tobytes())
-        return hasher.hexdigest()[:16]
+        text = repr(sorted(asdict(same).items(), key=str))
+        return f"{self.clips_key()}-{_digest(text, self.background)}"
+
+    def clips_key(self) -> str:
+        """A hash of the subclass, its clips, those of other classes, and the code that learns from them."""
+        return _digest(repr((self.subclass, _code())), self.positives, self.negatives)
+
+
+def _digest(text: str, *groups: Sequence[U64]) -> str:
+    hasher = hashlib.sha256(text.encode())
+    for group in groups:
+        hasher.update(len(group).to_bytes(8, "little"))
+        for words in group:
+            hasher.update(len(words).to_bytes(8, "little") + np.ascontiguousarray(words).tobytes())
+    return hasher.hexdigest()[:16]
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """A hash of the sources that a run follows from: what older code has run is not what today's would find."""
+    modules = (breeding, fitness, genetics, greedy, learned_from, template_code)
+    return files_digest([Path(str(module.__file__)) for module in modules])
 
 
 @dataclass(frozen=True)
@@ -253,10 +277,20 @@ def _queries(found: Consensus, runs: Sequence[Run], alternatives: int) -> list[Q
     return queries
 
 
-def keyframe_queries(outcome: Outcome, feature_set: FeatureSet) -> list[KeyframeQuery]:
-    """The chosen queries as people write them: named after the subclass, keyframes divided into feature sets."""
+def every_query(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> list[KeyframeQuery]:
+    """The chosen queries of all outcomes; no two have the same name."""
+    taken = {one.subclass for one in outcomes}
+    return [query for one in outcomes for query in keyframe_queries(one, feature_set, taken)]
+
+
+def keyframe_queries(outcome: Outcome, feature_set: FeatureSet, taken: Collection[str] = ()) -> list[KeyframeQuery]:
+    """The chosen queries as people write them: named after the subclass, keyframes divided into feature sets.
+
+    taken: names of all subclasses; the second query of "walk" is "walk 2", unless a subclass has that name.
+    """
     result = []
-    for number, one in enumerate(outcome.chosen, 1):
+    free = (name for number in count(2) if (name := f"{outcome.subclass} {number}") not in taken)
+    for one in outcome.chosen:
         keyframes: list[Keyframe] = []
         gaps: list[Gap] = []
         positions: list[int] = []
@@ -267,7 +301,7 @@ def keyframe_queries(outcome: Outcome, feature_set: FeatureSet) -> list[Keyframe
             gaps += [SAME_FRAME] * (len(parts) - 1)
             keyframes += parts
             positions += [int(one.query.positions[k])] * len(parts)
-        name = outcome.subclass if number == 1 else f"{outcome.subclass} {number}"
+        name = next(free) if result else outcome.subclass
         made = KeyframeQuery(name, outcome.subclass, tuple(keyframes), tuple(gaps), tuple(positions))
         result.append(replace(made, margins=(one.left, one.right)))
     return result

@@ -20,6 +20,16 @@ SAVE_SECONDS = 20.0
 """How long runs may be finished without being stored."""
 
 
+@dataclass(frozen=True)
+class Known:
+    """A finished run: its lesson's key, its subclass, its number, and what it found."""
+
+    key: str
+    subclass: str
+    number: int
+    run: Run
+
+
 @dataclass
 class Course:
     """A lesson on its way: its finished runs by number, what became of them, and whether more are wanted."""
@@ -29,6 +39,12 @@ class Course:
     runs: dict[int, Run] = field(default_factory=dict)
     outcomes: list[Outcome] = field(default_factory=list)
     settled: bool = False
+
+    @property
+    def used(self) -> dict[int, Run]:
+        """The runs that the outcome follows from; a course may know more, of a time when more were asked for."""
+        wanted = self.outcomes[-1].runs if self.outcomes else 0
+        return {number: run for number, run in sorted(self.runs.items()) if number < wanted}
 
 
 @dataclass(frozen=True)
@@ -47,7 +63,7 @@ def learn(
     setting: Setting,
     rounds: Rounds,
     executor: Executor,
-    known: Sequence[tuple[str, int, Run]] = (),
+    known: Sequence[Known] = (),
     save: Callable[[list[Course]], None] | None = None,
     advance: Callable[[int], None] | None = None,
 ) -> list[Course]:
@@ -55,14 +71,15 @@ def learn(
 
     Parameters
     ----------
-    known: runs that were finished before, by their lesson's key and their number. save: keeps finished runs; called
-    every `SAVE_SECONDS` and after each round. advance: is told how many runs are done, or not wanted any more.
+    known: runs that were finished before; those of these lessons and this setting are not done again. save: keeps
+    finished runs; called every `SAVE_SECONDS` and after each round. advance: is told how many runs are done, or not
+    wanted any more.
     """
     courses = [Course(lesson, lesson.key(setting)) for lesson in lessons]
     by_key = {course.key: course for course in courses}
-    for key, number, run in known:
-        if key in by_key and number < rounds.runs:
-            by_key[key].runs[number] = run
+    for one in known:
+        if one.key in by_key:
+            by_key[one.key].runs[one.number] = one.run
     for begin in range(0, rounds.runs, rounds.group):
         numbers = range(begin, min(begin + rounds.group, rounds.runs))
         active = [course for course in courses if not course.settled]
@@ -117,33 +134,41 @@ def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:
 # ---- tables ----------------------------------------------------------------------------------------------
 
 
-def runs_table(courses: Sequence[Course], run: str) -> pa.Table:
-    """Finished runs as results of the kind `keyframe_runs`; those that the outcome did not need are among them."""
+def runs_of(courses: Sequence[Course]) -> list[Known]:
+    """All finished runs of courses; those that the outcome did not need are among them."""
+    return [
+        Known(course.key, course.lesson.subclass, number, run)
+        for course in courses
+        for number, run in sorted(course.runs.items())
+    ]
+
+
+def runs_table(runs: Sequence[Known], run: str) -> pa.Table:
+    """Finished runs as results of the kind `keyframe_runs`."""
     rows = [
         {
             "run": run,
-            "key": course.key,
-            "subclass": course.lesson.subclass,
-            "number": number,
-            "fitness": one.fitness,
-            "rank": one.rank,
-            "evaluated": one.evaluated,
-            **_query_columns(one.query),
-            "history": one.history.ravel().tolist(),
+            "key": one.key,
+            "subclass": one.subclass,
+            "number": one.number,
+            "fitness": one.run.fitness,
+            "rank": one.run.rank,
+            "evaluated": one.run.evaluated,
+            **_query_columns(one.run.query),
+            "history": one.run.history.ravel().tolist(),
         }
-        for course in courses
-        for number, one in sorted(course.runs.items())
+        for one in runs
     ]
     return pa.Table.from_pylist(rows, schema=result_schema("keyframe_runs"))
 
 
-def known_runs(table: pa.Table) -> list[tuple[str, int, Run]]:
+def known_runs(table: pa.Table) -> list[Known]:
     """Read runs back."""
     found = []
     for row in table.to_pylist():
         history = np.array(row["history"], np.float64).reshape(-1, 4)
         run = Run(_query_of(row), row["fitness"], row["rank"], history, row["evaluated"])
-        found.append((row["key"], row["number"], run))
+        found.append(Known(row["key"], row["subclass"], row["number"], run))
     return found
 
 

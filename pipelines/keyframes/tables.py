@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import pyarrow as pa
 
@@ -24,19 +24,23 @@ _OVERVIEW = pa.schema(
 )
 
 
-def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> pa.Table:
-    """One row for each query: where it comes from, precision and recall on the training clips, what it asks for."""
+def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
+    """One row for each query: where it comes from, what it asks for, and how well a class's queries do.
+
+    Precision and recall are those of all queries of a class together, on the training clips; they stand on its first
+    row only. taken: see `keyframe_queries`.
+    """
     rows = []
     for outcome in outcomes:
-        for number, query in enumerate(keyframe_queries(outcome, feature_set)):
+        for number, query in enumerate(keyframe_queries(outcome, feature_set, taken)):
             assert query.margins is not None
             rows.append(
                 {
                     "query": query.name,
                     "origin": outcome.consensus.origin if number == 0 else "run",
                     "runs": outcome.runs,
-                    "precision": round(outcome.precision, 3),
-                    "recall": round(outcome.recall, 3),
+                    "precision": round(outcome.precision, 3) if number == 0 else None,
+                    "recall": round(outcome.recall, 3) if number == 0 else None,
                     "fitness": round(outcome.consensus.fitness, 3) if number == 0 else None,
                     "keyframes": sentence(query, feature_set),
                     "margins": f"{query.margins[0]} {query.margins[1]}",

@@ -28,7 +28,7 @@ from pipelines.annotation.kept import fingerprints, kept_annotations, setting_di
 from pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.keyframes.learning import keyframe_queries
+from pipelines.keyframes.learning import every_query
 from pipelines.keyframes.runs import outcomes_of
 from pipelines.stages import learn_templates as learning
 from pipelines.templates.learning import Kind, SubclassTemplate, TrainingClips, learn_templates, read_templates, run_of
@@ -270,7 +270,7 @@ def learned_queries(context: StageContext, store: Store) -> list[KeyframeQuery]:
     if "keyframes" not in context.inputs:
         return []
     table = store.result("queries", run=run_of(store, context.key(context.inputs["keyframes"])))
-    return [query for outcome in outcomes_of(table) for query in keyframe_queries(outcome, store.feature_set)]
+    return every_query(outcomes_of(table), store.feature_set)
 
 
 def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,9 +13,10 @@ from ops.learning.lessons import Evolution, InitialGaps
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.keyframes.background import mine
+from pipelines.keyframes.keeping import KeptRuns
 from pipelines.keyframes.learning import Learner, Lesson, Setting, allowed_features, lessons
 from pipelines.keyframes.margins import Margins
-from pipelines.keyframes.runs import Course, Rounds, known_runs, learn, queries_table, runs_table
+from pipelines.keyframes.runs import Course, Rounds, learn, queries_table
 from pipelines.report.keyframes import keyframes_page
 from pipelines.report.write import write_page
 from pipelines.templates.learning import training_clips, training_takes
@@ -126,36 +125,35 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     if bare:
         raise KinedexError(f"no clip is of another class than {few(bare)}, so there is nothing to tell it from")
     setting, rounds = setting_of(params, store), params.rounds()
-    known = known_runs(store.result("keyframe_runs", pipeline=context.pipeline))
+    kept = KeptRuns(context, wanted)
+    before = {(one.key, one.number) for one in kept.known()}
     if params.background is not None:
-        wanted = _with_background(context, store, wanted, setting, rounds, params)
+        wanted = _with_background(context, store, wanted, setting, rounds, params, kept)
     with context.progress("runs", rounds.runs * len(wanted)) as progress:
-        courses = learn(wanted, setting, rounds, context.executor, known, _saver(context), progress.advance)
+        courses = learn(wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance)
+    known = sum((course.key, number) in before for course in courses for number in course.used)
     with context.writer() as writer:
-        writer.put_results("keyframe_runs", runs_table(courses, context.run), stage=context.key(), run=context.run)
+        writer.put_results("keyframe_runs", kept.table(courses), stage=context.key(), run=context.run)
         writer.put_results("queries", queries_table(courses, context.run), stage=context.key(), run=context.run)
         writer.commit()
     path = context.report_file("keyframes.html")
     outcomes = [course.outcomes[-1] for course in courses]
-    finished = {course.lesson.subclass: list(course.runs.values()) for course in courses}
+    finished = {course.lesson.subclass: list(course.used.values()) for course in courses}
     title = "Keyframe queries learned from clips"
     write_page(keyframes_page(title, outcomes, finished, store.feature_set, store.rate_hz), path)
     context.say(f"report: {path.resolve()}")
     file = path.relative_to(context.store_path).as_posix()
-    return {**_summary(context, courses, takes, params.at_least, known=len(known)), "files": [file]}
-
-
-def _saver(context: StageContext) -> Callable[[list[Course]], None]:
-    def save(courses: list[Course]) -> None:
-        with context.writer() as writer:
-            writer.put_results("keyframe_runs", runs_table(courses, context.run), stage=context.key(), run=context.run)
-            writer.commit()
-
-    return save
+    return {**_summary(context, courses, takes, params.at_least, known), "files": [file]}
 
 
 def _with_background(
-    context: StageContext, store: Store, wanted: list[Lesson], setting: Setting, rounds: Rounds, params: Params
+    context: StageContext,
+    store: Store,
+    wanted: list[Lesson],
+    setting: Setting,
+    rounds: Rounds,
+    params: Params,
+    kept: KeptRuns,
 ) -> list[Lesson]:
     """Learn once without, and make what the queries find in the background further negatives."""
     assert params.background is not None
@@ -164,7 +162,9 @@ def _with_background(
         raise KinedexError(f"no take is background: the filter `{params.background}` selects none")
     words = store.words(takes["take_id"].to_list())
     first = Rounds(min(rounds.runs, rounds.group), rounds.group, 1, 0.0)
-    outcomes = [course.outcomes[-1] for course in learn(wanted, setting, first, context.executor)]
+    with context.progress("runs without background", first.runs * len(wanted)) as progress:
+        courses = learn(wanted, setting, first, context.executor, kept.known(), kept.save, progress.advance)
+    outcomes = [course.outcomes[-1] for course in courses]
     mined = [
         mine(lesson, outcome, words, setting.features, params.background_clips)
         for lesson, outcome in zip(wanted, outcomes, strict=True)
@@ -184,12 +184,12 @@ def _summary(
     lost = [one.subclass for one in outcomes if one.recall < 1.0]
     if lost:
         context.say(f"not every training clip is found: {few(lost)}")
-    done = sum(len(course.runs) for course in courses)
+    done = sum(len(course.used) for course in courses)
     settled = sum(course.settled for course in courses)
     queries = sum(len(one.chosen) for one in outcomes)
     context.say(
         f"{queries} queries of {len(courses)} subclasses from {takes.height} clips; {done} runs"
-        + (f", {known} of them known" if known else "")
+        + (f", {known} of them known from before" if known else "")
         + (f"; {settled} subclasses settled early" if settled else "")
     )
     return {

@@ -73,6 +73,8 @@ class Line:
         "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
     }
 
+    PIPELINE = "test"
+
     def __init__(self, store: Path, executor: str = "serial") -> None:
         self.store = store
         self.executor = make_executor(executor, 2)
@@ -83,7 +85,7 @@ class Line:
         return StageContext(
             store_path=self.store,
             feature_set=BODY,
-            pipeline="test",
+            pipeline=self.PIPELINE,
             stage=stage,
             run=f"run-{stage}",
             executor=self.executor,
@@ -98,7 +100,9 @@ class Line:
         self.params[stage] = module.Params(**params)
         context = self.context(stage)
         summary: dict[str, object] = module.run(context, self.params[stage])
-        record = StageRecord(f"test/{stage}", "", context.run, "now", 0.0, {**summary, "inputs": self.INPUTS[stage]})
+        record = StageRecord(
+            f"{self.PIPELINE}/{stage}", "", context.run, "now", 0.0, {**summary, "inputs": self.INPUTS[stage]}
+        )
         with StoreWriter.open(self.store, BODY) as writer:
             writer.record_stage(record)
             writer.commit()

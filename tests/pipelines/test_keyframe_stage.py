@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,9 +15,10 @@ from catalog.querywriting import write_queries
 from ops.errors import KinedexError
 from ops.words import TakeWords
 from pipelines.cli import app
+from pipelines.keyframes import learning
 from pipelines.keyframes import runs as keyframe_runs
 from pipelines.keyframes.background import mine
-from pipelines.keyframes.learning import allowed_features, keyframe_queries
+from pipelines.keyframes.learning import allowed_features, every_query, keyframe_queries
 from pipelines.keyframes.margins import hit_ranges
 from pipelines.keyframes.runs import known_runs, outcomes_of
 from pipelines.searching.search import preselect
@@ -117,7 +119,7 @@ def test_the_same_is_learned_by_any_number_of_workers(store: Path) -> None:
     several.run(learn_keyframes, **QUICK)
     several.executor.close()
     assert [one.consensus.query.key() for one in several.outcomes()] == [one.consensus.query.key() for one in expected]
-    assert [(key, number) for key, number, _ in several.runs()] == [(key, number) for key, number, _ in runs]
+    assert [(one.key, one.number) for one in several.runs()] == [(one.key, one.number) for one in runs]
 
 
 def test_runs_that_were_finished_are_not_done_again(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,5 +227,80 @@ def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) 
     path = tmp_path / "learned.yaml"
     assert runner.invoke(app, ["keyframes", "export", str(store), "-c", "kick", "-o", str(path)]).exit_code == 0
     assert {query.target for query in parse_queries(path.read_text(), BODY)} == {"kick"}
+    twice = runner.invoke(app, ["keyframes", "export", str(store), "-c", "kick", "-c", "kick", "-o", str(path)])
+    assert twice.exit_code == 0
+    assert {query.target for query in parse_queries(path.read_text(), BODY)} == {"kick"}
     wrong = runner.invoke(app, ["keyframes", "export", str(store), "-c", "kik"])
     assert wrong.exit_code == 1
+    assert "did you mean 'kick'" in wrong.output
+    for target, reason in ((tmp_path / "x.txt", "end in .yaml"), (tmp_path / "no" / "x.yaml", "no directory")):
+        refused = runner.invoke(app, ["keyframes", "export", str(store), "-o", str(target)])
+        assert refused.exit_code == 1
+        assert reason in refused.output
+
+
+def test_queries_of_several_pipelines_are_kept_apart(store: Path) -> None:
+    Learning(store).run(learn_keyframes, **QUICK)
+    other = Learning(store)
+    other.PIPELINE = "other"
+    other.run(learn_keyframes, **QUICK, alternatives=2, where="class IN ('walk', 'kick')")
+    runner = CliRunner()
+    newest = runner.invoke(app, ["keyframes", "show", str(store), "--format", "csv"])
+    assert sorted(line.split(",")[0] for line in newest.stdout.splitlines()[1:]) == ["kick", "kick 2", "walk", "walk 2"]
+    assert "queries of other/learn_keyframes" in newest.stderr
+    named = runner.invoke(app, ["keyframes", "export", str(store), "--pipeline", "test"])
+    assert [query.name for query in parse_queries(named.stdout, BODY)] == sorted(POSES)
+    unknown = runner.invoke(app, ["keyframes", "show", str(store), "--pipeline", "keyframe"])
+    assert unknown.exit_code == 1
+    assert "test, other" in unknown.stderr
+
+
+def test_no_query_is_named_as_another_class(store: Path) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK, alternatives=2)
+    kick, walk = (next(one for one in line.outcomes() if one.subclass == name) for name in ("kick", "walk"))
+    queries = every_query([kick, replace(walk, subclass="kick 2")], BODY)
+    assert [query.name for query in queries] == ["kick", "kick 3", "kick 2", "kick 2 2"]
+    assert list(parse_queries(write_queries(queries, BODY), BODY)) == queries
+
+
+def test_runs_of_other_settings_and_beyond_those_asked_for_are_kept(store: Path) -> None:
+    line = Learning(store)
+    more = {**QUICK, "settled": 0, "patience": 5}
+    line.run(learn_keyframes, **more)
+    everything = {(one.key, one.number) for one in line.runs()}
+    assert len(everything) == 24
+    summary = line.run(learn_keyframes, **{**more, "runs": 4})
+    assert summary["runs"] == 16
+    assert {(one.key, one.number) for one in line.runs()} == everything
+    assert "16 of them known" in line.said.getvalue()
+    line.run(learn_keyframes, **more, seed=1)
+    assert "known" not in line.said.getvalue().rsplit("subclasses from", 1)[1]
+    assert {(one.key, one.number) for one in line.runs()} > everything
+    assert len(line.runs()) == 48
+    line.run(learn_keyframes, **more)
+    assert "24 of them known" in line.said.getvalue()
+    # other clips: nothing could use these runs
+    line.run(learn_keyframes, **more, where="class IN ('walk', 'kick')")
+    assert len(line.runs()) == 12
+
+
+def test_the_round_without_background_is_kept_too(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[tuple[str, int]] = []
+    original = keyframe_runs.do_runs
+    monkeypatch.setattr(keyframe_runs, "do_runs", lambda task: done.extend(
+        (task.lesson.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK, background="class IS NULL")
+    assert len(done) == len(line.runs())
+    first = len(done)
+    line.run(learn_keyframes, **QUICK, background="class IS NULL")
+    assert len(done) == first
+
+
+def test_runs_of_other_code_do_not_count(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK)
+    monkeypatch.setattr(learning, "_code", lambda: "other")
+    line.run(learn_keyframes, **QUICK)
+    assert "known" not in line.said.getvalue()
