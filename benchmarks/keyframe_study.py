@@ -170,7 +170,9 @@ def _learned(study: Study, clips: Sequence[TrainingClips], params: Params) -> li
     if study.background is not None:
         words = study.store.words(study.store.takes(study.background)["take_id"].to_list())
         pairs = zip(wanted, outcomes, strict=True)
-        wanted = [mine(lesson, outcome, words, setting.features, params.background_clips) for lesson, outcome in pairs]
+        wanted = [
+            mine(lesson, outcome, words, setting.features, params.background_clips)[0] for lesson, outcome in pairs
+        ]
         outcomes = [course.outcomes[-1] for course in learn(wanted, setting, rounds, study.executor)]
     return outcomes
 

@@ -44,8 +44,9 @@ class Columns(NamedTuple):
 
 
 class Breeding(NamedTuple):
-    """The numbers of the operators; see `ops.learning.genetics.Evolution`. centre: of initial gaps, 1 for the spacing
-    itself."""
+    """The numbers of the operators; see `ops.learning.lessons.Evolution`. centre: of initial gaps, 1 for the spacing
+    itself. keyframe_odds, entry_odds: how likely a mutation of keyframes and one of entries is; else it is one of gaps.
+    """
 
     mean: float
     deviation: float
@@ -54,6 +55,8 @@ class Breeding(NamedTuple):
     centre: float
     gap_step: float
     open_share: float
+    keyframe_odds: float = 1 / 3
+    entry_odds: float = 1 / 3
 
 
 def room_for_people(rows: int, most: int) -> People:
@@ -170,14 +173,14 @@ def _insert(people, row, mask, value, position):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def mutate(rng, people, row, columns, breeding):  # type: ignore[no-untyped-def]
-    """Apply one of the mutations of Figure 4.1 (b), each as likely as the others."""
-    kind = int(rng.random() * 3)
+    """Apply one of the mutations of Figure 4.1 (b); adding and removing are as likely, so are fixing and opening."""
+    kind = rng.random()
     first = rng.random() < 0.5
-    if kind == 0 and first:
+    if kind < breeding.keyframe_odds and first:
         _add_keyframe(rng, people, row, columns, breeding)
-    elif kind == 0:
+    elif kind < breeding.keyframe_odds:
         _remove_keyframe(rng, people, row, breeding.least)
-    elif kind == 1:
+    elif kind < breeding.keyframe_odds + breeding.entry_odds:
         _change_entries(rng, people, row, columns.allowed, first, breeding.open_share)
     else:
         change_gaps(rng, people, row, breeding.gap_step)

@@ -20,7 +20,8 @@ F64 = npt.NDArray[np.float64]
 AtLeast = Literal["median", "best"]
 
 AGREEMENTS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-"""Shares of the keyframes at a place that may have to fix an entry for it to be fixed; the fittest is taken."""
+"""Shares of the keyframes at a place that may have to fix an entry for it to be fixed; each is tried, and the fittest
+consensus is taken. The thesis does not say how many runs have to agree."""
 
 
 @dataclass(frozen=True)
@@ -122,17 +123,20 @@ def consent(
     reach: int,
     seed: int | tuple[int, ...],
     at_least: AtLeast = "median",
+    agreements: Sequence[float] = AGREEMENTS,
 ) -> Consensus:
     """Make one query of many runs: what recurs most, with gaps tuned by the same mutations.
 
     Parameters
     ----------
     material, evolution: of the runs. runs: one or more.
-    reach: see `recurring`. seed: of the mutations. at_least: the consensus has to be as fit as this run.
+    reach: see `recurring`. seed: of the mutations. at_least: the consensus has to rank as high as this run.
+    agreements: see `AGREEMENTS`.
 
     Returns
     -------
-    The consensus, or, where it is less fit than that, the best run; of equally fit ones the first.
+    The consensus, or, where it ranks lower than that, the best run; of equal ones the first. So the outcome never ranks
+    lower than the median run; its fitness alone, without costs, can be.
     """
     if not runs:
         raise ParameterError("runs", "at least one", 0)
@@ -144,7 +148,7 @@ def consent(
     wanted = best.rank if at_least == "best" else median
     tuned: tuple[float, Run] | None = None
     tried: set[tuple[bytes, ...]] = set()
-    for agreement in AGREEMENTS:
+    for agreement in agreements:
         query = recurring([run.query for run in runs], agreement, reach, features)
         if query is None or query.key() in tried:
             continue

@@ -40,7 +40,8 @@ def evolve(material: Material, evolution: Evolution, seed: int | tuple[int, ...]
 
     Returns
     -------
-    The fittest individual of the last generation; of equally fit ones the oldest.
+    The individual of the last generation that ranks highest; of equal ones the oldest. Parents are drawn by fitness,
+    and those that rank highest survive; without costs both are the same, as in the thesis.
     """
     people = room_for_people(evolution.population + evolution.offspring, evolution.most_keyframes)
     history = np.zeros((evolution.generations + 1, len(HISTORY)))
@@ -141,6 +142,8 @@ def _breeding(evolution: Evolution) -> Breeding:
         0.5 if evolution.initial_gaps == "printed" else 1.0,
         float(evolution.gap_step),
         float(evolution.open_share),
+        evolution.mutations[0] / sum(evolution.mutations),
+        evolution.mutations[1] / sum(evolution.mutations),
     )
 
 
@@ -230,7 +233,7 @@ def _evaluate_new(people, order, place, clips, room, judging):  # type: ignore[n
     """Evaluate the individual at this place, unless an equal one before it was; returns how many were evaluated."""
     row = order[place]
     for before in range(place):
-        if _equal(people, order[before], row):
+        if _equal(people, order[before], row, judging.outside_cost > 0.0):
             for i in range(people.results.shape[1]):
                 people.results[row, i] = people.results[order[before], i]
             return 0
@@ -239,10 +242,17 @@ def _evaluate_new(people, order, place, clips, room, judging):  # type: ignore[n
 
 
 @njit(**INNER)
-def _equal(people, one, other):  # type: ignore[no-untyped-def]
+def _equal(people, one, other, placed):  # type: ignore[no-untyped-def]
     count = people.counts[one]
     if count != people.counts[other]:
         return False
+    if placed:
+        # the same query from other columns leaves more or less of the template outside, so it ranks otherwise
+        last = count - 1
+        if people.positions[one, 0] != people.positions[other, 0]:
+            return False
+        if people.positions[one, last] != people.positions[other, last]:
+            return False
     for k in range(count):
         if people.masks[one, k] != people.masks[other, k] or people.values[one, k] != people.values[other, k]:
             return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -25,14 +25,17 @@ class Evolution:
     """The numbers of the algorithm, with the thesis's values.
 
     population, parents, generations: M, r and G. beta: of the fitness. keyframes_mean, keyframes_sd: of the number of
-    keyframes of an initial individual, which is at least `least_keyframes`; none ever has more than `most_keyframes`.
+    keyframes of an initial individual, which is at least `least_keyframes`; nor does a mutation remove one where there
+    are no more than these. Recombination, the consensus and the greedy learner may give fewer, as in the thesis (its
+    Algorithm 2 only has a least number). None ever has more than `most_keyframes`, which the thesis does not limit.
     gap_tolerance: the upper end of U(0, 2) in Algorithm 2. initial_gaps: "around" the template's own spacing, or, as
     "printed", around half of it. gap_step: a mutation changes each end of a gap by up to this share of the spacing.
     open_share: a generalisation opens up to this share of a keyframe's entries at once; one where it is 0.
     parsimony, gap_cost: what each fixed entry of a query, and each frame between the ends of a gap, take off its
     fitness when individuals are compared. outside_cost: what the share of the template before the first and after the
     last keyframe takes off likewise: it is what has to be searched around a hit. tempo: a positive clip counts as
-    retrieved only if it is so even with gaps narrowed by this much, as if it were slower or faster.
+    retrieved only if it is so even with gaps narrowed by this much, as if it were slower or faster. mutations: the odds
+    of a mutation of keyframes, of entries, and of gaps; the thesis chooses at random.
     """
 
     population: int = 50
@@ -51,6 +54,7 @@ class Evolution:
     gap_cost: float = 0.0
     outside_cost: float = 0.0
     tempo: float = 0.0
+    mutations: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         checks = (
@@ -60,7 +64,11 @@ class Evolution:
             ("beta", self.beta > 0, "above 0"),
             ("keyframes_sd", self.keyframes_sd >= 0, "0 or more"),
             ("least_keyframes", self.least_keyframes >= 1, "at least 1"),
-            ("most_keyframes", self.most_keyframes >= self.least_keyframes, "at least least_keyframes"),
+            (
+                "most_keyframes",
+                self.most_keyframes >= self.least_keyframes,
+                f"at least least_keyframes, which is {self.least_keyframes}",
+            ),
             ("gap_tolerance", self.gap_tolerance >= 0, "0 or more"),
             ("initial_gaps", self.initial_gaps in ("around", "printed"), "around or printed"),
             ("gap_step", self.gap_step >= 0, "0 or more"),
@@ -69,7 +77,12 @@ class Evolution:
             ("gap_cost", self.gap_cost >= 0, "0 or more"),
             ("outside_cost", self.outside_cost >= 0, "0 or more"),
             ("tempo", self.tempo >= 0, "0 or more"),
+            ("mutations", min(self.mutations) >= 0 and sum(self.mutations) > 0, "0 or more each, and one above 0"),
         )
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, str) and not np.isfinite(value).all():
+                raise ParameterError(field.name, "a number, not infinite", value)
         for name, holds, expected in checks:
             if not holds:
                 raise ParameterError(name, expected, getattr(self, name))

@@ -9,7 +9,7 @@ from pipelines.keyframes.learning import Lesson, Outcome
 from pipelines.keyframes.margins import hit_ranges
 
 
-def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most: int) -> Lesson:
+def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most: int) -> tuple[Lesson, int]:
     """Add the false hits of a lesson's queries to its negatives.
 
     Parameters
@@ -19,7 +19,8 @@ def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most
 
     Returns
     -------
-    The lesson with the stretches from the first to the last keyframe of hits, extended by the queries' margins.
+    The lesson with the stretches from the first to the last keyframe of hits, extended by the queries' margins; and how
+    many stretches there are, those beyond the most among them.
     """
     found = set()
     for chosen in outcome.chosen:
@@ -28,4 +29,4 @@ def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most
             end = min(stop + chosen.right, int(words.frames[take]))
             found.add((take, max(0, start - chosen.left), end))
     longest = sorted(found, key=lambda span: (span[1] - span[2], span))[:most]
-    return replace(lesson, background=tuple(words.take(take)[start:stop] for take, start, stop in longest))
+    return replace(lesson, background=tuple(words.take(take)[start:stop] for take, start, stop in longest)), len(found)

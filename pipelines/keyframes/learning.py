@@ -48,6 +48,7 @@ class Setting:
     reach: float
     alternatives: int
     at_least: AtLeast
+    agreements: tuple[float, ...]
     margins: Margins
     seed: int
 
@@ -73,7 +74,7 @@ class Lesson:
         It begins with that of the clips (`clips_key`), and a hyphen.
         """
         same = replace(
-            setting, margins="learned", alternatives=0, at_least="median", reach=0.0
+            setting, margins="learned", alternatives=0, at_least="median", agreements=(), reach=0.0
         )  # what they say is about finished runs
         text = repr(sorted(asdict(same).items(), key=str))
         return f"{self.clips_key()}-{_digest(text, self.background)}"
@@ -140,7 +141,8 @@ class Chosen:
 class Outcome:
     """What came of a lesson: the consensus of its runs, and the queries that preselect for its subclass.
 
-    precision, recall: of all chosen queries together, on the clips as they are. columns: of the template. clips: the
+    precision, recall: of all chosen queries together, on the clips as they are; unlike the fitness they know nothing of
+    background, of joined clips, and of what `steady` and `tempo` ask for. columns: of the template. clips: the
     names of the positive ones. runs: how many there were.
     """
 
@@ -254,7 +256,7 @@ def agree(task: AgreeTask) -> Outcome:
     material = _material(lesson, setting)
     reach = max(1, round(setting.reach * len(material.masks)))
     seed = (setting.seed, crc32(lesson.subclass.encode()), len(task.runs), 1)
-    found = consent(material, task.runs, setting.evolution, reach, seed, setting.at_least)
+    found = consent(material, task.runs, setting.evolution, reach, seed, setting.at_least, setting.agreements)
     queries = _queries(found, task.runs, setting.alternatives)
     columns = len(material.masks)
     margins = margins_of(queries, lesson.positives, setting.features, columns, setting.margins)
@@ -288,7 +290,7 @@ def keyframe_queries(outcome: Outcome, feature_set: FeatureSet, taken: Collectio
 
     taken: names of all subclasses; the second query of "walk" is "walk 2", unless a subclass has that name.
     """
-    result = []
+    result: list[KeyframeQuery] = []
     free = (name for number in count(2) if (name := f"{outcome.subclass} {number}") not in taken)
     for one in outcome.chosen:
         keyframes: list[Keyframe] = []

@@ -15,7 +15,7 @@ from ops.learning.fitness import Query
 from ops.learning.lessons import HISTORY, Run
 from ops.measures.intervals import wilson
 from ops.words import bits
-from pipelines.keyframes.learning import Outcome, keyframe_queries
+from pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
 from pipelines.keyframes.tables import sentence
 from pipelines.report.axes import time_axis
 from pipelines.report.environment import page_environment
@@ -109,12 +109,15 @@ def keyframes_page(
     runs: Mapping[str, Sequence[Run]],
     feature_set: FeatureSet,
     rate_hz: float,
+    learner: Learner = "genetic",
+    remarks: Sequence[str] = (),
 ) -> str:
     """Render the page.
 
     Parameters
     ----------
     outcomes: by subclass. runs: all runs of each subclass. rate_hz: the analysis rate.
+    learner: that did the runs. remarks: on clips that were cut or left out.
 
     Returns
     -------
@@ -131,6 +134,9 @@ def keyframes_page(
             courses=courses([run.history for run in every]),
             generations=max((len(run.history) for run in every), default=1) - 1,
             runs=len(every),
+            learner=learner,
+            remarks=remarks,
+            several=any(len(outcome.chosen) > 1 for outcome in outcomes),
             bars=bars(stiffness),
             gaps=len(stiffness),
             soft=float(np.mean(np.array(stiffness) <= 0.8)) if stiffness else 0.0,
@@ -169,7 +175,7 @@ def courses(histories: Sequence[F64]) -> list[Course]:
 
 def stiffnesses(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> list[float]:
     """The stiffness of every gap of all chosen queries (thesis, Eq. 4.7), but for parts of one keyframe."""
-    queries = [query for outcome in outcomes for query in keyframe_queries(outcome, feature_set)]
+    queries = every_query(outcomes, feature_set)
     return [gap.nominal_stiffness for query in queries for gap in query.gaps if gap != SAME_FRAME]
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from catalog.classes import OWN, load_classes
 from catalog.configs import config_path
 from ops.errors import KinedexError
-from ops.learning.consensus import AtLeast
+from ops.learning.consensus import AGREEMENTS, AtLeast
 from ops.learning.lessons import Evolution, InitialGaps
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
@@ -20,8 +22,11 @@ from pipelines.keyframes.runs import Course, Rounds, learn, queries_table
 from pipelines.report.keyframes import keyframes_page
 from pipelines.report.write import write_page
 from pipelines.templates.learning import training_clips, training_takes
-from pipelines.wording import few
+from pipelines.wording import counted, few
 from storage.store import Store
+
+Odds = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Params(BaseModel):
@@ -30,7 +35,7 @@ class Params(BaseModel):
     `configs/pipelines/keyframes.yaml` sets what generalises best to people who were not in the training.
     """
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     where: str = Field("class IS NOT NULL", description="takes to learn from: a SQL filter over the columns of takes")
     classes: str = Field(OWN, description="a class file; other subclasses of a class are no negatives of each other")
@@ -45,11 +50,18 @@ class Params(BaseModel):
     delta: float = Field(0.0, ge=0, lt=0.5, description="δ of the template whose columns become keyframes")
     keyframes_mean: float = Field(3.0, description="mean number of keyframes of an initial individual")
     keyframes_sd: float = Field(2.0, ge=0, description="its standard deviation")
-    least_keyframes: int = Field(2, ge=1, description="the least number of keyframes")
+    least_keyframes: int = Field(
+        2,
+        ge=1,
+        description="least number of keyframes of an initial individual; recombination or consensus may give fewer",
+    )
     most_keyframes: int = Field(12, ge=1, description="the largest number of keyframes; the thesis sets none")
     gap_tolerance: float = Field(2.0, ge=0, description="upper end of U(0, 2), which widens initial gaps")
     initial_gaps: InitialGaps = Field("around", description="around the template's spacing; printed: around half of it")
     gap_step: float = Field(0.5, ge=0, description="share of the spacing by which a mutation changes a gap's ends")
+    mutations: tuple[Odds, Odds, Odds] = Field(
+        (1.0, 1.0, 1.0), description="odds of a mutation of keyframes, of entries, and of gaps"
+    )
     runs: int = Field(100, ge=1, description="N: runs at most (the thesis: 100 to 500)")
 
     group: int = Field(8, ge=1, description="runs between two looks at whether the outcome still moves")
@@ -59,6 +71,11 @@ class Params(BaseModel):
     alternatives: int = Field(1, ge=1, description="queries a subclass: the consensus, then the best different runs")
     at_least: AtLeast = Field(
         "median", description="the consensus counts if no less fit than the median run, or the best; else the best run"
+    )
+    agreements: list[Share] = Field(
+        list(AGREEMENTS),
+        min_length=1,
+        description="shares of the runs' keyframes at a place that must agree on an entry: each is tried",
     )
 
     steady: int = Field(0, ge=0, description="frames before and after for which keyframes must hold in positive clips")
@@ -108,6 +125,7 @@ def setting_of(params: Params, store: Store) -> Setting:
         reach=params.reach,
         alternatives=params.alternatives,
         at_least=params.at_least,
+        agreements=tuple(params.agreements),
         margins=params.margins,
         seed=params.seed,
     )
@@ -119,7 +137,13 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     takes = training_takes(store, params.where)
     clips = training_clips(store, takes)
     if len(clips) < 2:
-        raise KinedexError("keyframe queries tell classes apart: there must be clips of two at least")
+        raise KinedexError(
+            f"keyframe queries tell classes apart, so clips of at least two are needed; the filter "
+            f"`{params.where}` selects those of {clips[0].subclass} only"
+        )
+    for one in clips:
+        for remark in one.remarks:
+            context.say(f"{one.subclass}: {remark}")
     wanted = lessons(clips, load_classes(params.classes, [one.subclass for one in clips]))
     bare = [one.subclass for one in wanted if not one.negatives]
     if bare:
@@ -140,10 +164,12 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     outcomes = [course.outcomes[-1] for course in courses]
     finished = {course.lesson.subclass: list(course.used.values()) for course in courses}
     title = "Keyframe queries learned from clips"
-    write_page(keyframes_page(title, outcomes, finished, store.feature_set, store.rate_hz), path)
+    remarks = [f"{one.subclass}: {remark}" for one in clips for remark in one.remarks]
+    page = keyframes_page(title, outcomes, finished, store.feature_set, store.rate_hz, params.learner, remarks)
+    write_page(page, path)
     context.say(f"report: {path.resolve()}")
     file = path.relative_to(context.store_path).as_posix()
-    return {**_summary(context, courses, takes, params.at_least, known), "files": [file]}
+    return {**_summary(context, courses, params.at_least, known), "files": [file]}
 
 
 def _with_background(
@@ -160,6 +186,13 @@ def _with_background(
     takes = store.takes(params.background)
     if not takes.height:
         raise KinedexError(f"no take is background: the filter `{params.background}` selects none")
+    own = {lesson.subclass for lesson in wanted}
+    clips = takes.filter(pl.col("class").is_in(own))["name"].to_list()
+    if clips:
+        raise KinedexError(
+            f"the filter `{params.background}` of `background` selects {counted(len(clips), 'clip')} of the classes "
+            f"that are learned, such as {clips[0]}; background has none of them: add `AND class IS NULL`"
+        )
     words = store.words(takes["take_id"].to_list())
     first = Rounds(min(rounds.runs, rounds.group), rounds.group, 1, 0.0)
     with context.progress("runs without background", first.runs * len(wanted)) as progress:
@@ -169,14 +202,18 @@ def _with_background(
         mine(lesson, outcome, words, setting.features, params.background_clips)
         for lesson, outcome in zip(wanted, outcomes, strict=True)
     ]
-    found = sum(len(lesson.background) for lesson in mined)
-    context.say(f"{found} stretches of {takes.height} background takes are false hits, and negatives from now on")
-    return mined
+    kept_clips = sum(len(lesson.background) for lesson, _ in mined)
+    context.say(
+        f"{counted(kept_clips, 'stretch', 'stretches')} of {counted(takes.height, 'background take')} are false hits, "
+        "and negatives from now on"
+    )
+    cut = [f"{lesson.subclass} ({found})" for lesson, found in mined if found > len(lesson.background)]
+    if cut:
+        context.say(f"only the {params.background_clips} longest (`background_clips`) are negatives of: {few(cut)}")
+    return [lesson for lesson, _ in mined]
 
 
-def _summary(
-    context: StageContext, courses: list[Course], takes: pl.DataFrame, at_least: AtLeast, known: int
-) -> dict[str, object]:
+def _summary(context: StageContext, courses: list[Course], at_least: AtLeast, known: int) -> dict[str, object]:
     outcomes = [course.outcomes[-1] for course in courses]
     best: list[str] = [one.subclass for one in outcomes if one.consensus.origin == "best run"]
     if best:
@@ -187,15 +224,16 @@ def _summary(
     done = sum(len(course.used) for course in courses)
     settled = sum(course.settled for course in courses)
     queries = sum(len(one.chosen) for one in outcomes)
+    clips = sum(len(one.clips) for one in outcomes)
     context.say(
-        f"{queries} queries of {len(courses)} subclasses from {takes.height} clips; {done} runs"
+        f"{queries} queries of {len(courses)} subclasses from {clips} clips; {done} runs"
         + (f", {known} of them known from before" if known else "")
         + (f"; {settled} subclasses settled early" if settled else "")
     )
     return {
         "queries": queries,
         "subclasses": len(courses),
-        "clips": takes.height,
+        "clips": clips,
         "runs": done,
         "settled": settled,
         "best_runs": best,

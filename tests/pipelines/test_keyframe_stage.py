@@ -8,12 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from catalog.queryfiles import parse_queries
 from catalog.querywriting import write_queries
 from ops.errors import KinedexError
-from ops.words import TakeWords
+from ops.words import NO_WORD, TakeWords
 from pipelines.cli import app
 from pipelines.keyframes import learning
 from pipelines.keyframes import runs as keyframe_runs
@@ -182,9 +183,10 @@ def test_false_hits_in_the_background_become_negatives(store: Path) -> None:
         learn_keyframes.load_classes("own", POSES),
     )[[*sorted(POSES)].index("walk")]
     words = TakeWords(np.array([5]), np.array([0, 60]), np.tile(POSES["walk"].repeat(5), 3))
-    mined = mine(lesson, outcome, words, 40, 50)
-    assert len(mined.background) >= 1
-    assert len(mine(lesson, outcome, words, 40, 1).background) == 1
+    mined, total = mine(lesson, outcome, words, 40, 50)
+    assert len(mined.background) == total >= 1
+    one, found = mine(lesson, outcome, words, 40, 1)
+    assert (len(one.background), found) == (1, total)
     line.run(learn_keyframes, **QUICK, background="class IS NULL")
     assert "false hits" in line.said.getvalue()
 
@@ -193,16 +195,48 @@ def test_the_simpler_learners_learn_too(store: Path) -> None:
     for learner in ("random", "greedy"):
         summary = Learning(store).run(learn_keyframes, **QUICK, learner=learner)
         assert summary["recall"] == 1.0
+        page = (store / str(summary["files"][0])).read_text()  # type: ignore[index]
+        assert "generations." not in page.replace("had no generations.", "")
+        assert "0.000 at the end" not in page
 
 
 def test_what_cannot_be_learned_is_said(store: Path) -> None:
     line = Learning(store)
-    with pytest.raises(KinedexError, match="clips of two at least"):
+    with pytest.raises(KinedexError, match="those of walk only"):
         line.run(learn_keyframes, **QUICK, where="class = 'walk'")
     with pytest.raises(KinedexError, match="selects none"):
         line.run(learn_keyframes, **QUICK, background="actor = 'nobody'")
+    with pytest.raises(KinedexError, match="selects 12 clips of the classes that are learned, such as al_kick_001"):
+        line.run(learn_keyframes, **QUICK, background="class IS NOT NULL")
     with pytest.raises(KinedexError, match="no feature set 'lowr'"):
         line.run(learn_keyframes, **QUICK, sets=["lowr"])
+
+
+@pytest.mark.parametrize("key", ["beta", "keyframes_mean", "keyframes_sd", "tempo", "gap_tolerance", "mutations"])
+@pytest.mark.parametrize("value", [float("inf"), float("nan")])
+def test_numbers_are_finite(key: str, value: float) -> None:
+    with pytest.raises(ValidationError):
+        Params(**{key: [value, 1, 1] if key == "mutations" else value})
+
+
+def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
+    clips = [clip(subclass, "al", number) for subclass in ("walk", "kick") for number in (1, 2, 3)]
+    for place, frame in ((0, 0), (4, 7)):
+        words = np.array(clips[place]["words"])
+        words[frame] = NO_WORD
+        clips[place]["words"] = words
+    line = Learning(write_store(tmp_path / "store", clips))
+    summary = line.run(learn_keyframes, **QUICK)
+    assert summary["clips"] == 5
+    page = (line.store / str(summary["files"][0])).read_text()  # type: ignore[index]
+    for text in (
+        "walk: clips with invalid frames at an end, which are cut off: al_walk_001",
+        "kick: clips with invalid frames in the middle, left out: al_kick_002",
+    ):
+        assert text in line.said.getvalue()
+        assert text in page
+    assert "from 5 clips" in line.said.getvalue()
+    assert "2 classes, 5 clips" in page
 
 
 def test_every_default_is_a_number_of_the_thesis() -> None:

@@ -204,6 +204,32 @@ def test_the_best_never_gets_worse_and_its_fitness_is_what_a_search_says() -> No
     assert 50 < run.evaluated <= evolution.budget == 50 + 30 * 10
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_the_rank_of_a_query_is_that_of_its_own_columns(seed: int) -> None:
+    # columns repeat, so equal keyframes come from several of them; with the gaps at the widest they are equal queries
+    evolution = Evolution(generations=20, outside_cost=0.5, gap_tolerance=0.0, least_keyframes=1, keyframes_mean=1.0)
+    run = evolve(material(), evolution, seed)
+    assert run.rank == judge(material(), run.query, evolution)[3]
+
+
+def test_mutations_are_as_likely_as_their_odds() -> None:
+    template, people = columns(), room_for_people(2, MOST)
+    for odds, part in (((1.0, 0.0), "counts"), ((0.0, 1.0), "masks"), ((0.0, 0.0), "lows")):
+        only = breeding(keyframe_odds=odds[0], entry_odds=odds[1])
+        for seed in range(20):
+            random = np.random.default_rng(seed)
+            draw_individual(random, people, 0, template, only, np.zeros(20, np.int64))
+            before = sound(people, 0)
+            mutate(random, people, 0, template, only)
+            after = sound(people, 0)
+            if part != "counts":
+                assert len(before) == len(after)
+            if part == "lows":
+                assert (before.masks == after.masks).all()
+            if part == "masks":
+                assert before.gaps == after.gaps
+
+
 def test_weights_say_how_much_a_clip_counts() -> None:
     given_ = material()
     heavy = Material(given_.frames, 6, np.array([1.0] * 6 + [3.0] * 20), given_.masks, given_.values, 0xFF)

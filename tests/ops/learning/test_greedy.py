@@ -16,6 +16,9 @@ def test_columns_are_added_as_long_as_the_rank_rises() -> None:
     assert run.fitness == 1.0
     assert (np.diff(run.history[:, 2]) >= 0).all()
     assert len(run.query) == len(run.history)
+    precision, recall = run.history[-1, :2].tolist()
+    assert (precision, recall) == (1.0, 1.0)
+    assert (run.history[:, 1] > 0).all()
     assert judge(given, run.query, evolution)[2:] == (run.fitness, run.rank)
     again = forward_selection(given, evolution)
     assert again.query.key() == run.query.key()
