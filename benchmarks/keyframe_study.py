@@ -166,14 +166,14 @@ def _learned(study: Study, clips: Sequence[TrainingClips], params: Params) -> li
     setting = setting_of(params, study.store)
     rounds = Rounds(params.rounds().runs, params.group, params.patience, params.settled)
     wanted: list[Lesson] = lessons(clips, load_classes("own", [one.subclass for one in clips]))
-    outcomes = [course.outcomes[-1] for course in learn(wanted, setting, rounds, study.executor)]
+    outcomes = [course.outcome for course in learn(wanted, setting, rounds, study.executor)]
     if study.background is not None:
         words = study.store.words(study.store.takes(study.background)["take_id"].to_list())
         pairs = zip(wanted, outcomes, strict=True)
         wanted = [
             mine(lesson, outcome, words, setting.features, params.background_clips)[0] for lesson, outcome in pairs
         ]
-        outcomes = [course.outcomes[-1] for course in learn(wanted, setting, rounds, study.executor)]
+        outcomes = [course.outcome for course in learn(wanted, setting, rounds, study.executor)]
     return outcomes
 
 

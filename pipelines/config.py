@@ -186,7 +186,19 @@ def _stage(
     params = {option: _fill(located, settings, value, (*key, option)) for option, value in entries[name].params.items()}
     params.update(overrides.get(name, {}))
     model: type[BaseModel] = stage_module(uses).Params
-    return Stage(name, uses, _inputs(located, entries, name, uses), located.model(model, *key, data=params))
+    try:
+        filled = located.model(model, *key, data=params)
+    except ConfigError as fault:
+        _blame_the_user(fault, ".".join(key), name, overrides.get(name, {}))
+        raise
+    return Stage(name, uses, _inputs(located, entries, name, uses), filled)
+
+
+def _blame_the_user(fault: ConfigError, params: str, stage: str, given: Mapping[str, Any]) -> None:
+    """Raise a KinedexError that names --set where the fault is in what stands there, not in the file."""
+    option = re.split(r"[.\[]", (fault.key or "").removeprefix(f"{params}."))[0]
+    if option in given:
+        raise KinedexError(f"--set {stage}.{option}={given[option]}: {fault.reason}") from None
 
 
 def _fill(located: Located, settings: dict[str, Any], value: Any, key: tuple[str | int, ...]) -> Any:

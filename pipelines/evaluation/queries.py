@@ -61,7 +61,7 @@ class QueryLearner:
                 courses = learn(wanted, setting, rounds, context.executor, known, save, progress.advance)
                 finished += courses
                 known += runs_of(courses)
-                self._outcomes[fold.split, fold.name] = [course.outcomes[-1] for course in courses]
+                self._outcomes[fold.split, fold.name] = [course.outcome for course in courses]
         save([])
 
     def queries(self, fold: Fold) -> list[KeyframeQuery]:

@@ -41,8 +41,13 @@ class Course:
     settled: bool = False
 
     @property
+    def outcome(self) -> Outcome:
+        """The outcome that ranks highest, of equal ones the last: with more runs a consensus can become worse."""
+        return max(reversed(self.outcomes), key=lambda one: one.consensus.rank)
+
+    @property
     def used(self) -> dict[int, Run]:
-        """The runs that the outcome follows from; a course may know more, of a time when more were asked for."""
+        """The runs that were wanted; a course may know more, of a time when more were asked for."""
         wanted = self.outcomes[-1].runs if self.outcomes else 0
         return {number: run for number, run in sorted(self.runs.items()) if number < wanted}
 
@@ -176,7 +181,7 @@ def queries_table(courses: Sequence[Course], run: str) -> pa.Table:
     """The outcomes as results of the kind `queries`, one row for each chosen query."""
     rows = []
     for course in courses:
-        outcome = course.outcomes[-1]
+        outcome = course.outcome
         found = outcome.consensus
         for number, chosen in enumerate(outcome.chosen):
             rows.append(

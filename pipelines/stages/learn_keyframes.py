@@ -161,7 +161,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         writer.put_results("queries", queries_table(courses, context.run), stage=context.key(), run=context.run)
         writer.commit()
     path = context.report_file("keyframes.html")
-    outcomes = [course.outcomes[-1] for course in courses]
+    outcomes = [course.outcome for course in courses]
     finished = {course.lesson.subclass: list(course.used.values()) for course in courses}
     title = "Keyframe queries learned from clips"
     remarks = [f"{one.subclass}: {remark}" for one in clips for remark in one.remarks]
@@ -197,7 +197,7 @@ def _with_background(
     first = Rounds(min(rounds.runs, rounds.group), rounds.group, 1, 0.0)
     with context.progress("runs without background", first.runs * len(wanted)) as progress:
         courses = learn(wanted, setting, first, context.executor, kept.known(), kept.save, progress.advance)
-    outcomes = [course.outcomes[-1] for course in courses]
+    outcomes = [course.outcome for course in courses]
     mined = [
         mine(lesson, outcome, words, setting.features, params.background_clips)
         for lesson, outcome in zip(wanted, outcomes, strict=True)
@@ -214,7 +214,7 @@ def _with_background(
 
 
 def _summary(context: StageContext, courses: list[Course], at_least: AtLeast, known: int) -> dict[str, object]:
-    outcomes = [course.outcomes[-1] for course in courses]
+    outcomes = [course.outcome for course in courses]
     best: list[str] = [one.subclass for one in outcomes if one.consensus.origin == "best run"]
     if best:
         context.say(f"less fit than the {at_least} run, so the best run instead of the consensus: {few(best)}")

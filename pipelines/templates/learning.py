@@ -95,7 +95,7 @@ def training_takes(store: Store, where: str) -> pl.DataFrame:
     if not takes.height:
         labelled = store.takes().filter(pl.col("class").is_not_null()).height
         raise KinedexError(
-            f"no take to learn templates from: the filter `{where}` selects none of the {store.takes().height} takes, "
+            f"no take to learn from: the filter `{where}` selects none of the {store.takes().height} takes, "
             f"{labelled} of which have a class. The class of a take comes from its path, by `patterns` of ingest"
         )
     unlabelled = takes.filter(pl.col("class").is_null())["name"].to_list()

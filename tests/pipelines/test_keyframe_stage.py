@@ -16,6 +16,7 @@ from catalog.querywriting import write_queries
 from ops.errors import KinedexError
 from ops.words import NO_WORD, TakeWords
 from pipelines.cli import app
+from pipelines.config import load_pipeline
 from pipelines.keyframes import learning
 from pipelines.keyframes import runs as keyframe_runs
 from pipelines.keyframes.background import mine
@@ -151,6 +152,27 @@ def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path) -> None:
     summary = line.run(learn_keyframes, **{**QUICK, "runs": 40}, patience=1, settled=0.01)
     assert summary["settled"] == 4
     assert int(str(summary["runs"])) < 4 * 40
+
+
+def test_the_outcome_is_that_of_the_best_round(store: Path) -> None:
+    line = Learning(store)
+    line.run(learn_keyframes, **QUICK)
+    first, *_ = line.outcomes()
+    ranked = [
+        replace(first, runs=runs, consensus=replace(first.consensus, rank=rank))
+        for runs, rank in ((2, 0.5), (4, 0.9), (6, 0.9), (8, 0.7))
+    ]
+    course = keyframe_runs.Course(learning.Lesson("walk", (), (), ()), "key", {}, ranked)
+    assert course.outcome.runs == 6
+
+
+def test_a_wrong_value_that_is_set_is_told_as_such() -> None:
+    for assignment, text in ((("beta", ".inf"), "finite"), (("runs", "0"), "greater than or equal to 1, got 0")):
+        with pytest.raises(KinedexError) as caught:
+            load_pipeline("keyframes", {f"learn_keyframes.{assignment[0]}": assignment[1]})
+        assert str(caught.value).startswith(f"--set learn_keyframes.{assignment[0]}=")
+        assert text in str(caught.value)
+        assert ".yaml" not in str(caught.value)
 
 
 def test_keyframes_keep_to_the_feature_sets_allowed(store: Path) -> None:
