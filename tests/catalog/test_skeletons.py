@@ -205,7 +205,7 @@ FAULTS = {
     "a plane of two": (
         ("chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Neck, Hips], times: 1}}"),
         "joints.chest.aside.plane",
-        "at least 3 items",
+        "at least 3 entries",
     ),
     "aside of joints": (
         ("{virtual: {neck: -2, head: 3}}", "{virtual: {neck: 1}, aside: {plane: [Neck, Hips, Head], times: 1}}"),
