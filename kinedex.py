@@ -30,3 +30,8 @@ __all__ = [
     "open_store",
     "run_pipeline",
 ]
+
+if __name__ == "__main__":  # python -m kinedex does what the command does
+    from pipelines.cli import main
+
+    main()

@@ -37,7 +37,7 @@ def kinedex(*words: str | Path, stdin: str | None = None) -> Ended:
 
 def process(*words: str | Path) -> Ended:
     """Run a command as people do, in a process of its own."""
-    command = [sys.executable, "-m", "pipelines.cli", *map(str, words)]
+    command = [sys.executable, "-m", "kinedex", *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return Ended(done.returncode, done.stdout, done.stderr)
 
