@@ -7,7 +7,8 @@ from numba import njit
 
 from catalog.queries import KeyframeQuery
 from ops.errors import ParameterError
-from ops.search.keyframes import UNBOUNDED, Segments, merge
+from ops.search.gaps import UNBOUNDED
+from ops.search.segments import Segments, merge
 
 _ROOM = 4_000_000
 

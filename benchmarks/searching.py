@@ -30,8 +30,9 @@ from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, word_pattern
 from catalog.queryfiles import read_queries
 from catalog.querywriting import write_queries
-from ops.search.keyframes import Segments, search
+from ops.search.keyframes import search
 from ops.search.runs import word_runs
+from ops.search.segments import Segments
 from ops.words import TakeWords
 from pipelines.searching.lists import RunLists, lists_of_words
 from pipelines.searching.resident import ResidentWords, resident_words

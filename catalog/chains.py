@@ -12,7 +12,7 @@ from catalog.features import FeatureSet, WordSet
 from catalog.gaptexts import GapEntry, read_gap
 from catalog.queries import SAME_FRAME, Gap, Keyframe
 from ops.errors import KinedexError, did_you_mean
-from ops.search.keyframes import UNBOUNDED
+from ops.search.gaps import UNBOUNDED
 
 _SHORTER_PATTERNS = {"mix": 13}
 """Sets whose patterns may end before the last feature, as the papers' do: F40 came to mix later."""

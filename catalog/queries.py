@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from catalog.features import FeatureSet
 from ops.errors import KinedexError, ParameterError, did_you_mean
-from ops.search.keyframes import UNBOUNDED, gap_bounds, nominal_gap
+from ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 
 
 @dataclass(frozen=True)

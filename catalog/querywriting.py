@@ -9,7 +9,7 @@ import yaml
 
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
-from ops.search.keyframes import UNBOUNDED
+from ops.search.gaps import UNBOUNDED
 
 
 def write_queries(queries: Iterable[KeyframeQuery], feature_set: FeatureSet) -> str:

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.errors import ParameterError
-from ops.learning.fitness import Query
 from ops.learning.genetics import highest_rank, tune_gaps
 from ops.learning.lessons import Evolution, Material, Run
+from ops.learning.queries import Query
 from ops.words import bits
 
 F64 = npt.NDArray[np.float64]

@@ -22,8 +22,9 @@ from ops.learning.breeding import (
     room_for_people,
     sample_universally,
 )
-from ops.learning.fitness import INNER, Query, find_bitmaps, fitness_of, retrieve, room_for
+from ops.learning.fitness import INNER, find_bitmaps, fitness_of, retrieve, room_for
 from ops.learning.lessons import HISTORY, Evolution, Material, Run
+from ops.learning.queries import Query
 from ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]

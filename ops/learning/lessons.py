@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.errors import ParameterError
-from ops.learning.fitness import Query, TrainingFrames
+from ops.learning.fitness import TrainingFrames
+from ops.learning.queries import Query
 from ops.templates.templates import QuantisedTemplate
 from ops.words import I64, U64
 

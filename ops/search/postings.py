@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ops.errors import ParameterError
-from ops.search.keyframes import Segments, join_runs
+from ops.search.segments import Segments, join_runs
 from ops.words import I64, U64
 
 
@@ -16,7 +16,7 @@ class Postings:
     """The runs of V words of a feature set, one word after the other: all of its words, or those that were asked for.
 
     words: uint64 (V,), ascending. offsets: int64 (V + 1,), word i has the runs offsets[i] .. offsets[i + 1]. starts,
-    stops: int64 (R,), the runs' positions on the axis (`ops.search.keyframes.to_axis`), in ascending order within each
+    stops: int64 (R,), the runs' positions on the axis (`ops.search.segments.to_axis`), in ascending order within each
     word.
     """
 

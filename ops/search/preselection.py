@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.errors import ParameterError
-from ops.search.keyframes import UNBOUNDED, Segments, from_axis, merge, to_axis
+from ops.search.gaps import UNBOUNDED
+from ops.search.segments import Segments, from_axis, merge, to_axis
 from ops.words import I64
 
 _COST_UNIT = 2**40

@@ -19,7 +19,8 @@ from numba import njit
 from ops.errors import ParameterError
 from ops.search.bitslices import ALL_BITS, NO_BITS, BitSlices
 from ops.search.frames import add_ranges, complete, match, note_bounds
-from ops.search.keyframes import UNBOUNDED, Segments, checked_gaps
+from ops.search.gaps import UNBOUNDED, checked_gaps
+from ops.search.segments import Segments
 from ops.search.windows import IN_WORD, coarse_starts, lowest, windows
 from ops.words import I64
 

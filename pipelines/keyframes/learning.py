@@ -20,10 +20,11 @@ from ops.errors import KinedexError
 from ops.learning import breeding, fitness, genetics, greedy
 from ops.learning import lessons as learned_from
 from ops.learning.consensus import AtLeast, Consensus, consent
-from ops.learning.fitness import Query, training_frames
+from ops.learning.fitness import training_frames
 from ops.learning.genetics import evolve, random_search
 from ops.learning.greedy import forward_selection
 from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
+from ops.learning.queries import Query
 from ops.templates import templates as template_code
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import U64

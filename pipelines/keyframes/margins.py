@@ -9,10 +9,11 @@ from typing import Literal
 import numpy as np
 
 from catalog.queries import Gap
-from ops.learning.fitness import Bool, Query
+from ops.learning.fitness import Bool
+from ops.learning.queries import Query
 from ops.search.bitslices import slice_words
-from ops.search.keyframes import from_axis
 from ops.search.preselection import margins as formula_margins
+from ops.search.segments import from_axis
 from ops.search.slicesearch import search_slices
 from ops.words import I64, U64, TakeWords
 

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from ops.learning.consensus import Consensus
-from ops.learning.fitness import Query
 from ops.learning.lessons import Run
+from ops.learning.queries import Query
 from pipelines.executors import Executor
 from pipelines.keyframes.learning import AgreeTask, Chosen, Lesson, Outcome, RunTask, Setting, agree, do_runs
 from storage.schemas import result_schema

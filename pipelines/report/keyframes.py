@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from catalog.features import FeatureSet
 from catalog.queries import SAME_FRAME
-from ops.learning.fitness import Query
 from ops.learning.lessons import HISTORY, Run
+from ops.learning.queries import Query
 from ops.measures.intervals import wilson
 from ops.words import bits
 from pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries

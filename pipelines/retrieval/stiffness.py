@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from catalog.queries import SAME_FRAME, Gap, KeyframeQuery
 from ops.measures.retrieval import precision_recall
-from ops.search.keyframes import UNBOUNDED, nominal_gap
+from ops.search.gaps import UNBOUNDED, nominal_gap
 from pipelines.evaluation.evaluating import Manual
 from pipelines.retrieval.ranking import Searched, rank_store
 from pipelines.retrieval.retrieval import Judged, judge_hits

@@ -8,10 +8,11 @@ import numpy as np
 
 from catalog.features import FeatureSet
 from catalog.queries import Keyframe, KeyframeQuery
-from ops.search.keyframes import Segments, search, survivors, to_axis
+from ops.search.keyframes import search, survivors
 from ops.search.postings import Postings, make_postings
 from ops.search.preselection import TakeRanges, ranges_of_takes, unite
 from ops.search.runs import word_runs
+from ops.search.segments import Segments, to_axis
 from ops.words import I64, TakeWords, cut
 from storage.store import Store
 

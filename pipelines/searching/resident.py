@@ -18,8 +18,8 @@ import numpy as np
 from catalog.features import FeatureSet
 from catalog.queries import KeyframeQuery, WordPattern, word_pattern
 from ops.search.bitslices import BitSlices, slice_words
-from ops.search.keyframes import Segments, from_axis
 from ops.search.preselection import TakeRanges, ranges_of_takes, unite
+from ops.search.segments import Segments, from_axis
 from ops.search.slicesearch import search_slices
 from ops.words import I64, TakeWords
 from storage import index

@@ -27,7 +27,7 @@ from catalog.queryfiles import parse_queries, read_queries
 from catalog.querywriting import write_queries
 from ops.body.features import words as feature_words
 from ops.errors import ConfigError, KinedexError, ParameterError
-from ops.search.keyframes import UNBOUNDED
+from ops.search.gaps import UNBOUNDED
 from ops.words import bits
 
 BODY = load_feature_set("body40")

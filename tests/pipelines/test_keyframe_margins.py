@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.learning.fitness import Query
+from ops.learning.queries import Query
 from pipelines.keyframes.margins import ALONE, clips_hit, margins_of
 
 FEATURES = 3

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ops.learning.consensus import Consensus
-from ops.learning.fitness import Query
 from ops.learning.lessons import Run
+from ops.learning.queries import Query
 from pipelines.keyframes.learning import Chosen, Outcome
 from pipelines.report.keyframes import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
-from ops.search.keyframes import UNBOUNDED
+from ops.search.gaps import UNBOUNDED
 from pipelines.report.retrieval import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
 from pipelines.retrieval.retrieval import Judged
 from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows

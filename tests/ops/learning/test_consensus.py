@@ -9,9 +9,9 @@ import pytest
 
 from ops.errors import ParameterError
 from ops.learning.consensus import AGREEMENTS, agreement_matrix, consent, recurring
-from ops.learning.fitness import Query
 from ops.learning.genetics import highest_rank, tune_gaps
 from ops.learning.lessons import Evolution, Material
+from ops.learning.queries import Query
 from tests.ops.learning.test_genetics import check_consensus, material
 
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ops.errors import ParameterError
-from ops.learning.fitness import RESIDENT, Query, find_bitmaps, retrieved, room_for, score, training_frames
+from ops.learning.fitness import RESIDENT, find_bitmaps, retrieved, room_for, score, training_frames
+from ops.learning.queries import Query
 from ops.search import keyframes as k
 from ops.search.runs import word_runs
 from ops.words import NO_WORD

@@ -20,9 +20,10 @@ from ops.learning.breeding import (
     sample_universally,
 )
 from ops.learning.consensus import Consensus, consent
-from ops.learning.fitness import Query, retrieved, score, training_frames
+from ops.learning.fitness import retrieved, score, training_frames
 from ops.learning.genetics import evolve, judge, random_search, tune_gaps
 from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
+from ops.learning.queries import Query
 from ops.templates.templates import QuantisedTemplate
 from tests.oracles import learning as naive
 

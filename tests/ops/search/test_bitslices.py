@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from ops.errors import ParameterError
 from ops.search import slicesearch
 from ops.search.bitslices import GRANULE, BitSlices, slice_words
-from ops.search.keyframes import UNBOUNDED, Segments, from_axis, gap_bounds, keyframe_list, search, to_axis
+from ops.search.gaps import UNBOUNDED, gap_bounds
+from ops.search.keyframes import keyframe_list, search
 from ops.search.runs import word_runs
+from ops.search.segments import Segments, from_axis, to_axis
 from ops.search.slicesearch import search_slices
 from ops.words import NO_WORD, U64, bits, cut
 from tests.oracles.keyframes import ranges_by_enumeration, ranges_by_sets

@@ -13,17 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ops.errors import ParameterError
-from ops.search import keyframes
-from ops.search.keyframes import (
-    UNBOUNDED,
-    Segments,
-    gap_bounds,
-    keyframe_list,
-    merge,
-    nominal_gap,
-    search,
-    survivors,
-)
+from ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
+from ops.search.keyframes import keyframe_list, search, survivors
+from ops.search.segments import Segments, from_axis, merge, to_axis
 from ops.words import I64, U64, cut
 from tests.oracles.keyframes import algorithm_1, all_hits, covered, ranges_by_enumeration, ranges_by_sets
 
@@ -56,7 +48,7 @@ def runs_of(takes: list[U64]) -> tuple[I64, I64, U64]:
 
 def by_take(found: Segments, takes: int) -> list[list[tuple[int, int]]]:
     ranges: list[list[tuple[int, int]]] = [[] for _ in range(takes)]
-    for take, start, stop in zip(*keyframes.from_axis(found), strict=True):
+    for take, start, stop in zip(*from_axis(found), strict=True):
         ranges[take].append((int(start), int(stop)))
     return ranges
 
@@ -345,10 +337,10 @@ def test_a_query_without_keyframes_is_refused() -> None:
 
 
 def test_frames_beyond_the_axis_are_refused() -> None:
-    assert keyframes.to_axis([1], [2**31]).tolist() == [2**32 + 2**31]
+    assert to_axis([1], [2**31]).tolist() == [2**32 + 2**31]
     for take, frame in ((0, 2**31 + 1), (0, -1), (-1, 0), (2**31, 0)):
         with pytest.raises(ParameterError):
-            keyframes.to_axis([take], [frame])
+            to_axis([take], [frame])
 
 
 # ---- the authors' queries on real motion -----------------------------------------------------------------

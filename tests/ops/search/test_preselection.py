@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ops.errors import ParameterError
-from ops.search.keyframes import UNBOUNDED, Segments
+from ops.search.gaps import UNBOUNDED
 from ops.search.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
+from ops.search.segments import Segments
 from tests.oracles.preselection import best_placement
 
 

@@ -1,0 +1,90 @@
+"""Gaps between the keyframes of a query: in frames, both bounds included, or as a distance and a stiffness."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ops.errors import ParameterError
+from ops.words import I64
+
+UNBOUNDED = 2**31 - 1
+"""The largest gap in frames; stands for infinity, since a take has fewer than 2**31 frames."""
+
+
+def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:
+    """Return the admissible gap of a distance and a stiffness (thesis, Eq. 3.3, 4.5 and 4.6).
+
+    Parameters
+    ----------
+    distance: d in analysis frames, 0 to `UNBOUNDED`.
+    stiffness: sigma, 0 (any later frame) to 1 (exactly d frames later).
+
+    Returns
+    -------
+    (d_min, d_max) = (ceil(sigma d), floor(d / sigma)), both included; (0, `UNBOUNDED`) for sigma = 0.
+    Products are rounded to 1e-9 first: in plain float64, floor(7 / 0.07) is 99.
+
+    Raises
+    ------
+    ParameterError: a distance or a stiffness out of its domain.
+    """
+    if isinstance(distance, bool) or distance != int(distance) or not 0 <= distance <= UNBOUNDED:
+        raise ParameterError("distance", f"a whole number of frames from 0 to {UNBOUNDED}", distance)
+    if not 0.0 <= stiffness <= 1.0:
+        raise ParameterError("stiffness", "between 0 and 1", stiffness)
+    if stiffness == 0.0:
+        return 0, UNBOUNDED
+    low = math.ceil(round(stiffness * distance, 9))
+    longest = distance / stiffness
+    return low, UNBOUNDED if longest >= UNBOUNDED else math.floor(round(longest, 9))
+
+
+def nominal_gap(low: int, high: int) -> tuple[float, float]:
+    """Return the distance and stiffness that a gap range stands for (thesis, Eq. 4.7 and 4.8).
+
+    Parameters
+    ----------
+    low, high: the admissible gap in frames, both included; `UNBOUNDED` is no upper bound.
+
+    Returns
+    -------
+    (distance, stiffness): sqrt(low high) and sqrt(low / high); (inf, 0) without an upper bound, and (0, 1)
+    for the gap [0, 0], where the equation divides nothing by nothing and only the same frame is admitted.
+    """
+    _check_gap(low, high)
+    if high >= UNBOUNDED:
+        return math.inf, 0.0
+    if high == 0:
+        return 0.0, 1.0
+    return math.sqrt(low * high), math.sqrt(low / high)
+
+
+def checked_gaps(gaps: Sequence[tuple[int, int]], keyframes: int) -> I64:
+    """Return the gaps of a query as an array, clamped to `UNBOUNDED`.
+
+    Parameters
+    ----------
+    gaps: admissible gaps (low, high) in frames, both included. keyframes: K.
+
+    Returns
+    -------
+    int64 (K - 1, 2).
+
+    Raises
+    ------
+    ParameterError: a number of gaps other than K - 1, or a gap that is no range.
+    """
+    if len(gaps) != keyframes - 1:
+        raise ParameterError("gaps", f"{keyframes - 1}, one fewer than keyframes", len(gaps))
+    for low, high in gaps:
+        _check_gap(low, high)
+    clamped = [(min(low, UNBOUNDED), min(high, UNBOUNDED)) for low, high in gaps]
+    return np.array(clamped, dtype=np.int64).reshape(-1, 2)
+
+
+def _check_gap(low: int, high: int) -> None:
+    if not 0 <= low <= high:
+        raise ParameterError("gap", "a range [low, high] of frames with 0 <= low <= high", (low, high))
