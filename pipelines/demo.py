@@ -39,9 +39,6 @@ def run_demo(
         settings["classes"] = "synthetic"
     elif not data.is_dir():
         raise KinedexError(f"--data {data}: no such folder")
-    elif not any(data.rglob("ground_truth.csv")):
-        console.print(f"no ground_truth.csv below {data}: the takes are annotated, but nothing is evaluated")
-        settings["evaluate.ground_truth"] = "none"
     settings["source"] = str(data)
     console.print(f"store: {store}")
     return run_pipeline(

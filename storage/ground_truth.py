@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ops.errors import KinedexError
@@ -23,24 +23,38 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
     ------
     KinedexError: none found, or a root is gone; the message says where was looked.
     """
-    folders = [Path(root).expanduser() for root in roots]
-    path = Path(pattern).expanduser()
-    if path.is_absolute():
-        folders, pattern = [Path(path.anchor)], str(path.relative_to(path.anchor))
-    gone = [str(folder) for folder in folders if not folder.is_dir()]
-    if gone:
-        raise KinedexError(f"ground truth: the source folder {gone[0]} is no longer there; give an absolute path")
-    try:
-        found = sorted({file for folder in folders for file in folder.glob(pattern) if file.is_file()})
-    except (ValueError, OSError) as fault:
-        raise KinedexError(f"ground truth: '{pattern}' does not work as a path or glob: {fault}") from None
+    folders, below = _places(pattern, roots)
+    found = _found(folders, below)
     if not found:
         raise KinedexError(
-            f"ground truth: no file '{pattern}' below {', '.join(map(str, folders)) or 'any source folder'}. "
+            f"ground truth: no file '{below}' below {', '.join(map(str, folders)) or 'any source folder'}. "
             f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open), or labels of another "
             f"kind: {ENDINGS}; where there is none: `--set evaluate.ground_truth=none`"
         )
     return found
+
+
+def any_ground_truth(pattern: str, roots: Iterable[str | Path]) -> bool:
+    """Whether a pattern finds label files; parameters and errors as `ground_truth_files`, but none found is none."""
+    return bool(_found(*_places(pattern, roots)))
+
+
+def _places(pattern: str, roots: Iterable[str | Path]) -> tuple[list[Path], str]:
+    """The folders to look below, and the glob relative to them."""
+    path = Path(pattern).expanduser()
+    if path.is_absolute():
+        return [Path(path.anchor)], str(path.relative_to(path.anchor))
+    return [Path(root).expanduser() for root in roots], pattern
+
+
+def _found(folders: Sequence[Path], pattern: str) -> list[Path]:
+    gone = [str(folder) for folder in folders if not folder.is_dir()]
+    if gone:
+        raise KinedexError(f"ground truth: the source folder {gone[0]} is no longer there; give an absolute path")
+    try:
+        return sorted({file for folder in folders for file in folder.glob(pattern) if file.is_file()})
+    except (ValueError, OSError) as fault:
+        raise KinedexError(f"ground truth: '{pattern}' does not work as a path or glob: {fault}") from None
 
 
 def read_ground_truth(path: str | Path) -> list[ManualSegment]:

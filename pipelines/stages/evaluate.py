@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import polars as pl
@@ -29,10 +29,11 @@ from pipelines.evaluation.evaluating import (
 )
 from pipelines.stages import annotate
 from pipelines.templates.learning import read_templates, run_of
-from storage.ground_truth import ground_truth_files, read_ground_truth
+from storage.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
 from storage.store import Store
 
 NONE, OWN_CLASS = "none", "class"
+SET_IT = "`--set evaluate.ground_truth=PATTERN` names label files"
 MOST_TAKES_SHOWN = 20
 """With more takes the table on the terminal leaves out the line per take."""
 
@@ -46,7 +47,8 @@ class Params(BaseModel):
         "**/ground_truth.csv",
         description="label files, read as their ending says: .csv (take, class, start, stop in source frames), .json, "
         ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
-        "'class': each take's own class for all of it; 'none': there is none",
+        "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
+        "no file, nothing is evaluated, and that is said",
     )
     source: str | None = Field(
         None, description="the folder that ground_truth is relative to; by default the takes' source folders"
@@ -68,6 +70,8 @@ def external_digest(params: Params, store: Store | None) -> str:
     known: set[str] = set(store.takes()["source_root"]) if store else set()
     roots = sorted(root for root in known if Path(root).is_dir())
     try:
+        if not_labelled(params, roots):
+            return "nobody's labels"
         return files_digest(truth_files(params, roots))
     except KinedexError:
         return "none to be read"
@@ -76,17 +80,21 @@ def external_digest(params: Params, store: Store | None) -> str:
 def run(context: StageContext, params: Params) -> dict[str, object]:
     """Evaluate, store the metrics, and print them."""
     report = context.report_file("metrics.json")
-    if params.ground_truth == NONE:
+    store = context.open()
+    takes = annotated_takes(store, context.key(context.inputs["annotations"]))
+    if not_labelled(params, takes["source_root"].unique()):
         report.unlink(missing_ok=True)
         with context.writer() as writer:
             for kind in ("metrics", "ground_truth"):
                 writer.put_results(kind, pa.table({}), stage=context.key(), run=context.run)
             writer.commit()
-        context.say("no ground truth, nothing to evaluate")
+        named = params.ground_truth == NONE
+        context.say(
+            "no ground truth, nothing to evaluate"
+            + ("" if named else f": the source has no file '{params.ground_truth}'; {SET_IT}")
+        )
         return {"evaluated_takes": 0}
-    store = context.open()
     annotated = annotate_params(context)
-    takes = annotated_takes(store, context.key(context.inputs["annotations"]))
     classes = classes_of(context, store)
     truth = ground_truth(store, params, takes, classes)
     annotations = store.result("annotations", run=run_of(store, context.key(context.inputs["annotations"])))
@@ -114,6 +122,20 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     }
 
 
+def not_labelled(params: Params, roots: Iterable[str]) -> bool:
+    """Whether takes have no ground truth: it is said so, or none is given and no file is called as it usually is.
+
+    Parameters
+    ----------
+    roots: the source folders of the takes.
+    """
+    if params.ground_truth == NONE:
+        return True
+    if "ground_truth" in params.model_fields_set or params.ground_truth == OWN_CLASS:
+        return False
+    return not any_ground_truth(params.ground_truth, _roots(params, roots))
+
+
 def annotate_params(context: StageContext) -> annotate.Params:
     """The parameters of the stage whose annotations are evaluated."""
     params = context.params[context.inputs["annotations"]]
@@ -133,11 +155,15 @@ def ground_truth(store: Store, params: Params, takes: pl.DataFrame, classes: Cla
     """Find and place the ground truth of these takes."""
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
-    files = truth_files(params, sorted(takes["source_root"].unique()))
+    files = truth_files(params, takes["source_root"].unique())
     segments = [segment for file in files for segment in read_ground_truth(file)]
     return place_ground_truth(segments, takes, store.takes()["name"], classes, params.unknown_labels)
 
 
-def truth_files(params: Params, roots: Sequence[str]) -> list[Path]:
+def truth_files(params: Params, roots: Iterable[str]) -> list[Path]:
     """The label files, below `source` or else below the source folders of takes."""
-    return ground_truth_files(params.ground_truth, [params.source] if params.source else roots)
+    return ground_truth_files(params.ground_truth, _roots(params, roots))
+
+
+def _roots(params: Params, roots: Iterable[str]) -> Sequence[str]:
+    return [params.source] if params.source else sorted(roots)

@@ -98,11 +98,11 @@ def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tu
     learned = context.params[context.inputs["templates"]]
     assert isinstance(evaluated, evaluating.Params)
     assert isinstance(learned, learning.Params)
-    if evaluated.ground_truth == evaluating.NONE:
-        return []
     annotated = evaluating.annotate_params(context)
     store = context.open()
     takes = annotated_takes(store, context.key(context.inputs["annotations"]))
+    if evaluating.not_labelled(evaluated, takes["source_root"].unique()):
+        return []
     if params.column not in takes.columns:
         raise KinedexError(f"takes have no column '{params.column}'{did_you_mean(params.column, takes.columns)}")
     classes = evaluating.classes_of(context, store)

@@ -158,6 +158,17 @@ def test_what_goes_wrong_is_said_in_one_message_with_a_way_out(store: Path, word
     assert "Traceback" not in done.stderr
 
 
+def test_takes_that_nobody_has_labelled_are_annotated_and_reported(source: Path, tmp_path: Path) -> None:
+    words = ("run", "annotate", "--store", tmp_path / "store", "--set", f"source={source}", "--executor", "serial")
+    done = kinedex(*words)
+    assert done.returncode == 0, done.stderr
+    assert "no ground truth, nothing to evaluate" in done.stdout
+    assert (tmp_path / "store/results/reports/annotate/report.html").is_file()
+    given = kinedex(*words, "--set", "evaluate.ground_truth=**/ground_truth.csv")
+    assert given.returncode == 1
+    assert "no file '**/ground_truth.csv' below" in given.stderr
+
+
 def test_a_failed_stage_says_how_to_go_on(store: Path, source: Path) -> None:
     settings = [f"source={source}", "train=actor = 'nobody'", "evaluate.ground_truth=none"]
     words = [word for setting in settings for word in ("--set", setting)]

@@ -206,6 +206,23 @@ def test_a_takes_own_class_can_be_the_ground_truth_and_there_can_be_none(line: L
     assert line.run(leave_one_out) == {"folds": 0}
 
 
+def test_nothing_is_evaluated_where_nobody_has_labels_but_a_pattern_that_was_given_must_find_some(
+    line: Line, tmp_path: Path
+):
+    (tmp_path / "archive" / "ground_truth.csv").unlink()
+    line.run(learn_templates)
+    line.run(annotate)
+    assert line.run(evaluate) == {"evaluated_takes": 0}
+    said = line.said.getvalue()
+    assert "no ground truth, nothing to evaluate: the source has no file '**/ground_truth.csv'" in said
+    assert line.run(leave_one_out) == {"folds": 0}
+    assert line.run(evaluate, source=str(tmp_path / "archive")) == {"evaluated_takes": 0}
+    with pytest.raises(KinedexError, match=r"no file '\*\*/ground_truth.csv' below .*archive"):
+        line.run(evaluate, ground_truth="**/ground_truth.csv")
+    with pytest.raises(KinedexError, match=r"the source folder .*gone is no longer there"):
+        line.run(evaluate, source=str(tmp_path / "gone"))
+
+
 def test_ground_truth_that_changes_makes_the_evaluation_run_again(line: Line, tmp_path: Path):
     truth = tmp_path / "archive" / "ground_truth.csv"
     ways = [
@@ -219,8 +236,9 @@ def test_ground_truth_that_changes_makes_the_evaluation_run_again(line: Line, tm
     truth.write_text(TRUTH + "bob_take01,walk,96,120\n")
     assert all(evaluate.external_digest(params, store) != old for params, old in zip(ways, before, strict=True))
     truth.unlink()
-    assert {evaluate.external_digest(params, store) for params in ways} == {"none to be read"}
-    assert evaluate.external_digest(ways[0], None) == "none to be read"
+    nobodys, read = "nobody's labels", "none to be read"
+    assert [evaluate.external_digest(params, store) for params in ways] == [nobodys, nobodys, read]
+    assert evaluate.external_digest(ways[0], None) == nobodys
     assert evaluate.external_digest(evaluate.Params(ground_truth="class"), store) == ""
 
 
