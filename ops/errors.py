@@ -12,7 +12,12 @@ _LONGEST_MESSAGE = 1500
 
 
 class KinedexError(Exception):
-    """Anything kinedex refuses to do, with a message that a user can act on."""
+    """Anything kinedex refuses to do, with a message that a user can act on.
+
+    way_out: a parameter of the stage that raised it, with a value that lets the same command go on, if there is one.
+    """
+
+    way_out: tuple[str, str] | None = None
 
 
 class ParameterError(KinedexError, ValueError):
@@ -72,6 +77,10 @@ def _config_error(path: str, reason: str, line: int | None, key: str | None) -> 
 
 class StoreError(KinedexError):
     """A store is missing, locked, damaged, of another format version, or lacks what is asked for."""
+
+
+class NewStoreError(StoreError):
+    """A store is sound, but what is asked for belongs into another one: to ask again does not help."""
 
 
 def _readable(message: str) -> str:

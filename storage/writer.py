@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from catalog.features import FeatureSet
-from ops.errors import ParameterError, StoreError
+from ops.errors import NewStoreError, ParameterError, StoreError
 from storage.disk import writing
 from storage.lock import Lock
 from storage.manifest import (
@@ -361,12 +361,14 @@ def _refuse_foreign(root: Path) -> None:
 def _refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, rate_hz: float) -> None:
     has = manifest.feature_set
     if has.digest != feature_set.digest:
-        raise StoreError(
+        raise NewStoreError(
             f"{root} was made with the feature set {has.name} version {has.version} ({has.digest}), not with "
             f"{feature_set.name} version {feature_set.version} ({feature_set.digest}); ingest into a new store"
         )
     if manifest.rate_hz != rate_hz:
-        raise StoreError(f"{root} holds frames at {manifest.rate_hz:g} Hz, not {rate_hz:g} Hz; ingest into a new store")
+        raise NewStoreError(
+            f"{root} holds frames at {manifest.rate_hz:g} Hz, not {rate_hz:g} Hz; ingest into a new store"
+        )
 
 
 def _remove_leftovers(root: Path, newest: Manifest) -> None:

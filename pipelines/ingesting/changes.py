@@ -33,14 +33,16 @@ class Changes:
     """What is to be done about a source.
 
     tasks: the files to read, in order of their take ids. unchanged: how many are as they were. restated: rows of those
-    of them whose file lies elsewhere or has another time now. gone: ids of takes whose file is no more. failures: files
-    that cannot be placed. skeletons: rows of `skeleton_files`.
+    of them whose file lies elsewhere or has another time now. gone: ids of takes whose file is no more. renamed: id,
+    old and new name of takes whose file is there, but would be called otherwise. failures: files that cannot be placed.
+    skeletons: rows of `skeleton_files`.
     """
 
     tasks: list[Task]
     unchanged: int
     restated: list[dict[str, Any]]
     gone: list[int]
+    renamed: list[tuple[int, str, str]]
     failures: list[Failure]
     skeletons: pa.Table
 
@@ -75,9 +77,10 @@ def compare(
         names.setdefault(_name(naming, motion), []).append(motion.path)
     for motion in found.motions:
         name = _name(naming, motion)
+        if len(names[name]) > 1:
+            failures.append(failure(motion, _namesake(name, motion, names[name]), clash=name))
+            continue
         try:
-            if len(names[name]) > 1:
-                raise _namesake(name, motion, names[name])
             skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
@@ -97,12 +100,15 @@ def compare(
             failures.append(failure(motion, fault))
     ids = writer.assign_take_ids(task.name for task in tasks)
     tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
-    gone = [
-        row["take_id"]
+    vanished = [
+        row
         for name, row in known.items()
         if name not in names and row["source_root"] in former and not found.hidden(row["source"])
     ]
-    return Changes(tasks, unchanged, restated, gone, failures, skeleton_sums.table())
+    called = {path: name for name, paths in names.items() for path in paths}
+    renamed = [(row["take_id"], row["name"], called[row["source"]]) for row in vanished if row["source"] in called]
+    gone = [row["take_id"] for row in vanished if row["source"] not in called]
+    return Changes(tasks, unchanged, restated, gone, renamed, failures, skeleton_sums.table())
 
 
 def _recipes(feature_set: FeatureSet, mappings: Mappings, given: Given) -> dict[str, str]:
@@ -124,9 +130,11 @@ def _name(naming: Naming, motion: SourceFile) -> str:
 def _namesake(name: str, motion: SourceFile, paths: Sequence[str]) -> SourceError:
     """Two files of one name: neither wins silently; the rule of naming that tells them apart is the way out."""
     rule = "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
-    others = ", ".join(path for path in paths if path != motion.path)
+    others = [path for path in paths if path != motion.path]
+    also = ", ".join(others[:2]) + (f" and {len(others) - 2} more" if len(others) > 2 else "")
+    many, rename = ("two", "one") if len(paths) == 2 else (len(paths), "them")
     return SourceError(
-        motion.absolute, f"two takes would be named '{name}' (also {others}); rename one, or set `name: {rule}`"
+        motion.absolute, f"{many} takes would be named '{name}' (also {also}); rename {rename}, or set `name: {rule}`"
     )
 
 

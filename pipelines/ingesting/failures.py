@@ -14,19 +14,25 @@ from ops.errors import KinedexError, SourceError
 from storage.schemas import result_schema
 from storage.sources import Refused, SourceFile, readable
 
+MOST_TOLD = 10
+
 
 @dataclass(frozen=True)
 class Failure:
-    """One thing that did not come in, and why; every field is text that can be written anywhere."""
+    """One thing that did not come in, and why; every field is text that can be written anywhere.
+
+    clash: the name that several files would have; they all say the same.
+    """
 
     source: str
     error: str
     message: str
     file: str
     line: int | None
+    clash: str | None = None
 
 
-def failure(motion: SourceFile, fault: Exception) -> Failure:
+def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> Failure:
     """What an error says of the motion file that it came from, with the way out.
 
     An error that is not of the project's own, nor of the operating system, is a defect of kinedex: it must not cost the
@@ -34,7 +40,7 @@ def failure(motion: SourceFile, fault: Exception) -> Failure:
     """
     file = readable(str(motion.absolute))
     if isinstance(fault, SourceError):
-        return Failure(motion.path, "SourceError", readable(str(fault)), readable(fault.path), fault.line)
+        return Failure(motion.path, "SourceError", readable(str(fault)), readable(fault.path), fault.line, clash)
     error = type(fault).__name__
     if isinstance(fault, KinedexError):
         message = f"{file}: {fault}"
@@ -69,6 +75,17 @@ def killer(motion: SourceFile, fault: Exception) -> Failure:
 def refusal(refused: Refused) -> Failure:
     """The failure of what a scan of the source has refused."""
     return Failure(refused.path, "SourceError", str(refused.fault), refused.fault.path, None)
+
+
+def told(failures: Sequence[Failure]) -> list[str]:
+    """What is said of failures on the terminal: ten at most, one for each name that several files would have."""
+    groups: dict[str, list[Failure]] = {}
+    for index, one in enumerate(failures):
+        groups.setdefault(f"name {one.clash}" if one.clash is not None else f"{index}", []).append(one)
+    alike = list(groups.values())
+    lines = [f"left out: {group[0].message}" for group in alike[:MOST_TOLD]]
+    more = sum(len(group) for group in alike[MOST_TOLD:])
+    return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more else [])
 
 
 def log_table(failures: Sequence[Failure], run: str) -> pa.Table:

@@ -15,13 +15,14 @@ from catalog.features import FeatureSet
 from catalog.skeletons import Mappings, load_mappings
 from ops import textnumbers
 from ops.body import features, kinematics
-from ops.errors import KinedexError
+from ops.errors import KinedexError, NewStoreError
 from pipelines.context import StageContext, feature_set_for
 from pipelines.executors import WorkerDied
 from pipelines.ingesting.batches import run_batches
-from pipelines.ingesting.changes import Naming, compare, digest
-from pipelines.ingesting.failures import Failure, failure, killer, log_table
+from pipelines.ingesting.changes import Changes, Naming, compare, digest
+from pipelines.ingesting.failures import Failure, failure, killer, log_table, told
 from pipelines.ingesting.reading import Batch, Task, Written, read_batch
+from pipelines.wording import counted
 from storage.bodies import Given
 from storage.bodymodel import model_digest
 from storage.bvh import FASTEST_HZ, SLOWEST_HZ
@@ -124,6 +125,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     mappings = load_mappings(params.skeleton, context.feature_set.joints)
     with context.writer() as writer:
         plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
+        if plan.renamed and not params.prune:
+            raise _named_otherwise(plan)
         context.say(
             f"{len(found.motions)} motion files below {params.source}: "
             f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
@@ -134,6 +137,10 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         if plan.gone:
             what = "dropped" if params.prune else "kept; `prune: true` drops them"
             context.say(f"{len(plan.gone)} takes whose file is gone: {what}")
+        if plan.renamed:
+            context.say(
+                f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were"
+            )
         failures = list(plan.failures)
         frames = 0
         if not (params.strict and failures):
@@ -143,17 +150,21 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         if params.strict and failures:
             writer.commit()
             raise KinedexError(f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)")
-        if params.prune:
-            writer.drop_takes(plan.gone)
+        read = len(plan.tasks) - (len(failures) - len(plan.failures))
+        if not plan.unchanged + read:
+            writer.commit()
+            _tell(context, failures)
+            count = len(found.motions)
+            none = f"none of the {count} files came in" if count > 1 else "the only file did not come in"
+            raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
+        dropped = [*plan.gone, *(take for take, _, _ in plan.renamed)] if params.prune else []
+        if dropped:
+            writer.drop_takes(dropped)
         writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=takes_schema()))
         writer.commit()
         _compact(context, writer)
         total = len(writer.manifest.live_takes)
-    for left_out in failures[:10]:
-        context.say(f"left out: {left_out.message}")
-    if len(failures) > 10:
-        context.say(f"… and {len(failures) - 10} more: SELECT * FROM ingest_log lists them all")
-    read = len(plan.tasks) - (len(failures) - len(plan.failures))
+    _tell(context, failures)
     return {
         "takes": total,
         "read": read,
@@ -161,8 +172,24 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "frames_read": frames,
         "left_out": len(failures),
         "not_read": len(found.unread),
-        "dropped": len(plan.gone) if params.prune else 0,
+        "dropped": len(dropped),
     }
+
+
+def _named_otherwise(plan: Changes) -> NewStoreError:
+    """The files of takes are there, but this pipeline calls them otherwise: they would come in twice."""
+    _, before, now = plan.renamed[0]
+    return NewStoreError(
+        f"{counted(len(plan.renamed), 'take')} of this source are in the store under other names, such as '{before}' "
+        f"(here '{now}'): another pipeline named them, by the parameter `name` of its ingest. Go on with the pipeline "
+        "that brought them in, or use a new store; `prune: true` reads their files again under the new names and drops "
+        "the takes of the old ones"
+    )
+
+
+def _tell(context: StageContext, failures: Sequence[Failure]) -> None:
+    for line in told(failures):
+        context.say(line)
 
 
 def _bring_in(

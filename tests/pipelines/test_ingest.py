@@ -253,9 +253,9 @@ def test_two_takes_of_one_name_are_both_left_out_unless_named_by_path(tmp_path: 
 def test_a_stranger_of_the_same_name_does_not_replace_a_take(tmp_path: Path) -> None:
     store = tmp_path / "store"
     bring_in(store, write_archive(tmp_path / "one", {"x_1.amc": 9}))
-    summary = bring_in(store, write_archive(tmp_path / "two", {"x_1.amc": 13}, first_seed=5))
+    summary = bring_in(store, write_archive(tmp_path / "two", {"x_1.amc": 13, "x_2.amc": 5}, first_seed=5))
     assert summary["left_out"] == 1
-    assert open_store(store).takes()["frames"].to_list() == [3]
+    assert open_store(store).takes()["frames"].to_list() == [3, 2]
 
 
 def test_an_archive_that_moved_is_the_same_archive(tmp_path: Path) -> None:

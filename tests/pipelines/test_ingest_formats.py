@@ -198,9 +198,10 @@ def test_joint_angles_come_in_with_a_body_model_and_are_read_again_with_another(
     poses = np.zeros((60, 156))
     poses[:, 0] = np.pi / 2
     np.savez(tmp_path / "source" / "walk_poses.npz", poses=poses, trans=np.zeros((60, 3)), mocap_framerate=60)
-    summary, said = bring_in(tmp_path / "store", tmp_path / "source")
-    assert (summary["takes"], summary["left_out"]) == (0, 1)
-    assert "give `body_model`" in said
+    with pytest.raises(KinedexError, match="the only file did not come in; the reasons are above"):
+        bring_in(tmp_path / "store", tmp_path / "source")
+    (message,) = open_store(tmp_path / "store").result("ingest_log").column("message").to_pylist()
+    assert "give `body_model`" in message
     summary, _ = bring_in(tmp_path / "store", tmp_path / "source", body_model=str(model))
     assert (summary["takes"], summary["left_out"]) == (1, 0)
     (row,) = rows(open_store(tmp_path / "store"))
