@@ -21,6 +21,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FORCED = "--force"
 """The reason of a stage that runs because it was asked for."""
 
+NEVER = "has not run yet"
+
 # What a stage is run by, but what its results do not depend on.
 _CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
 
@@ -65,6 +67,8 @@ class Planner:
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
         parts = self.parts(stage, store)
         reason = FORCED if stage.name in self.force else _reason(record, parts)
+        if reason == NEVER and store is not None and _elsewhere(store, self.pipeline.name, stage):
+            reason = f"not run yet by the pipeline '{self.pipeline.name}' (but by another)"
         if reason is None and store is not None and record is not None:
             reason = _gone(stage, store, record)
         if reason is None:
@@ -119,9 +123,15 @@ def _takes(store: Store | None) -> str:
     return store.manifest.content_digest() if store else ""
 
 
+def _elsewhere(store: Store, pipeline: str, stage: Stage) -> bool:
+    """Whether a stage of this kind has run in another pipeline."""
+    others = (record for key, record in store.manifest.stages.items() if key.partition("/")[0] != pipeline)
+    return any(record.summary.get("uses") == stage.uses for record in others)
+
+
 def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
     if record is None:
-        return "has not run yet"
+        return NEVER
     if record.fingerprint == _hash(parts):
         return None
     before = record.summary.get("fingerprint_parts", {})

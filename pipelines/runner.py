@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ops.errors import KinedexError
+from ops.errors import KinedexError, NewStoreError
 from pipelines.config import Pipeline, load_pipeline
 from pipelines.context import StageContext, feature_set_for
 from pipelines.executors import Executor, make_executor
@@ -123,15 +123,17 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     )
     begin = time.perf_counter()
     try:
-        # The old record goes first: killed in the middle, the stage must not count as done.
-        with context.writer() as writer:
-            writer.forget_stage(context.key())
-            writer.commit()
+        # The old record goes first: killed in the middle, the stage must not count as done. A store that is not there
+        # has none, and is not made before there is something to go in.
+        if versions(run.store_path):
+            with context.writer() as writer:
+                writer.forget_stage(context.key())
+                writer.commit()
         summary = stage.run(context, stage.params)
         seconds = time.perf_counter() - begin
         _record(context, planner.done(step), summary, seconds)
     except KinedexError as fault:
-        raise _failed(run, stage.name, str(fault)) from fault
+        raise _failed(run, stage.name, str(fault), fault) from fault
     except OSError as fault:
         raise _failed(run, stage.name, f"{fault.filename or run.store_path}: {fault.strerror or fault}") from fault
     except MemoryError as fault:
@@ -139,8 +141,14 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     run.terminal.say(f"done in {seconds:.1f} s")
 
 
-def _failed(run: _Run, stage: str, reason: str) -> StageFailed:
-    return StageFailed(f"stage {stage}: {reason}\nwhen that is mended, go on with:\n    {run.resume}")
+def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = None) -> StageFailed:
+    said = f"stage {stage}: {reason}"
+    if isinstance(fault, NewStoreError):
+        return StageFailed(said)
+    if fault is not None and fault.way_out is not None:
+        name, value = fault.way_out
+        return StageFailed(f"{said}\ngo on with:\n    {run.resume} --set {shlex.quote(f'{stage}.{name}={value}')}")
+    return StageFailed(f"{said}\nwhen that is mended, go on with:\n    {run.resume}")
 
 
 def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float) -> None:

@@ -170,11 +170,13 @@ def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: Unknow
         name = classes.class_of(segment.label)
         if name is None and unknown == "error":
             labels = {*classes.names, *classes.of_subclass()}
-            raise segment.error(
+            fault = segment.error(
                 f"'{segment.label}' is neither a class nor a subclass of this evaluation"
                 f"{did_you_mean(segment.label, labels)} (`unknown_labels: miss` counts it as missed, `ignore` leaves "
-                "it out)"
+                "it out; where labels name classes of several subclasses, `--set classes=FILE` says which)"
             )
+            fault.way_out = ("unknown_labels", "miss")
+            raise fault
         result[segment.label] = segment.label if name is None and unknown == "miss" else name
     return result
 

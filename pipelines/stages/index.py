@@ -28,18 +28,20 @@ def stands(store: Store) -> bool:
 def run(context: StageContext, params: Params) -> dict[str, object]:
     """Build the index of the store's takes, unless it stands already."""
     store = context.open()
+    before = index.current(store.path, store.manifest)
     generation = index.build(store, params.threads, params.memory_mb)
     says = index.read_generation(generation)
     assert says is not None
+    built = 0 if generation == before else says.built_frames
     context.say(
         f"{says.rows['word_runs']:,} word runs of {says.rows['vocabulary']:,} words, "
         f"{says.rows['feature_runs']:,} feature runs in {generation.name}, "
-        f"for which {says.built_frames:,} of {says.frames:,} frames were indexed anew"
+        f"for which {built:,} of {says.frames:,} frames were indexed anew"
     )
     return {
         "generation": generation.name,
         "bytes": says.bytes,
         "shards": len(says.shards),
-        "built_frames": says.built_frames,
+        "built_frames": built,
         **says.rows,
     }

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from ops.errors import ConfigError, KinedexError, ParameterError, SourceError
+from catalog.configs import shipped_configs
+from ops.errors import ConfigError, KinedexError, NewStoreError, ParameterError, SourceError
 from pipelines.config import load_pipeline
 from pipelines.plan import imports_of, make_plan
 from pipelines.runner import StageFailed, run_pipeline
@@ -108,6 +109,52 @@ def test_a_stage_that_fails_does_not_count_as_done_and_says_how_to_go_on(
     )
     monkeypatch.undo()
     assert reasons(store, source) == [None, "has not run yet"]
+
+
+def fails_with(archive: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, fault: KinedexError) -> str:
+    def fail(*_: object) -> dict[str, object]:
+        raise fault
+
+    monkeypatch.setattr(index, "run", fail)
+    with pytest.raises(StageFailed) as caught:
+        run(*archive, force=frozenset({"index"}))
+    return str(caught.value)
+
+
+def test_a_command_that_cannot_succeed_is_not_advised(
+    archive: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fails_with(archive, monkeypatch, NewStoreError("use another")) == "stage index: use another"
+    fault = KinedexError("no luck")
+    fault.way_out = ("luck", "good")
+    said = fails_with(archive, monkeypatch, fault)
+    assert "go on with:\n    kinedex run ingest" in said
+    assert said.endswith("--force index --set index.luck=good")
+
+
+def test_a_store_is_not_made_before_something_goes_in(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(StageFailed, match="no motion files"):
+        run(tmp_path / "store", tmp_path / "empty")
+    assert not (tmp_path / "store").exists()
+
+
+def test_what_another_pipeline_has_done_is_not_called_undone(archive: tuple[Path, Path]) -> None:
+    store, source = archive
+    said = io.StringIO()
+    pipeline = store.parent / "other.yaml"
+    pipeline.write_text(
+        (shipped_configs() / "pipelines" / "ingest.yaml").read_text().replace("name: ingest", "name: x")
+    )
+    run_pipeline(
+        pipeline, store, assignments={"source": str(source)}, terminal=Terminal(Console(file=said, soft_wrap=True))
+    )
+    lines = said.getvalue().splitlines()
+    assert lines[0].endswith("ingest: not run yet by the pipeline 'x' (but by another)")
+    assert "0 to read, 2 unchanged" in lines[1]
+    assert "for which 0 of 18 frames were indexed anew" in said.getvalue()
+    other = load_pipeline("annotate", {"source": str(source)})
+    assert make_plan(other, store)[2].reason == "has not run yet"
 
 
 def test_a_run_that_is_killed_in_a_stage_leaves_no_record_of_it(
