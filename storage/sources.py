@@ -261,7 +261,12 @@ def _nearest(motion: SourceFile, folders: Mapping[str, _Folder]) -> SourceFile:
             break
         at = os.path.dirname(at)
     found = f"found only {', '.join(seen)}" if seen else "found none in its folder nor above, up to the source root"
-    raise SourceError(motion.absolute, f"no ASF skeleton whose name begins like '{motion.stem}': {found}")
+    example = re.split(r"[-_. ]", motion.stem)[0] or motion.stem
+    above = " or in a folder above" if os.path.dirname(motion.path) else ""
+    raise SourceError(
+        motion.absolute,
+        f"no ASF skeleton whose name begins like '{motion.stem}': {found}; put e.g. '{example}.asf' beside it{above}",
+    )
 
 
 _NO_SKELETONS = _Folder()

@@ -43,7 +43,8 @@ def test_the_nearest_folder_and_the_longest_common_prefix_win(motion: str, skele
             "equally well: clips/HDM_bd.asf, clips/HDM_bk.asf",
         ),
         ("a/x.amc", ["b/x.asf"], "found none in its folder nor above"),
-        ("a/x.amc", ["a/y.asf", "z.asf"], "found only a/y.asf, z.asf"),
+        ("a/x.amc", ["a/y.asf", "z.asf"], "found only a/y.asf, z.asf; put e.g. 'x.asf' beside it or in a folder above"),
+        ("al_001.amc", [], "found none in its folder nor above, up to the source root; put e.g. 'al.asf' beside it"),
     ],
 )
 def test_none_or_a_tie_names_the_candidates(motion: str, skeletons: list[str], message: str) -> None:
