@@ -218,10 +218,14 @@ history    DOUBLE[]    four numbers for each generation"""),
     View(
         "hits",
         "results",
-        "What keyframe queries found.",
-        columns(f"{_RUN}\nquery    VARCHAR    name of the query\n{_TAKE}\n{_SECONDS}"),
+        "What keyframe queries found, where it was kept.",
+        columns(f"""{_RUN}
+saved_as    VARCHAR    the name that they were kept under: `kinedex search --save`
+query    VARCHAR    name of the query
+{_TAKE}
+{_SECONDS}"""),
         "SELECT query, count(*) AS hits, sum(stop_seconds - start_seconds) AS seconds FROM hits "
-        "GROUP BY query ORDER BY query",
+        "WHERE saved_as = 'mine' GROUP BY query ORDER BY query",
     ),
     View(
         "skeleton_files",

@@ -159,6 +159,7 @@ _RESULTS: dict[str, pa.Schema] = {
     ),
     "hits": _fields(
         _RUN,
+        ("saved_as", pa.string()),
         ("query", pa.string()),
         *_TAKE,
         *_RANGE,

@@ -30,7 +30,7 @@ def search(
     ] = False,
     save: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="keep the hits in the store under this name; they are in the view `hits`"),
+        typer.Option(metavar="NAME", help="keep the hits in the store under this name: `saved_as` of the view `hits`"),
     ] = None,
     form: Format = "table",
     output: Output = None,
@@ -50,7 +50,7 @@ def search(
     if save is None:
         hits = search_store(opened, loaded, where)
         plain = form == "table" and output is None
-        show_table(hits.drop_columns(["run", "take_id"]) if plain else hits, form, output)
+        show_table(hits.drop_columns(["run", "saved_as", "take_id"] if plain else ["saved_as"]), form, output)
         if plain:
             takes = len(set(hits.column("take_id").to_pylist()))
             hint = "" if hits.num_rows else "; --explain shows at which keyframe it ends"
@@ -61,7 +61,7 @@ def search(
     run = new_run_id()
     hits = search_store(opened, loaded, where, run)
     opened.close()
-    save_hits(opened, hits, save, run)
+    hits = save_hits(opened, hits, save, run)
     if output is not None or form != "table":
         show_table(hits, form, output)
     else:

@@ -144,16 +144,23 @@ def of_these_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes
     return TakeRanges(offsets, ranges.starts[kept], ranges.stops[kept])
 
 
-def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> None:
+def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
     """Keep hits in the store as results, in place of those that were kept under this name before.
+
+    Returns
+    -------
+    The rows as the store has them, with the name.
 
     Raises
     ------
     StoreError: another process writes to the store.
     """
+    column = hits.schema.get_field_index("saved_as")
+    kept = hits.set_column(column, hits.schema.field(column), pa.repeat(name, hits.num_rows))
     with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:
-        writer.put_results("hits", hits, stage=f"search/{name}", run=run)
+        writer.put_results("hits", kept, stage=f"search/{name}", run=run)
         writer.commit()
+    return kept
 
 
 def preselect_stored(store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]) -> dict[str, TakeRanges]:
@@ -208,6 +215,7 @@ def hits_table(
         index, starts, stops = index[order], ranges.starts[order], ranges.stops[order]
         columns = {
             "run": pa.repeat(run, len(index)),
+            "saved_as": pa.nulls(len(index), pa.string()),
             "query": pa.repeat(query, len(index)),
             "take_id": take_ids[index],
             "take": pa.array([names[i] for i in index.tolist()], pa.string()),

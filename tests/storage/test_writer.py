@@ -281,7 +281,7 @@ def test_wrong_results_are_refused(tmp_path: Path) -> None:
         with pytest.raises(StoreError, match="missing column take"):
             writer.put_results("hits", hits(1).drop_columns("take"), stage="p/s", run="r")
         with pytest.raises(StoreError, match="column start must be int32"):
-            writer.put_results("hits", hits(1).set_column(3, "start", pa.array(["soon"])), stage="p/s", run="r")
+            writer.put_results("hits", hits(1).set_column(4, "start", pa.array(["soon"])), stage="p/s", run="r")
         with pytest.raises(ParameterError, match="run must be r2"):
             writer.put_results("hits", hits(1).append_column("run", pa.array(["r1"])), stage="p/s", run="r2")
 

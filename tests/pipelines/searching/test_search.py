@@ -220,8 +220,11 @@ def test_hits_are_kept_in_place_of_those_of_the_same_name(tmp_path: Path) -> Non
     save_hits(store, search_store(store, QUERIES[1:], run="r2"), "mine", "r2")
     save_hits(store, search_store(store, QUERIES[:1], run="r3"), "others", "r3")
     again = open_store(tmp_path / "store")
-    kept = again.sql("SELECT run, query, count(*) AS hits FROM hits GROUP BY ALL ORDER BY ALL").to_pylist()
-    assert kept == [{"run": "r2", "query": "hand_up", "hits": 3}, {"run": "r3", "query": "squat", "hits": 2}]
+    kept = again.sql("SELECT saved_as, run, query, count(*) AS hits FROM hits GROUP BY ALL ORDER BY ALL").to_pylist()
+    assert kept == [
+        {"saved_as": "mine", "run": "r2", "query": "hand_up", "hits": 3},
+        {"saved_as": "others", "run": "r3", "query": "squat", "hits": 2},
+    ]
     assert search_store(again, QUERIES).num_rows == 5
 
 
