@@ -17,8 +17,14 @@ from yaml.resolver import Resolver
 
 from ops.errors import ConfigError, did_you_mean
 
-KINDS = ("skeletons", "features", "classes", "queries", "pipelines")
-"""The kinds of configuration file, each a folder of the shipped `configs/`."""
+KINDS = {
+    "skeletons": "skeleton mapping",
+    "features": "feature set",
+    "classes": "class file",
+    "queries": "query file",
+    "pipelines": "pipeline",
+}
+"""The kinds of configuration file, each a folder of the shipped `configs/`, and what one of them is called."""
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -50,13 +56,13 @@ def config_path(kind: str, name: str | Path) -> Path:
     if "/" in text or text.endswith((".yaml", ".yml", ".json")):
         path = Path(text).expanduser()
         if not path.is_file():
-            raise ConfigError(path, f"no such {kind} file")
+            raise ConfigError(path, f"no such file; expected a {KINDS[kind]}")
         return path
     path = shipped_configs() / kind / f"{text}.yaml"
     if not path.is_file():
         raise ConfigError(
             text,
-            f"no {kind} file of that name comes with kinedex{did_you_mean(text, config_names(kind))}"
+            f"no {KINDS[kind]} is called that{did_you_mean(text, config_names(kind))}"
             " (a file of your own is given by its path, ending in .yaml)",
         )
     return path

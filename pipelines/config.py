@@ -144,7 +144,8 @@ def _assign(
     stage, dot, key = name.partition(".")
     if not dot:
         if name not in settings:
-            hint = did_you_mean(name, settings) if settings else "; it has none"
+            hint = _parameters_called(located, entries, name)
+            hint = hint or (did_you_mean(name, settings) if settings else "; it has none")
             raise KinedexError(f"--set {name}: {located.path} has no setting of that name{hint}")
         literal = settings[name] is None or isinstance(settings[name], str)
         settings[name] = text if literal else _value(name, text)
@@ -156,6 +157,15 @@ def _assign(
         raise KinedexError(f"--set {name}: stage '{stage}' has no parameter '{key}'{did_you_mean(key, known)}")
     literal = known[key].annotation in (str, str | None)
     overrides.setdefault(stage, {})[key] = text if literal else _value(name, text)
+
+
+def _parameters_called(located: Located, entries: dict[str, _StageEntry], name: str) -> str:
+    """What to say where parameters of stages are called like a setting that is not there; empty where none is."""
+    stages = [stage for stage in entries if name in stage_module(_uses(located, entries, stage)).Params.model_fields]
+    if not stages:
+        return ""
+    which = "a parameter of a stage" if len(stages) == 1 else "parameters of stages"
+    return f"; did you mean {' or '.join(f'{stage}.{name}' for stage in stages)}, {which}?"
 
 
 def _value(name: str, text: str) -> Any:

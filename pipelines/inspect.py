@@ -93,6 +93,8 @@ def inspect_file(
     KinedexError: it is no motion file, or there is no such mapping.
     """
     ending = file.suffix.lower()
+    if file.is_dir():
+        raise KinedexError(f"{file}: is a folder; give a file of it, or read them all: kinedex ingest STORE {file}")
     if not file.is_file():
         raise KinedexError(f"{file}: no such file")
     if ending not in FORMS:

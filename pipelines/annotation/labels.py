@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -29,7 +30,10 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
     annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
     records = {name: one for name, one in store.manifest.stages.items() if name in annotating}
     if not records:
-        raise KinedexError(f"{store.path}: nothing was annotated; `kinedex run annotate --store {store.path}` does it")
+        roots = store.takes()["source_root"].unique().to_list()
+        source = shlex.quote(f"source={roots[0]}") if len(roots) == 1 else "source=…"
+        command = f"kinedex run annotate --store {shlex.quote(str(store.path))} --set {source}"
+        raise KinedexError(f"{store.path}: nothing was annotated; `{command}` does it")
     if wanted is None:
         return max(records, key=lambda name: (records[name].finished, name))
     fitting = [name for name, one in records.items() if wanted in (name, name.split("/")[0], one.run)]

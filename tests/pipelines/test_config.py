@@ -78,6 +78,7 @@ def test_a_fault_in_a_pipeline_file_names_line_key_and_way_out(
     ("name", "message"),
     [
         ("sorce", "no setting of that name; did you mean 'source'?"),
+        ("rate_hz", "no setting of that name; did you mean ingest.rate_hz, a parameter of a stage?"),
         ("injest.prune", "no stage 'injest'; did you mean 'ingest'?"),
         ("ingest.prun", "no parameter 'prun'; did you mean 'prune'?"),
     ],
@@ -107,9 +108,18 @@ def test_values_that_yaml_stumbles_over_are_refused_with_the_file(tmp_path: Path
         load_pipeline(path, {"source": "x"})
 
 
+def test_a_parameter_of_several_stages_is_named_with_each() -> None:
+    with pytest.raises(
+        KinedexError, match=r"did you mean learn_templates\.where or annotate\.where, parameters of sta"
+    ):
+        load_pipeline("annotate", {"source": "x", "where": "true"})
+
+
 def test_an_unknown_pipeline_names_the_nearest() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'annotate'"):
+    with pytest.raises(ConfigError, match=r"^anotate: no pipeline is called that; did you mean 'annotate'"):
         load_pipeline("anotate")
+    with pytest.raises(ConfigError, match=r"^anotate.yaml: no such file; expected a pipeline$"):
+        load_pipeline("anotate.yaml")
 
 
 @pytest.mark.parametrize("name", config_names("pipelines"))

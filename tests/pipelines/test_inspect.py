@@ -200,6 +200,8 @@ def test_what_is_no_motion_file_is_refused_with_the_way_out(tmp_path: Path) -> N
         inspect_file(tmp_path / "a.txt")
     with pytest.raises(KinedexError, match="no such file"):
         inspect_file(tmp_path / "b.bvh")
+    with pytest.raises(KinedexError, match="is a folder; give a file of it, or read them all: kinedex ingest"):
+        inspect_file(tmp_path)
 
 
 def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Path) -> None:

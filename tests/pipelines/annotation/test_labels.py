@@ -58,6 +58,14 @@ def test_exported_annotations_are_ground_truth_that_they_equal(line: Line, tmp_p
     assert shown.stdout.splitlines()[0] == "take,class,start,stop,unit,where"
 
 
+def test_a_store_without_annotations_says_the_whole_command_that_makes_some(tmp_path: Path):
+    takes = [long_take("cat_1", "cat", "walk")]
+    store = open_store(write_store(tmp_path / "my store", takes, tmp_path / "my archive"))
+    command = f"kinedex run annotate --store '{tmp_path}/my store' --set 'source={tmp_path}/my archive'"
+    with pytest.raises(KinedexError, match=f"nothing was annotated; `{command}` does it"):
+        annotate_stage(store)
+
+
 def test_stages_and_takes_are_chosen_by_name(line: Line):
     store = open_store(line.store)
     for wanted in (None, "test", "test/annotate", "run-annotate"):
