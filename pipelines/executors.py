@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import multiprocessing.connection
 import os
 import secrets
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ops.errors import KinedexError, ParameterError
+from pipelines.workers import begin_worker, deaf_children, single_thread
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -37,8 +35,6 @@ ANSWER_SECONDS = 10.0
 
 PATIENCE_SECONDS = 60.0
 """How long a Dask cluster may be without any worker, or without its scheduler, before its tasks are given up."""
-
-THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class WorkerDied(KinedexError):
@@ -98,10 +94,14 @@ class ProcessExecutor:
         self._pool: ProcessPoolExecutor | None = None
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Apply a function to every item; results come in the items' order. A single item stays in this process."""
+        """Apply a function to every item; results come in the items' order.
+
+        For a single item no workers are started. Where there are some it goes to them: Ctrl-C ends them at once, and a
+        kernel in this process only when it is through.
+        """
         source = iter(items)
         first = list(islice(source, 2))
-        if len(first) < 2:
+        if len(first) < 2 and self._pool is None:
             yield from map(function, first)
             return
         waiting: deque[tuple[Item, Future[Result]]] = deque()
@@ -119,11 +119,16 @@ class ProcessExecutor:
     def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
         """A task in the pool; in one that is broken already, a task that fails like those that broke it."""
         try:
-            return self._start().submit(function, item)
+            return self._put(function, item)
         except BrokenProcessPool as fault:
             future: Future[Result] = Future()
             future.set_exception(fault)
             return future
+
+    def _put(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
+        """Give a task to the pool, which may start workers: they hear nothing of Ctrl-C, from their first moment on."""
+        with deaf_children():
+            return self._start().submit(function, item)
 
     def _next(
         self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
@@ -146,7 +151,7 @@ class ProcessExecutor:
     def _alone(self, function: Callable[[Item], Result], item: Item) -> Result:
         for _ in range(TRIES - 1):
             try:
-                return self._start().submit(function, item).result()
+                return self._put(function, item).result()
             except BrokenProcessPool:
                 self.close()
         raise WorkerDied(
@@ -174,7 +179,7 @@ class ProcessExecutor:
         if self._pool is None:
             # Workers start afresh: a fork of a process with numba, polars or DuckDB threads may hang.
             context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=_begin_worker)
+            self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=begin_worker)
         return self._pool
 
 
@@ -192,7 +197,7 @@ class DaskExecutor:
         self._cluster: LocalCluster | None = None
         if scheduler is None:
             # Workers of the cluster inherit this process's environment.
-            _single_thread()
+            single_thread()
             self._cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
         try:
             self._client: Client = Client(self._cluster or scheduler, timeout=ANSWER_SECONDS)
@@ -301,26 +306,6 @@ def _shown(item: object) -> str:
     """What a task is about: its own `subject` where it has one."""
     text = str(getattr(item, "subject", None) or repr(item))
     return text if len(text) <= 300 else f"{text[:300]}…"
-
-
-def _begin_worker() -> None:
-    """Set a worker process up: one thread a library, deaf to Ctrl-C (its parent ends it), gone with its parent."""
-    _single_thread()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_follow, args=(parent.sentinel,), daemon=True).start()
-
-
-def _follow(sentinel: int) -> None:
-    multiprocessing.connection.wait([sentinel])
-    os._exit(1)
-
-
-def _single_thread() -> None:
-    """One thread a worker, in every library that would take all cores: the processes are the parallelism."""
-    for name in THREADS_OF_LIBRARIES:
-        os.environ[name] = "1"
 
 
 def cores() -> int:

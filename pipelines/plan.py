@@ -24,7 +24,7 @@ FORCED = "--force"
 NEVER = "has not run yet"
 
 # What a stage is run by, but what its results do not depend on.
-_CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
+_CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors", "pipelines.workers"}
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,11 @@ def run_pipeline(
     except BaseException:
         pool.abort()
         raise
-    pool.close()
+    try:
+        pool.close()
+    except KeyboardInterrupt:
+        # all is done and recorded: only the workers were waited for
+        pool.abort()
     return _outcome(pipeline, steps, store_path)
 
 

@@ -71,6 +71,7 @@ def learn(
     known: Sequence[Known] = (),
     save: Callable[[list[Course]], None] | None = None,
     advance: Callable[[int], None] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> list[Course]:
     """Do all runs that are wanted; whatever the workers, the same runs and the same outcomes.
 
@@ -78,7 +79,7 @@ def learn(
     ----------
     known: runs that were finished before; those of these lessons and this setting are not done again. save: keeps
     finished runs; called every `SAVE_SECONDS` and after each round. advance: is told how many runs are done, or not
-    wanted any more.
+    wanted any more. say: is told how far it is, after each round.
     """
     courses = [Course(lesson, lesson.key(setting)) for lesson in lessons]
     by_key = {course.key: course for course in courses}
@@ -88,6 +89,8 @@ def learn(
     for begin in range(0, rounds.runs, rounds.group):
         numbers = range(begin, min(begin + rounds.group, rounds.runs))
         active = [course for course in courses if not course.settled]
+        if not active:
+            break
         _run_round(active, setting, numbers, executor, save and (lambda: save(courses)), advance)
         tasks = [AgreeTask(c.lesson, setting, tuple(c.runs[n] for n in range(numbers.stop))) for c in active]
         for course, outcome in zip(active, executor.map(agree, tasks), strict=True):
@@ -95,6 +98,9 @@ def learn(
             course.settled = _settled(course.outcomes, rounds)
             if course.settled and advance is not None:
                 advance(rounds.runs - numbers.stop)
+        if say is not None:
+            settled = sum(course.settled for course in courses)
+            say(f"{numbers.stop} of at most {rounds.runs} runs each: {settled} of {len(courses)} subclasses settled")
     return courses
 
 

@@ -151,10 +151,15 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     setting, rounds = setting_of(params, store), params.rounds()
     kept = KeptRuns(context, wanted)
     before = {(one.key, one.number) for one in kept.known()}
+    subclasses = counted(len(wanted), "subclass", "subclasses")
+    examples = counted(sum(len(one.names) for one in clips), "clip")
+    context.say(f"{subclasses} with {examples}, in rounds of {rounds.group} runs each")
     if params.background is not None:
         wanted = _with_background(context, store, wanted, setting, rounds, params, kept)
     with context.progress("runs", rounds.runs * len(wanted)) as progress:
-        courses = learn(wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance)
+        courses = learn(
+            wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance, context.say
+        )
     known = sum((course.key, number) in before for course in courses for number in course.used)
     with context.writer() as writer:
         writer.put_results("keyframe_runs", kept.table(courses), stage=context.key(), run=context.run)
@@ -196,7 +201,9 @@ def _with_background(
     words = store.words(takes["take_id"].to_list())
     first = Rounds(min(rounds.runs, rounds.group), rounds.group, 1, 0.0)
     with context.progress("runs without background", first.runs * len(wanted)) as progress:
-        courses = learn(wanted, setting, first, context.executor, kept.known(), kept.save, progress.advance)
+        courses = learn(
+            wanted, setting, first, context.executor, kept.known(), kept.save, progress.advance, context.say
+        )
     outcomes = [course.outcome for course in courses]
     mined = [
         mine(lesson, outcome, words, setting.features, params.background_clips)

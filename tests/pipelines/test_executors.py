@@ -53,6 +53,19 @@ def test_results_come_in_the_order_of_the_items(pool: ProcessExecutor) -> None:
     assert list(pool.map(square, [])) == []
 
 
+def hears_ctrl_c(_: int) -> bool:
+    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
+def test_ctrl_c_is_for_the_parent_alone() -> None:
+    executor = ProcessExecutor(2)
+    assert list(executor.map(hears_ctrl_c, [1, 2])) == [False, False]
+    assert list(executor.map(hears_ctrl_c, [3])) == [False]  # a single task goes to workers that are there
+    executor.close()
+    assert list(executor.map(hears_ctrl_c, [4])) == [True]
+
+
 def test_only_two_tasks_a_worker_are_taken_ahead(pool: ProcessExecutor) -> None:
     taken = []
 

@@ -152,6 +152,11 @@ def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path) -> None:
     summary = line.run(learn_keyframes, **{**QUICK, "runs": 40}, patience=1, settled=0.01)
     assert summary["settled"] == 4
     assert int(str(summary["runs"])) < 4 * 40
+    said = line.said.getvalue().splitlines()
+    assert said[0].strip() == "4 subclasses with 12 clips, in rounds of 2 runs each"
+    told = [text.strip() for text in said if "of at most 40 runs each" in text]
+    assert told[0] == "2 of at most 40 runs each: 0 of 4 subclasses settled"
+    assert told[-1] == f"{2 * len(told)} of at most 40 runs each: 4 of 4 subclasses settled"
 
 
 def test_the_outcome_is_that_of_the_best_round(store: Path) -> None:

@@ -12,6 +12,7 @@ from rich.console import Console
 from catalog.configs import shipped_configs
 from ops.errors import ConfigError, KinedexError, NewStoreError, ParameterError, SourceError
 from pipelines.config import load_pipeline
+from pipelines.executors import SerialExecutor
 from pipelines.plan import imports_of, make_plan
 from pipelines.runner import StageFailed, run_pipeline
 from pipelines.stages import index, ingest
@@ -137,6 +138,16 @@ def test_a_store_is_not_made_before_something_goes_in(tmp_path: Path) -> None:
     with pytest.raises(StageFailed, match="no motion files"):
         run(tmp_path / "store", tmp_path / "empty")
     assert not (tmp_path / "store").exists()
+
+
+def test_a_stop_after_everything_is_recorded_is_none(
+    archive: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(_: SerialExecutor) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SerialExecutor, "close", stop)
+    assert run(*archive, force=frozenset({"index"})) == ("index",)
 
 
 def test_what_another_pipeline_has_done_is_not_called_undone(archive: tuple[Path, Path]) -> None:
