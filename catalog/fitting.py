@@ -17,6 +17,8 @@ F64 = npt.NDArray[np.float64]
 SEEN = ("positions", "c3d")
 """Formats whose nodes are not there in every frame."""
 
+_ALIKE = 0.75  # names of joints are short: of `root` and `Foot_R`, six letters in ten are the same
+
 Format: TypeAlias = Literal["acclaim", "bvh", "positions", "c3d", "amass"]
 Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -164,6 +166,7 @@ class Fit:
     places: node name → index, under the names that the mapping uses. joints: named joint → what it is here.
     missing: what the mapping cannot make here (a joint, a bone) → the first node that it would need.
     instead: named joint → what stands for it, in this order, in frames in which not all of its nodes are seen.
+    prefix: what was left out in front of the names, where they fit no mapping with it.
     """
 
     mapping: SkeletonMapping
@@ -171,11 +174,23 @@ class Fit:
     joints: dict[str, Mix | None]
     missing: dict[str, str]
     instead: dict[str, tuple[Mix, ...]] = field(default_factory=dict)
+    prefix: str = ""
+
+    @property
+    def called(self) -> str:
+        """The mapping's name, for messages, with what was left out."""
+        return f"'{self.mapping.name}'" + (f" (without the prefix '{self.prefix}')" if self.prefix else "")
 
     @property
     def named(self) -> int:
         """How many joints the skeleton itself supplies."""
         return sum(mix is not None and not mix.of_joints for mix in self.joints.values())
+
+    @property
+    def known(self) -> int:
+        """How many of the skeleton's nodes the mapping speaks of."""
+        mixes = [mix for choices in self.mapping.joints.values() for mix in choices if mix and not mix.of_joints]
+        return len({name for mix in mixes for name in mix.names} & self.places.keys())
 
     @property
     def root(self) -> int:
@@ -209,13 +224,13 @@ class Fit:
         # The next two axes in turn, so that the three are right-handed; which way the figure looks, its hips say.
         return replace(self, mapping=replace(mapping, axes=np.eye(3)[[(index + 2) % 3, index, (index + 1) % 3]]))
 
-    def check(self, source: str | Path) -> None:
-        """Raise a SourceError that names `source` and the first node that is missing, if there is one."""
+    def check(self, source: str | Path, way_out: str = "") -> None:
+        """Raise a SourceError that names `source`, the first node that is missing, if there is one, and a way out."""
         for what, node in self.missing.items():
             raise SourceError(
                 source,
                 f"the skeleton has no '{node}', which mapping '{self.mapping.name}' ({self.mapping.path}) takes for "
-                f"{what}{did_you_mean(node, self.places)}",
+                f"{what}{did_you_mean(node, self.places, _ALIKE)}{way_out}",
             )
 
     def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:

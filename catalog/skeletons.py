@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +20,7 @@ from catalog.configs import Located, config_names, config_path, load_yaml
 from catalog.fitting import Axis, Fit, Format, Mix, SkeletonMapping
 from ops.errors import SourceError, did_you_mean
 
-__all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton"]
+__all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton", "stripping"]
 
 F64 = npt.NDArray[np.float64]
 
@@ -99,7 +100,7 @@ class Mappings:
         """
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
         if len(fits) == 1:
-            fits[0].check(source)
+            fits[0].check(source, self.stripped(form, nodes) if fits[0].missing else "")
             return fits[0]
         whole = [fit for fit in fits if not fit.missing]
         best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
@@ -112,18 +113,38 @@ class Mappings:
         near = self.nearest(form, nodes)
         if near is None:
             raise SourceError(source, f"no skeleton mapping for {form} files; {way_out}")
-        lacks = _listed([f"{node} (for {what})" for what, node in near.missing.items()])
         has = (
             f"file has the markers {_listed(list(nodes), 24)}"
             if form == "c3d"
             else f"skeleton has {_listed(list(nodes))}"
         )
+        more = f"the {has}{self._several(form, nodes)}{self.stripped(form, nodes)}; {way_out}"
+        if not near.known:
+            raise SourceError(source, f"no skeleton mapping fits; none is near: none knows any of its names; {more}")
+        lacks = _listed([f"{node} (for {what})" for what, node in near.missing.items()])
         raise SourceError(
             source,
-            f"no skeleton mapping fits; the nearest, '{near.mapping.name}', finds "
-            f"{len(near.joints) - len(near.unknown)} joints and lacks {lacks}; the {has}{self._several(form, nodes)}; "
-            f"{way_out}",
+            f"no skeleton mapping fits; the nearest, {near.called}, finds "
+            f"{len(near.joints) - len(near.unknown)} joints and lacks {lacks}; {more}",
         )
+
+    def without_prefix(self, form: Format, nodes: Mapping[str, int]) -> tuple[str, SkeletonMapping] | None:
+        """What nearly all names of a skeleton begin with, and a mapping that fits them without it; None for no such."""
+        for prefix in _prefixes(list(nodes)):
+            short = {name.removeprefix(prefix): index for name, index in nodes.items()}
+            fits = [mapping.fit(short) for mapping in self.of_format.get(form, ())]
+            whole = [fit for fit in fits if not fit.missing]
+            if whole and len(short) == len(nodes):
+                return prefix, max(whole, key=lambda fit: fit.named).mapping
+        return None
+
+    def stripped(self, form: Format, nodes: Mapping[str, int]) -> str:
+        """A clause about names that a mapping would fit without their prefix."""
+        found = self.without_prefix(form, nodes)
+        if found is None:
+            return ""
+        prefix, mapping = found
+        return f"; without '{prefix}' its names fit '{mapping.name}': copy {mapping.path}, with {stripping(*found)}"
 
     def _several(self, form: Format, nodes: Iterable[str]) -> str:
         """A clause about a file of several figures, whose joints differ by their prefix only."""
@@ -154,15 +175,35 @@ class Mappings:
         )
 
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        """The mapping that finds the most joints in a skeleton, knows the most of its nodes, and lacks the least."""
+        """The mapping that finds the most joints in a skeleton, knows the most of its nodes, and lacks the least.
+
+        Where none knows any node, it is that of the names without a prefix that they share, if it knows any of these.
+        """
+        near = self._nearest(form, nodes)
+        for prefix in _prefixes(list(nodes)) if near is not None and not near.known else ():
+            other = self._nearest(form, {name.removeprefix(prefix): index for name, index in nodes.items()})
+            if other is not None and other.known:
+                return replace(other, prefix=prefix)
+        return near
+
+    def _nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
-        return min(fits, key=lambda fit: (-fit.named, -_known(fit), len(fit.missing) + len(fit.unknown)), default=None)
+        return min(fits, key=lambda fit: (-fit.named, -fit.known, len(fit.missing) + len(fit.unknown)), default=None)
 
 
-def _known(fit: Fit) -> int:
-    """How many of a skeleton's nodes a mapping speaks of."""
-    mixes = [mix for choices in fit.mapping.joints.values() for mix in choices if mix and not mix.of_joints]
-    return len({name for mix in mixes for name in mix.names} & fit.places.keys())
+def stripping(prefix: str, mapping: SkeletonMapping) -> str:
+    """The line of a copy of a mapping that lets it leave a prefix out."""
+    pattern = re.escape(prefix) + (f"(?:{mapping.strip_prefix})?" if mapping.strip_prefix is not None else "")
+    return f"`strip_prefix: '{pattern}'`"
+
+
+def _prefixes(names: Sequence[str]) -> list[str]:
+    """What all names begin with, and what more than half of them do, up to a mark such as _ or a colon."""
+    marks = Counter(name[: mark.end()] for name in names for mark in re.finditer(r"[^A-Za-z0-9]", name))
+    usual = [prefix for prefix, count in marks.most_common() if 2 * count > len(names)]
+    first, last = min(names, default=""), max(names, default="")
+    same = next((i for i, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first))
+    return [prefix for prefix in dict.fromkeys([first[:same], *usual]) if prefix]
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:

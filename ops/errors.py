@@ -92,20 +92,21 @@ def _readable(message: str) -> str:
     return message.encode("utf-8", "backslashreplace").decode()
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
     """Return "; did you mean 'x'?" for the nearest known name, or the list of a few known names.
 
     Parameters
     ----------
     name: what the user wrote.
     known: the valid names.
+    alike: from 0 to 1, how alike the nearest must be to be named (difflib's ratio).
 
     Returns
     -------
     A clause to append to an error message; empty where nothing is known.
     """
     names = sorted(set(known))
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=alike)
     if near:
         return f"; did you mean '{near[0]}'?"
     if not names:

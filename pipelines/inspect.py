@@ -263,8 +263,12 @@ def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
     if fit is not None:
         how = "the one for its format" if len(mappings.of_format[raw.form]) == 1 else "told by the names of its joints"
         found.say("mapping", f"{fit.mapping.name} ({how}): {fit.mapping.path}")
+    elif clause := mappings.stripped(raw.form, raw.nodes):
+        found.say("mapping", f"none fits{clause}")
+    elif near is not None and not near.known:
+        found.say("mapping", "none fits; none is near: none knows any of its names")
     elif near is not None:
-        found.say("mapping", f"none fits; the nearest is '{near.mapping.name}': {near.mapping.path}")
+        found.say("mapping", f"none fits; the nearest is {near.called}: {near.mapping.path}")
         for what, node in near.missing.items():
             found.say("", f"lacks {node}, for {what}")
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from catalog.configs import config_names
 from catalog.features import load_feature_set
-from catalog.skeletons import Mappings, load_mappings, load_skeleton
+from catalog.skeletons import Mappings, load_mappings, load_skeleton, stripping
 from catalog.units import HUMAN_M, UNITS_M, guess_unit
 from ops.body import features
 from ops.errors import ConfigError, SourceError
@@ -88,6 +88,54 @@ def test_a_skeleton_that_no_mapping_fits_is_told_the_nearest_and_what_it_lacks()
     assert "the nearest, 'bandai', finds" in str(caught.value)
     assert "lacks Toes_L (for joint 'ltoes'), Foot_R (for joint 'rankle')" in str(caught.value)
     assert "give one by `skeleton`" in str(caught.value)
+
+
+def test_a_skeleton_of_strange_names_is_near_to_no_mapping() -> None:
+    with pytest.raises(
+        SourceError, match=r"none is near: none knows any of its names; the skeleton has a, b; give one"
+    ):
+        AUTO.detect("a.bvh", "bvh", {"a": 0, "b": 1})
+    with pytest.raises(SourceError) as caught:
+        load_mappings("mixamo", JOINTS).detect("x", "bvh", {"Foot_R": 0, "HipsX": 1})
+    assert "has no 'Hips'" in str(caught.value)
+    assert "did you mean 'HipsX'?" in str(caught.value)
+    with pytest.raises(SourceError) as caught:
+        load_mappings("named", JOINTS).detect("x", "bvh", {"Foot_R": 0, "Hand_R": 1})
+    assert "has no 'root'" in str(caught.value)
+    assert "known: Foot_R, Hand_R" in str(caught.value)
+
+
+@pytest.mark.parametrize(("prefix", "pattern"), [("Bip_", "Bip_"), ("a.b-", r"a\.b\-"), ("Bob", "Bob")])
+def test_names_that_only_a_prefix_keeps_from_a_mapping_are_told_so(tmp_path: Path, prefix: str, pattern: str) -> None:
+    nodes = {f"{prefix}{name}": i for name, i in nodes_of("bandai").items()}
+    said = f"; without '{prefix}' its names fit 'bandai': copy {load_skeleton('bandai', JOINTS).path}"
+    for mappings in (AUTO, load_mappings("bandai", JOINTS)):
+        with pytest.raises(SourceError) as caught:
+            mappings.detect("a.bvh", "bvh", nodes)
+        assert f"{said}, with `strip_prefix: '{pattern}'`" in str(caught.value)
+    own = user_file(tmp_path, "bandai", ("format: bvh", f"format: bvh\nstrip_prefix: '{pattern}'"))
+    assert not load_skeleton(own, JOINTS).fit(nodes).missing
+
+
+def test_the_nearest_mapping_of_names_with_a_prefix_is_that_of_the_names_without() -> None:
+    nodes = {f"Bip_{name}": i for name, i in nodes_of("bandai").items() if name != "Foot_R"}
+    with pytest.raises(SourceError) as caught:
+        AUTO.detect("a.bvh", "bvh", nodes)
+    assert "the nearest, 'bandai' (without the prefix 'Bip_'), finds" in str(caught.value)
+    assert "lacks Foot_R (for joint 'rankle')" in str(caught.value)
+
+
+def test_a_prefix_of_most_names_is_enough_and_two_figures_have_none() -> None:
+    nodes = {"Reference": 90} | {f"Bob_{name}": i for name, i in nodes_of("bandai").items()}
+    found = AUTO.without_prefix("bvh", nodes)
+    assert found is not None
+    assert (found[0], found[1].name) == ("Bob_", "bandai")
+    two = {f"{who}_{name}": i for who in ("Al", "Bo") for name, i in nodes_of("bandai").items()}
+    assert AUTO.without_prefix("bvh", two) is None
+    mixamo = {f"Bob_{name}": i for name, i in nodes_of("mixamo").items()}
+    prefix, mapping = AUTO.without_prefix("bvh", mixamo) or ("", None)
+    assert mapping is not None
+    assert stripping(prefix, mapping) == r"`strip_prefix: 'Bob_(?:.*:|mixamorig\d*_)?'`"
 
 
 def test_the_mapping_that_finds_most_joints_wins_and_a_tie_is_an_error(tmp_path: Path) -> None:
@@ -182,7 +230,7 @@ def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None
         axes = fit.upright(up).mapping.axes
         np.testing.assert_array_equal(axes[1], np.eye(3)["xyz".index(up)])
         assert np.linalg.det(axes) == 1.0
-    with pytest.raises(SourceError, match=r"finds 0 joints and .* the file has the markers Marker_1, Marker_2; give"):
+    with pytest.raises(SourceError, match=r"none is near: .* the file has the markers Marker_1, Marker_2; give"):
         AUTO.detect("x", "c3d", {"Marker_1": 0, "Marker_2": 1})
 
 
