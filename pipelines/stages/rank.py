@@ -134,13 +134,13 @@ def _shown(
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
 ) -> Table:
-    """A row for each class: keyframe search, what it keeps, and the ranking of that."""
+    """A row for each subclass: keyframe search, what it keeps, and the ranking of that."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = ["class", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
+    columns = ["subclass", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:
         columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]
     for column in columns:
-        table.add_column(column, justify="left" if column == "class" else "right")
+        table.add_column(column, justify="left" if column == "subclass" else "right")
     for one, ranking in zip(searched, rankings, strict=True):
         first = [one.name, str(len(one.template))]
         if lists:

@@ -79,7 +79,7 @@ def templates_overview(store: Store, delta: float, stage: str | None = None) -> 
         rows.append(
             {
                 "stage": each.stage,
-                "class": one.subclass,
+                "subclass": one.subclass,
                 "kind": one.kind,
                 "columns": len(template),
                 "seconds": round(len(template) / store.rate_hz, 2),

@@ -48,7 +48,7 @@ def test_all_templates_are_listed(store: Path):
     assert said.count("kick") >= 2
     assert "walk, then kick with 3 columns of anything" in " ".join(said.split())
     rows = run("list", store, "--format", "csv").splitlines()
-    assert rows[0] == "stage,class,kind,columns,seconds,clips,rounds,last_cost,wildcards,origin,remarks"
+    assert rows[0] == "stage,subclass,kind,columns,seconds,clips,rounds,last_cost,wildcards,origin,remarks"
     assert len(rows) == 1 + 2 * 3
     assert "did you mean 'test/learn_templates'" in run("list", store, "--stage", "test/learn_template", code=1)
 
