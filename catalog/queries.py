@@ -165,6 +165,12 @@ def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str],
     return on, off
 
 
+def words_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
+    """The keyframe in words: the features that it wants on, by name, and those that it wants off after a "not"."""
+    on, off = features_of(keyframe, feature_set)
+    return ", ".join([*on, *(f"not {name}" for name in off)])
+
+
 def pattern_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
     """The keyframe as the papers write it: 0, 1 or * for each feature of its set, the lowest first."""
     count = feature_set.word_set(keyframe.set).count

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import textwrap
 from collections.abc import Iterable, Iterator
 from decimal import Decimal
 from typing import Any
@@ -33,23 +34,26 @@ class Shown:
 
     In a file or a pipe a row is a line, however long. In a terminal columns are as wide as there is room for and long
     values are wrapped; where that makes rows of more than `TALL` lines on average, as texts and paths side by side do,
-    each row is a block with a line for every column.
+    each row is a block with a line for every column. null: what stands where there is no value.
     """
 
-    def __init__(self, table: pa.Table) -> None:
+    def __init__(self, table: pa.Table, null: str = "–") -> None:
         self._table = table
+        self._null = null
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Print the table in the form that fits."""
         if console.soft_wrap and not console.is_terminal:
-            whole = rich_table(self._table)
+            whole = rich_table(self._table, null=self._null)
             yield from console.render(whole, options.update_width(_natural_width(whole, console, options)))
         elif self._is_tall(console, options):
             for number, row in enumerate(_rows(self._table), 1):
                 yield Text(f"row {number:,}", style="bold")
-                yield pairs((name, _cell(value)) for name, value in zip(self._table.column_names, row, strict=True))
+                yield pairs(
+                    (name, _cell(value, self._null)) for name, value in zip(self._table.column_names, row, strict=True)
+                )
         else:
-            yield rich_table(self._table)
+            yield rich_table(self._table, null=self._null)
 
     def _is_tall(self, console: Console, options: ConsoleOptions) -> bool:
         tried = self._table.slice(0, _TRIED)
@@ -60,6 +64,18 @@ class Shown:
         )
         lines: int = with_rows - without
         return lines > TALL * int(tried.num_rows)
+
+
+def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
+    """A table with the texts of a column in lines of at most so many characters: for files and pipes, whose rows are as
+    wide as their longest text."""
+    texts = table.column(column).to_pylist()
+    lines = [
+        text and textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        for text in texts
+    ]
+    index = table.schema.get_field_index(column)
+    return table.set_column(index, table.schema.field(index), pa.array(lines, pa.string()))
 
 
 def pairs(lines: Iterable[tuple[str, str]]) -> Table:
@@ -76,7 +92,7 @@ def _natural_width(table: Table, console: Console, options: ConsoleOptions) -> i
     return Measurement.get(console, options.update_width(1_000_000), table).maximum
 
 
-def rich_table(table: pa.Table, title: str | None = None) -> Table:
+def rich_table(table: pa.Table, title: str | None = None, null: str = "–") -> Table:
     """An Arrow table as a table for the terminal: numbers to the right, floats to four digits, NULL as a dash."""
     shown = Table(title=title and Text(title), box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
@@ -86,13 +102,13 @@ def rich_table(table: pa.Table, title: str | None = None) -> Table:
         shown.add_column(Text(field.name), justify="right" if number else "left", overflow="fold")
     for row in _rows(table):
         # plain text: rich would take [brackets] for markup
-        shown.add_row(*(Text(_cell(value)) for value in row))
+        shown.add_row(*(Text(_cell(value, null)) for value in row))
     return shown
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, null: str) -> str:
     if value is None:
-        return "–"
+        return null
     if isinstance(value, float):
         return f"{value:.4g}"
     return _nested(value) if isinstance(value, dict | list) else str(value)

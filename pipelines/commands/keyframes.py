@@ -72,12 +72,20 @@ def show(
 
     Precision and recall are those of all queries of a class together, so they stand on its first row only.
     """
-    from pipelines.keyframes.tables import overview
+    from pipelines.keyframes.tables import LEGEND, overview
+    from pipelines.tables import Shown, wrapped
     from storage.store import open_store
 
     opened = open_store(store)
     outcomes, taken = _outcomes(opened, name, pipeline)
-    show_table(overview(outcomes, opened.feature_set, taken), form, output)
+    table = overview(outcomes, opened.feature_set, taken)
+    if form != "table" or output is not None:
+        show_table(table, form, output)
+        return
+    console = make_console()
+    # a terminal wraps by itself, to its own width
+    console.print(Shown(table if console.is_terminal else wrapped(table, "keyframes", 76), null=""))
+    console.print(LEGEND, markup=False)
 
 
 def export(

@@ -45,7 +45,15 @@ def search(
     if explain:
         if save is not None:
             raise KinedexError("--explain shows no hits that --save could keep; leave one of them out")
-        show_table(explain_search(opened, loaded, where), form, output)
+        from pipelines.tables import wrapped
+
+        table = explain_search(opened, loaded, where)
+        if form == "table" and output is None:
+            nameless = table.column("name").null_count == table.num_rows
+            table = table.drop_columns(["pattern", *(["name"] if nameless else [])])
+            # a terminal wraps by itself, to its own width
+            table = table if make_console().is_terminal else wrapped(table, "features", 60)
+        show_table(table, form, output)
         return
     if save is None:
         hits = search_store(opened, loaded, where)

@@ -49,6 +49,12 @@ def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collec
     return pa.Table.from_pylist(rows, schema=_OVERVIEW)
 
 
+LEGEND = """keyframes: features that are on, and off where a minus stands before them; & joins what holds in one frame;
+→11–56→ says that the next keyframe follows 11 to 56 frames later. margins: frames before and after a hit that the
+motion may reach. Precision and recall are those of all queries of a class together, and stand on its first row."""
+"""What stands below the table for people."""
+
+
 def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
     """A query in one line: features that are on, those that are off with a minus, gaps in frames between keyframes."""
     text = _words(query.keyframes[0], feature_set)

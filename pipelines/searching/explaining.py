@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from catalog.features import FeatureSet
-from catalog.queries import SAME_FRAME, Keyframe, KeyframeQuery, pattern_of
+from catalog.queries import SAME_FRAME, Keyframe, KeyframeQuery, pattern_of, words_of
 from ops.search.preselection import TakeRanges
 from pipelines.executors import cores
 from pipelines.searching.lists import RunLists, lists_of_store
@@ -24,7 +24,7 @@ from storage.store import Store
 
 _EXPLANATION = pa.schema(
     [
-        *((name, pa.string()) for name in ("query", "step", "name", "set", "pattern")),
+        *((name, pa.string()) for name in ("query", "step", "name", "set", "features", "pattern")),
         *((name, pa.int64()) for name in ("words", "runs", "segments", "frames")),
         ("share", pa.float64()),
         ("surviving", pa.int64()),
@@ -47,6 +47,7 @@ class KeyframeReport:
     part: str
     name: str
     set: str
+    features: str
     pattern: str
     words: int
     runs: int
@@ -133,12 +134,13 @@ def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: 
 
     Returns
     -------
-    Columns query, step, name, set, pattern, words, runs, segments, frames, share (of the frames searched), surviving
-    and milliseconds; what does not apply is null. The steps are, first for all queries, "takes", their filter; "open",
-    mapping the index; "lists", reading the lists of the keyframes. Then for each query "takes", where it has a filter
-    of its own; "1", "2", ..., its keyframes as written ("2a" and "2b" where the features of one lie in two sets, "2.1"
-    for the first keyframe of a second alternative); "search", the search that answers; "hits", what it found. What
-    "lists" and keyframes took goes into the explanation alone: a search without one does "takes", "open" and "search".
+    Columns query, step, name, set, features (by name), pattern, words, runs, segments, frames, share (of the frames
+    searched), surviving and milliseconds; what does not apply is null. The steps are, first for all queries, "takes",
+    their filter; "open", mapping the index; "lists", reading the lists of the keyframes. Then for each query "takes",
+    where it has a filter of its own; "1", "2", ..., its keyframes as written ("2a" and "2b" where the features of one
+    lie in two sets, "2.1" for the first keyframe of a second alternative); "search", the search that answers; "hits",
+    what it found. What "lists" and keyframes took goes into the explanation alone: a search without one does "takes",
+    "open" and "search".
     """
     reports = explain_store(store, queries, take_filter)
     rows: list[dict[str, object]] = []
@@ -219,6 +221,7 @@ def _report(
         part=at[2],
         name=keyframe.name,
         set=keyframe.set,
+        features=words_of(keyframe, feature_set),
         pattern=pattern_of(keyframe, feature_set),
         words=len(postings.matching(keyframe.mask, keyframe.value)),
         runs=postings.runs(keyframe.mask, keyframe.value),

@@ -212,7 +212,11 @@ def test_search_prints_hits_and_explains(store: Path) -> None:
     hits = kinedex("search", store, "example", "--format", "csv")
     assert hits.returncode == 0, hits.stderr
     assert hits.stdout.startswith("query,take,") or "query" in hits.stdout.splitlines()[0]
-    assert "surviving" in kinedex("search", store, "example", "--explain").stdout
+    explained = kinedex("search", store, "example", "--explain").stdout
+    assert "surviving" in explained
+    assert "lknee_bent" in explained
+    assert "*****" not in explained
+    assert ",pattern," in kinedex("search", store, "example", "--explain", "--format", "csv").stdout
 
 
 def test_verify_finds_a_damaged_part(store: Path, tmp_path: Path) -> None:

@@ -285,6 +285,10 @@ def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) 
     shown = runner.invoke(app, ["keyframes", "show", str(store), "--format", "csv"])
     assert shown.output.splitlines()[0].startswith("query,origin,runs,precision")
     assert len([line for line in shown.output.splitlines() if line.startswith(tuple(POSES))]) == 8
+    people = runner.invoke(app, ["keyframes", "show", str(store)]).output.splitlines()
+    assert max(map(len, people)) <= 160
+    assert any("→11–56→ says that the next keyframe follows 11 to 56 frames later" in line for line in people)
+    assert not any(" – " in line for line in people)
     path = tmp_path / "learned.yaml"
     assert runner.invoke(app, ["keyframes", "export", str(store), "-c", "kick", "-o", str(path)]).exit_code == 0
     assert {query.target for query in parse_queries(path.read_text(), BODY)} == {"kick"}

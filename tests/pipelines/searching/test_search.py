@@ -125,6 +125,7 @@ def test_an_explanation_has_a_row_for_each_step_keyframe_search_and_hits(store: 
     nothing = dict.fromkeys(table.drop_columns(["milliseconds"]).column_names)
     pattern = "**1***********"
     first = {"query": "hand_up", "step": "1", "set": "upper", "pattern": pattern, "words": 1, "runs": 3}
+    first["features"] = "rhand_above_neck"
     assert table.drop_columns(["milliseconds"]).to_pylist() == [
         nothing | {"step": "takes"},
         nothing | {"step": "open"},
@@ -146,6 +147,12 @@ def steps(store: Store, text: str) -> list[tuple[str, str | None, int | None]]:
 def test_alternatives_and_names_show_in_the_explanation(store: Store) -> None:
     text = "q: {any_of: [{keyframes: [{name: down, on: [body_low]}]}, {keyframes: [{on: [rhand_above_neck]}]}]}"
     assert steps(store, text) == [("1.1", "down", 7), ("2.1", None, 4), ("search", None, None), ("hits", None, 11)]
+
+
+def test_keyframes_are_explained_by_the_names_of_their_features(store: Store) -> None:
+    text = "q: {keyframes: [{on: [rhand_above_neck], off: [lhand_above_neck, rhand_forwards]}]}"
+    (said,) = (row["features"] for row in explain_search(store, parse_queries(text, BODY)).to_pylist() if row["set"])
+    assert said == "rhand_above_neck, not rhand_forwards, not lhand_above_neck"
 
 
 def test_keyframes_are_numbered_as_written(store: Store) -> None:
