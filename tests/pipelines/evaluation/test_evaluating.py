@@ -79,7 +79,7 @@ def test_labels_are_classes_or_subclasses_and_touching_segments_stay_apart():
 
 def test_an_unknown_label_is_an_error_a_miss_or_left_out():
     segments = [manual("a", "kick", 0, 40), manual("a", "wavee", 40, 80, line=7)]
-    with pytest.raises(SourceError, match=r"truth.csv:7: 'wavee' is neither.*did you mean 'wave'.*unknown_labels") as caught:
+    with pytest.raises(SourceError, match=r"csv:7: 'wavee' is neither.*did you mean 'wave'.*unknown_labels") as caught:
         place_ground_truth(segments, takes("a"), ["a"], CLASSES)
     assert caught.value.way_out == ("unknown_labels", "miss")
     assert "`--set classes=FILE`" in str(caught.value)
