@@ -266,6 +266,34 @@ def test_results_that_are_long_are_several_parts(tmp_path: Path, monkeypatch: py
     assert verify(store) == []
 
 
+def test_long_results_that_break_off_show_nothing_and_the_next_writer_removes_their_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_store(tmp_path, {"a": 5})
+    monkeypatch.setattr("storage.parts.FULL_BYTES", 1)
+
+    def pieces(*starts: int) -> Iterator[pa.Table]:
+        for start in starts:
+            yield hits(start)
+        raise KinedexError("a worker failed")
+
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        writer.put_results("hits", hits(1), stage="p/search", run="r1")
+        writer.commit()
+        (first,) = writer.manifest.results["hits"]
+        with pytest.raises(KinedexError, match="a worker failed"):
+            writer.put_results("hits", pieces(2, 3), stage="p/search", run="r2", keep=[first])
+        assert writer.commit().version == 3
+    store = open_store(tmp_path)
+    assert store.result("hits").column("start").to_pylist() == [1]
+    found = verify(store)
+    assert len(found) == 2
+    assert not any(one.fault for one in found)
+    StoreWriter.open(tmp_path, BODY).close()
+    assert verify(store) == []
+    assert [path.name for path in (tmp_path / "results/hits").iterdir()] == [Path(first.path).name]
+
+
 def test_parts_of_earlier_results_may_stay(tmp_path: Path) -> None:
     make_store(tmp_path, {"a": 5})
     with StoreWriter.open(tmp_path, BODY) as writer:
