@@ -162,17 +162,25 @@ def bound_table(
     -------
     dtype (W, S).
     """
-    scale = np.zeros(len(layout.masks))
-    for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
-        scale[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
     table = np.empty((len(vocabulary), len(layout.masks)), dtype)
     every = np.ones(len(vocabulary), np.bool_) if needed is None else needed
-    fill_bounds(vocabulary, layout.values, layout.parts, layout.worths * scale, most, every, table)
+    fill_bounds(vocabulary, layout.values, layout.parts, layout.worths * unit_scales(layout, units), most, every, table)
     if needed is None:
         _fill_padding(layout, table, most)
     else:
         table[np.ix_(np.flatnonzero(needed), layout.padding)] = most
     return table
+
+
+def unit_scales(layout: Layout, units: F64) -> F64:
+    """Return how many units a weight of 1 is in each column, a little less: float64 (S,), 0 where no template is.
+
+    units: float64 (T,), what a unit of each template is worth, as a cost.
+    """
+    scales = np.zeros(len(layout.masks))
+    for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
+        scales[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
+    return scales
 
 
 def grid_step(columns: int) -> float:

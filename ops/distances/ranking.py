@@ -11,6 +11,7 @@ from ops.distances.annotation import TOLERANCE
 from ops.distances.costs import F64, I64, CodedWords, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
+from ops.distances.stripes import BLOCK
 from ops.distances.taking import take_best
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
@@ -166,7 +167,7 @@ def _rising(coarse: Coarse, threshold: float, most: int | None, columns: int) ->
 
     A stretch of as many frames as the template has columns holds a hit or two, the best of which its least bound tells.
     """
-    places = np.arange(0, len(coarse.sums), max(columns, 1))
+    places = np.arange(0, len(coarse.sums), max(columns // BLOCK, 1))
     if most is None or most >= len(places) // 4:
         return [threshold]
     least = np.minimum.reduceat(coarse.sums, places)
