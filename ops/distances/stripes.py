@@ -41,8 +41,8 @@ def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8
     *Begins.* The cells above a first column always hold 0, so that it costs c alone: they begin with 0, cost nothing,
     and what is above the highest of them is 0. The second column has such a cell two columns before it. So there are
     more paths than there should be: those that leave out the first column and count the second one twice. The least sum
-    of more paths is no greater: it is a lower bound all the same. From one template to another no path leads: a step
-    goes two columns at most, to the last column of one over a cell that holds 0 whatever was before it.
+    of more paths is no greater: it is a lower bound all the same. What comes over from another template is no less than
+    the 0 that is there already.
 
     Parameters
     ----------
@@ -82,6 +82,7 @@ def deal(lengths: I64) -> tuple[int, I64, I64]:
     The number of rows; the slot in which each template ends, int64 (T,); and for all columns, template after template,
     the place in rows of `SLOTS`.
     """
+    # An even number, because compilers go over two vectors at a time and over a last one byte by byte.
     rows = 2 * max(1, -(-int((lengths + 1).sum()) // (2 * SLOTS)))
     while int(-(-(lengths + 1) // rows).sum()) > SLOTS:
         rows += 2
@@ -104,7 +105,7 @@ def _table(layout: Layout, vocabulary: U64, units: F64, places: I64, others: I64
 
 
 def aligned(shape: tuple[int, ...], value: int | None = None) -> U8:
-    """An array of bytes that begins with a line of the cache, filled; vectors across two lines take twice as long."""
+    """An array of bytes that begins with a line of the cache, filled if told; vectors across two lines take longer."""
     size = int(np.prod(shape))
     room = np.empty(size + SLOTS, np.uint8)
     begin = -room.ctypes.data % SLOTS
