@@ -167,8 +167,7 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
     """The frames that each template is matched in, on the words laid end to end: whole takes, or the hits of its
     queries with their margins."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
-    every = {query.name: query for queries in annotator.queries for query in queries}
-    wanted = list(every.values())
+    wanted = list(dict.fromkeys(query for queries in annotator.queries for query in queries))
     if store is None:
         hits = preselect(words, annotator.feature_set, wanted)
     else:
@@ -180,7 +179,7 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
             continue
         several = [
             ranges_around(found.starts, found.stops, found.offsets, words.offsets, left, right)
-            for found, (left, right) in zip((hits[query.name] for query in queries), reach, strict=True)
+            for found, (left, right) in zip((hits[query] for query in queries), reach, strict=True)
         ]
         ranges.append(several[0] if len(several) == 1 else united(several, words.offsets))
     return ranges

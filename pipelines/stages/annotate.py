@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
-from catalog.queryfiles import read_queries
+from catalog.queryfiles import read_query_files
 from ops.distances.decoding import background
 from ops.errors import KinedexError, did_you_mean
 from pipelines.annotation.annotating import annotate_takes
@@ -72,7 +72,9 @@ class Params(BaseModel):
         OWN, description="'own': every subclass is a class; or a class file, by its shipped name or its path"
     )
     queries: list[str] | str | None = Field(
-        None, description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames"
+        None,
+        description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames; where "
+        "the pipeline learns queries too, the hits of either count",
     )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")
 
@@ -102,16 +104,16 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         takes = takes_to_annotate(store, params)
         templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         classes = classes_of(store, params, templates)
-        queries = [*queries_of(store, params), *learned_queries(context, store)]
+        queries, learned = queries_of(store, params), learned_queries(context, store)
         usual = usual_features(store, templates) if params.method == "best" else None
         annotator = make_annotator(
-            store.feature_set, templates, classes, params.delta, params.common_tau, queries, usual
+            store.feature_set, templates, classes, params.delta, params.common_tau, queries, usual, learned
         )
         calibration = calibrated(context, store, params, classes)
         annotator = refined(annotator, params, store.rate_hz, calibration.taus)
         for remark in calibration.remarks:
             context.say(remark)
-        _say_what_is_left_out(context, classes, annotator, queries)
+        _say_what_is_left_out(context, classes, annotator, queries, learned)
         done = _annotate(context, writer, annotator, takes, params)
         writer.commit()
     share = _share_searched(done.searched, takes)
@@ -275,17 +277,15 @@ def learned_queries(context: StageContext, store: Store) -> list[KeyframeQuery]:
 
 def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:
     """All queries of the query files."""
-    queries: dict[str, KeyframeQuery] = {}
-    for name in params.query_files:
-        for query in read_queries(name, store.feature_set, store.rate_hz):
-            if query.name in queries:
-                raise KinedexError(f"two keyframe queries are named '{query.name}' (the second one in {name})")
-            queries[query.name] = query
-    return list(queries.values())
+    return read_query_files(params.query_files, store.feature_set, store.rate_hz)
 
 
 def _say_what_is_left_out(
-    context: StageContext, classes: Classes, annotator: Annotator, queries: Sequence[KeyframeQuery]
+    context: StageContext,
+    classes: Classes,
+    annotator: Annotator,
+    queries: Sequence[KeyframeQuery],
+    learned: Sequence[KeyframeQuery],
 ) -> None:
     for remark in annotator.remarks:
         context.say(remark)
@@ -294,11 +294,15 @@ def _say_what_is_left_out(
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]
     if empty:
         context.say(f"classes without a template, which nothing can be labelled with: {few(empty)}")
-    unknown = targets_unknown(queries, classes)
+    unknown = sorted({*targets_unknown(queries, classes), *targets_unknown(learned, classes)})
     if unknown:
         context.say(f"keyframe queries for other classes, left out: {few(unknown)}")
-    without = [name for name, own in zip(annotator.subclasses, annotator.queries, strict=True) if not own]
-    if queries and without:
+    used = dict(zip(annotator.subclasses, map(set, annotator.queries), strict=True))
+    both = [name for name, own in used.items() if own & set(queries) and own & set(learned)]
+    if both:
+        context.say(f"preselected for by queries of files and learned ones, within the hits of either: {few(both)}")
+    without = [name for name, own in used.items() if not own]
+    if (queries or learned) and without:
         context.say(f"without a keyframe query, matched in all frames: {few(without)}")
 
 

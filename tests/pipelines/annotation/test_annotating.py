@@ -138,6 +138,29 @@ def test_a_query_for_a_class_serves_the_subclasses_that_have_none_of_their_own()
     assert made.class_index.tolist() == [0, 0, 1]
 
 
+def test_learned_queries_preselect_besides_those_of_files_for_a_subclass_or_its_class():
+    classes = Classes((MotionClass("legs", "", ("kick", "walk")), MotionClass("arms", "", ("wave",))))
+    for_legs = KeyframeQuery("legs", "legs", (Keyframe("upper", 1, 1),), ())
+    written, for_wave = replace(KICK, name="kick"), KeyframeQuery("wave", "wave", for_legs.keyframes, ())
+    learned = replace(KICK, name="kick", margins=(3, 3))
+    templates = [template("kick"), template("walk"), template("wave")]
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (for_legs,), learned=(learned, for_wave))
+    assert made.queries == ((for_legs, learned), (for_legs,), (for_wave,))
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (written, for_legs), learned=(learned,))
+    assert made.queries == ((written, learned), (for_legs,), ())
+
+
+def test_two_queries_of_one_name_both_preselect():
+    nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
+    words = laid_out([np.concatenate([motion(name) for name in ("walk", "rest", "kick", "walk")])])
+    (expected,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, keep_curves=True)
+    assert 0 < expected.preselected[0] < 1
+    for queries in ((KICK, nowhere), (nowhere, KICK)):
+        (found,) = annotate_words(annotator("kick", "walk", queries=queries), words, keep_curves=True)
+        assert found.segments == expected.segments
+        assert found.preselected.tolist() == expected.preselected.tolist()
+
+
 def test_queries_that_fit_no_class_are_named_and_all_of_them_an_error():
     classes = load_classes("own", ["kick", "walk"])
     other = KeyframeQuery("x", "kik", KICK.keyframes, KICK.gaps)
