@@ -61,11 +61,11 @@ class Params(BaseModel):
     )
     tau: Annotated[float, Field(gt=0, le=1)] | Literal["calibrated"] = Field(
         DEFAULT_TAU,
-        description="distances below tau make an annotation; 'calibrated': each class has the threshold that divides "
-        "its training clips from others best, matched with templates of the other actors' clips",
+        description="method thesis: distances below tau make an annotation; 'calibrated': each class has the threshold "
+        "that divides its training clips from others best, matched with templates of the other actors' clips",
     )
     tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
-        {}, description="class → its own tau, instead of the common or the calibrated one"
+        {}, description="method thesis: class → its own tau, instead of the common or the calibrated one"
     )
     min_seconds: float = Field(0, ge=0, allow_inf_nan=False, description="shorter segments are left out")
     classes: str = Field(
@@ -111,7 +111,8 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         )
         calibration = calibrated(context, store, params, classes)
         annotator = refined(annotator, params, store.rate_hz, calibration.taus)
-        for remark in calibration.remarks:
+        remarks = [*annotator.remarks, *calibration.remarks, *without_effect(params)]
+        for remark in remarks:
             context.say(remark)
         _say_what_is_left_out(context, classes, annotator, queries, learned)
         done = _annotate(context, writer, annotator, takes, params)
@@ -133,14 +134,30 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "method": params.method,
         "delta": params.delta,
         "tau": params.tau,
-        "tau_by_class": {} if annotator.taus is None else _rounded(zip(annotator.classes, annotator.taus, strict=True)),
+        "tau_by_class": _rounded(_own_taus(annotator)),
         "calibration_f": _rounded(calibration.scores.items()),
-        "remarks": list(annotator.remarks),
+        "remarks": remarks,
     }
+
+
+def _own_taus(annotator: Annotator) -> Iterator[tuple[str, float]]:
+    """The thresholds of classes that have templates, where classes have thresholds of their own."""
+    labelled = set(annotator.class_index.tolist())
+    if annotator.taus is not None:
+        yield from ((annotator.classes[index], float(annotator.taus[index])) for index in sorted(labelled))
 
 
 def _rounded(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
     return {name: round(float(value), 6) for name, value in pairs}
+
+
+def without_effect(params: Params) -> list[str]:
+    """What is asked for, and does not matter to the method, in words."""
+    asked = ["`tau: calibrated`"] * (params.tau == CALIBRATED) + ["`tau_by_class`"] * bool(params.tau_by_class)
+    if params.method != "best" or not asked:
+        return []
+    have = "has" if len(asked) == 1 else "have"
+    return [f"{' and '.join(asked)} {have} no effect with `method: best`, in which τ does not matter"]
 
 
 def calibrated(
@@ -218,7 +235,8 @@ def _annotate(
 def refined(
     annotator: Annotator, params: Params, rate_hz: float, calibrated: Mapping[str, float] | None = None
 ) -> Annotator:
-    """An annotator with the thresholds of classes, and the least length of segments.
+    """An annotator with the thresholds of classes, which rows of templates have none of, and the least length of
+    segments.
 
     Parameters
     ----------
@@ -232,7 +250,7 @@ def refined(
     wrong = sorted(set(params.tau_by_class) - set(annotator.classes))
     if wrong:
         raise KinedexError(f"tau_by_class: no class is named '{wrong[0]}'{did_you_mean(wrong[0], annotator.classes)}")
-    given = {**(calibrated or {}), **params.tau_by_class}
+    given = {} if annotator.row is not None else {**(calibrated or {}), **params.tau_by_class}
     taus = np.array([given.get(name, annotator.tau) for name in annotator.classes]) if given else None
     return replace(annotator, taus=taus, min_frames=least)
 
@@ -287,8 +305,6 @@ def _say_what_is_left_out(
     queries: Sequence[KeyframeQuery],
     learned: Sequence[KeyframeQuery],
 ) -> None:
-    for remark in annotator.remarks:
-        context.say(remark)
     if classes.without_class:
         context.say(f"in no class and not annotated: {few(classes.without_class)}")
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]

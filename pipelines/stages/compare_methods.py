@@ -96,7 +96,7 @@ def _setting(method: Method) -> dict[str, object]:
     """What a method follows from."""
     fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
     if method.method == "best":
-        del fields["tau"]
+        del fields["tau"], fields["tau_by_class"]
     return fields | {"learned": method.learned_queries}
 
 
@@ -209,6 +209,7 @@ def _remarks(params: Params, known: Known) -> list[str]:
         unknown = targets_unknown(_queries(known.store, method), known.classes)
         if unknown:
             remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
+        remarks += [f"{method.name}: {remark}" for remark in annotate.without_effect(_params(method))]
     return remarks
 
 
