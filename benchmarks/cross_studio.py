@@ -166,7 +166,7 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
         make_annotator(store.feature_set, templates, classes, DELTA, TAU, usual=one) for one in (None, usual)
     )
     takes = store.takes("class IS NULL")
-    placed = place_ground_truth(read_ground_truth(truth), takes, store.takes()["name"], classes, "miss")
+    placed = place_ground_truth([read_ground_truth(truth)], takes, store.takes()["name"], classes, "miss")
     found = []
     for manual in sorted(placed.segments, key=lambda one: (one.take, one.start)):
         words = store.words([manual.take_id])

@@ -61,12 +61,17 @@ def read(
 
     from storage.labels.formats import read_labels
 
-    rows = [
-        {"take": one.take, "class": one.label, "start": one.start, "stop": one.stop}
-        | {"unit": "seconds" if one.in_seconds else "source frames", "where": one.where}
-        for file in files
-        for one in read_labels(file)
-    ]
+    unit = {True: "seconds", False: "source frames"}
+    rows: list[dict[str, object]] = []
+    for file in map(read_labels, files):
+        rows += [
+            {"take": one.take, "class": one.label, "start": one.start, "stop": one.stop}
+            | {"unit": unit[one.in_seconds], "where": one.where}
+            for one in file.segments
+        ]
+        # takes that somebody looked at without finding anything
+        labelled = {one.take for one in file.segments}
+        rows += [{"take": take, "where": file.path} for take in file.takes if take not in labelled]
     text, number = pa.string(), pa.float64()
     kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
     show_table(pa.Table.from_pylist(rows, schema=pa.schema(list(kinds.items()))), form, output)

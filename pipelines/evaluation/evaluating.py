@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -21,8 +21,11 @@ from ops.errors import KinedexError, did_you_mean
 from ops.measures.metrics import Counts, compare, pooled
 from pipelines.wording import few
 from storage.disk import writing
-from storage.ground_truth import ManualSegment
+from storage.ground_truth import LabelFile, ManualSegment
 from storage.schemas import result_schema
+
+Saying = tuple[str, str, int, int]
+"""A take, a class, and the source frames [start, stop) that it is in."""
 
 UnknownLabels = Literal["error", "miss", "ignore"]
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
@@ -47,7 +50,8 @@ class Manual:
 class GroundTruth:
     """What is known of the takes that are evaluated.
 
-    takes: their names, sorted; in a take without any segment (all of its labels are left out) nothing is to be found.
+    takes: their names, sorted; in a take without any segment (it was labelled as empty, or all of its labels are left
+        out) nothing is to be found.
     remarks: what had to be left out, in words.
     """
 
@@ -79,7 +83,7 @@ class Evaluation:
 
 
 def place_ground_truth(
-    segments: Sequence[ManualSegment],
+    files: Sequence[LabelFile],
     takes: pl.DataFrame,
     archive: Iterable[str],
     classes: Classes,
@@ -87,9 +91,12 @@ def place_ground_truth(
 ) -> GroundTruth:
     """Put manual segments of label files on the takes that were annotated, in analysis frames.
 
+    A take that a file has without any segment is evaluated as one in which nothing is to be found. What is said of a
+    take twice (class, start and stop in source frames), by one file or by several, counts once.
+
     Parameters
     ----------
-    segments: source frames, or seconds, which become the nearest source frames; touching ones stay separate.
+    files: segments in source frames, or seconds, which become the nearest source frames; touching ones stay separate.
     takes: the annotated takes. archive: the names of all takes of the store.
     unknown_labels: what a label does that is neither a class nor a subclass in one: "error"; "miss": it counts as a
         class that was not found; "ignore": it is left out, and so said, but its take is evaluated all the same.
@@ -100,16 +107,18 @@ def place_ground_truth(
     """
     by_name = {row["name"]: row for row in takes.iter_rows(named=True)}
     known_takes = set(archive)
-    here = [segment for segment in segments if segment.take in by_name]
-    absent = sorted({segment.take for segment in segments} - known_takes)
+    here = [segment for file in files for segment in file.segments if segment.take in by_name]
+    looked_at = {take for file in files for take in file.takes}
+    absent = sorted(looked_at - known_takes)
     remarks = [f"ground truth of takes that the archive does not have: {few(absent)}"] if absent else []
-    if not here:
+    evaluated = looked_at & set(by_name)
+    if not evaluated:
+        count = sum(len(file.segments) for file in files)
         hint = did_you_mean(absent[0], known_takes) if absent else "; none of its takes was annotated"
         raise KinedexError(
-            f"none of the {len(segments)} manual segments is on a take that was annotated"
+            f"none of the {count} manual segments is on a take that was annotated"
             + (f": no take is named '{absent[0]}'{hint}" if absent else hint)
         )
-    evaluated = {segment.take for segment in here}
     silent = sorted(set(by_name) - evaluated)
     if silent:
         remarks.append(f"annotated takes without ground truth, not evaluated: {few(silent)}")
@@ -120,17 +129,59 @@ def place_ground_truth(
     missed = sorted(label for label, name in labels.items() if name == label and classes.class_of(label) is None)
     if missed:
         remarks.append(f"labels of no class, counted as missed: {few(missed)}")
+    empty = sorted(evaluated - {segment.take for segment in here})
+    if empty:
+        said = "takes of label files that have no segment of them, in which nothing is to be found"
+        remarks.append(f"{said}: {few(empty)}")
+    every = [(_placed(segment, by_name[segment.take], labels[segment.label]), segment.where) for segment in here]
+    known = [(manual, where) for manual, where in every if manual is not None]
     placed = []
-    for segment in here:
-        manual = _placed(segment, by_name[segment.take], labels[segment.label])
-        if manual is not None and manual.start < manual.stop:
+    for (manual, where), first in zip(known, _firsts([manual for manual, _ in known]), strict=True):
+        if first is not manual:
+            continue
+        if manual.start < manual.stop:
             placed.append(manual)
-        elif manual is not None:
-            remarks.append(f"{segment.where}: no analysis frame lies in this segment, left out")
-    bare = sorted(evaluated - {segment.take for segment in placed})
+        else:
+            remarks.append(f"{where}: no analysis frame lies in this segment, left out")
+    remarks += _of_several_files(files, [manual for manual, _ in known], evaluated)
+    bare = sorted(evaluated - {segment.take for segment in placed} - set(empty))
     if bare:
         remarks.append(f"takes in which nothing is left to be found, evaluated as such: {few(bare)}")
     return GroundTruth(tuple(placed), tuple(sorted(evaluated)), tuple(remarks))
+
+
+def _firsts(segments: Sequence[Manual]) -> list[Manual]:
+    """For each segment the first that says the same of its take."""
+    known: dict[Saying, Manual] = {}
+    return [known.setdefault(_saying(one), one) for one in segments]
+
+
+def _saying(one: Manual) -> Saying:
+    return one.take, one.label, one.source_start, one.source_stop
+
+
+def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], evaluated: Container[str]) -> list[str]:
+    """What is to be said of segments that are there twice, and of takes that files do not agree on."""
+    pairs = zip(_firsts(segments), segments, strict=True)
+    again = Counter((first.origin, one.origin) for first, one in pairs if first is not one)
+    remarks = []
+    if again:
+        told = [f"{n} in {b} " + ("itself" if a == b else f"that {a} has as well") for (a, b), n in again.items()]
+        remarks.append(f"the same segments again, counted once: {few(told)}")
+    said: dict[str, dict[str, set[Saying]]] = defaultdict(dict)
+    for file in files:
+        for take in file.takes:
+            said[take][file.path] = set()
+    for one in segments:
+        said[one.take][one.origin].add(_saying(one))
+    unlike = [
+        f"{take} ({', '.join(of_file)})"
+        for take, of_file in sorted(said.items())
+        if take in evaluated and len({frozenset(own) for own in of_file.values()}) > 1
+    ]
+    if unlike:
+        remarks.append(f"takes that files label differently, all of it counted: {few(unlike)}")
+    return remarks
 
 
 def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTruth:

@@ -62,8 +62,8 @@ def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]
     """
     takes = store.takes(where)
     files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
-    segments = [segment for file in files for segment in read_ground_truth(file)]
-    return place_ground_truth(segments, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
+    labels = list(map(read_ground_truth, files))
+    return place_ground_truth(labels, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
 
 
 def names_filter(takes: Sequence[str]) -> str:

@@ -10,17 +10,17 @@ from pathlib import Path
 
 from ops.errors import KinedexError, SourceError, did_you_mean
 from storage.labels import audacity, elan, tables, webvtt
-from storage.labels.segments import ManualSegment, TakeLabels, check_writable
+from storage.labels.segments import LabelFile, TakeLabels, check_writable
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of label files: how the labels of takes become a text, how a file becomes segments, and whether one
+    """A format of label files: how the labels of takes become a text, what a file says, and whether one
     file holds several takes."""
 
     title: str
     write: Callable[[Sequence[TakeLabels]], str]
-    read: Callable[[str | Path], list[ManualSegment]]
+    read: Callable[[str | Path], LabelFile]
     several: bool = False
 
 
@@ -44,7 +44,7 @@ FORMATS: dict[str, Format] = {
 ENDINGS = ", ".join(f".{name} ({form.title})" for name, form in FORMATS.items())
 
 
-def read_labels(path: str | Path) -> list[ManualSegment]:
+def read_labels(path: str | Path) -> LabelFile:
     """Read a label file in the format that its ending says.
 
     Raises

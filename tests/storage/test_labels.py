@@ -44,8 +44,9 @@ def test_what_is_written_is_read_back_to_the_frame(tmp_path_factory, labels: Tak
     write_labels([labels], form, path)
     found = read_labels(path)
     expected = [(one.label, one.start, one.stop) for one in labels.labels]
-    assert by_time([(one.label, *one.source_frames(labels.rate_hz)) for one in found]) == by_time(expected)
-    assert {one.take for one in found} <= {labels.take if form != "txt" else "some"}
+    assert by_time([(one.label, *one.source_frames(labels.rate_hz)) for one in found.segments]) == by_time(expected)
+    assert found.takes == (labels.take if form != "txt" else "some",)  # one without labels, too
+    assert {one.take for one in found.segments} <= set(found.takes)
 
 
 TWO = TakeLabels(
@@ -110,7 +111,23 @@ def test_nothing_is_overwritten_unless_asked_for_and_nothing_half_written(tmp_pa
 def read(folder: Path, ending: str, text: str) -> list[ManualSegment]:
     path = folder / f"mine.{ending}"
     path.write_text(text, encoding="utf-8", newline="")
-    return read_labels(path)
+    return list(read_labels(path).segments)
+
+
+def test_takes_without_a_label_are_takes_of_their_file(tmp_path: Path):
+    takes = [TWO, TakeLabels("found empty", 30.0, 9, ())]
+    for form in ("csv", "json"):
+        (path,) = write_labels(takes, form, tmp_path / f"all.{form}")
+        found = read_labels(path)
+        assert found.takes == ("a take", "found empty")
+        assert {one.take for one in found.segments} == {"a take"}
+    assert (tmp_path / "all.csv").read_text().splitlines()[-1] == "found empty,,,,,,,,"
+    (tmp_path / "mine.txt").touch()
+    (tmp_path / "theirs.vtt").write_text("WEBVTT\n")
+    assert read_labels(tmp_path / "mine.txt").takes == ("mine",)
+    assert read_labels(tmp_path / "theirs.vtt").takes == ("theirs",)
+    (tmp_path / "none.json").write_text('{"takes": []}')
+    assert read_labels(tmp_path / "none.json").takes == ()
 
 
 def eaf(tiers: str, slots: str = "", head: str = "") -> str:
