@@ -18,12 +18,13 @@ app.add_typer(labels, rich_help_panel="Ask a store")
 def export(
     store: StorePath,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="folder for a file per take, or one file")
+        str, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="folder for a file per take, or one file")
     ],
     form: Annotated[
         str | None,
         typer.Option(
-            "--format", help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); as FILE ends unless given"
+            "--format",
+            help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); as FILE ends unless given, csv in a folder",
         ),
     ] = None,
     take: Annotated[list[str] | None, typer.Option(help="only this take; may be repeated")] = None,
@@ -44,8 +45,7 @@ def export(
     opened = open_store(store)
     chosen = annotate_stage(opened, stage)
     found = labels_of(opened, chosen, take or (), where)
-    kind = form or output.suffix.lower().removeprefix(".") or "csv"
-    paths = write_labels(found, kind, output, force=force)
+    paths = write_labels(found, form, output, force=force)
     count = sum(len(one.labels) for one in found)
     where_to = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
     print(f"{count} segments of {len(found)} takes, annotated by {chosen}: {where_to}")

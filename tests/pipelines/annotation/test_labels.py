@@ -85,6 +85,16 @@ def test_the_same_labels_in_two_files_count_once(line: Line, tmp_path: Path):
     assert "differently" not in said
 
 
+def test_a_folder_with_a_dot_in_its_name_needs_a_format_or_a_slash(line: Line, tmp_path: Path):
+    given = ["labels", "export", str(line.store), "-o", str(tmp_path / "lab.2024")]
+    refused = CliRunner().invoke(app, given)
+    assert refused.exit_code == 1
+    assert "no format of labels ends in '.2024'" in refused.stderr
+    for right in ([*given, "--format", "VTT"], [*given[:-1], f"{given[-1]}/"]):
+        assert CliRunner().invoke(app, right).exit_code == 0
+    assert len(list((tmp_path / "lab.2024").iterdir())) == 4
+
+
 def test_stages_and_takes_are_chosen_by_name(line: Line):
     store = open_store(line.store)
     for wanted in (None, "test", "test/annotate", "run-annotate"):
