@@ -214,6 +214,22 @@ def test_frames_within_ranges_are_counted_take_by_take(lengths: list[int], steps
     assert annotating._frames_within(edges, offsets).tolist() == expected
 
 
+@settings(max_examples=30)
+@given(words_of_takes, st.sampled_from(["nowhere", "somewhere", "two"]))
+def test_takes_do_not_influence_each_other_where_they_are_explained_within_keyframe_hits(
+    takes: list[np.ndarray], where: str
+):
+    start = replace(KICK, name="its start", keyframes=KICK.keyframes[:1], gaps=())
+    nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
+    queries = {"nowhere": (nowhere,), "somewhere": (KICK,), "two": (start, replace(start, target="walk"))}[where]
+    templates = [template("kick", 3), template("walk", 3)]
+    usual = background([motion("walk"), motion("rest")], 40)
+    one = make_annotator(BODY, templates, load_classes("own", ["kick", "walk"]), 0.05, 0.13, queries, usual)
+    for found, take in zip(annotate_words(one, laid_out(takes)), takes, strict=True):
+        (alone,) = annotate_words(one, laid_out([take]))
+        assert found.segments == alone.segments
+
+
 @settings(max_examples=40)
 @given(words_of_takes, st.sampled_from([0, 1, 2]), st.sampled_from([0.02, 0.13, 0.5]), st.sampled_from([0, 1, 10**9]))
 def test_segments_are_those_of_whole_curves_labelled_frame_by_frame(
