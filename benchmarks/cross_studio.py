@@ -24,7 +24,7 @@ from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords, bits
 from pipelines.annotation.annotating import annotate_words
 from pipelines.annotation.annotators import Annotator, make_annotator
-from pipelines.evaluation.evaluating import Manual, place_ground_truth
+from pipelines.evaluation.groundtruth import Manual, place_ground_truth
 from pipelines.stages.annotate import usual_features
 from pipelines.templates.learning import read_templates
 from storage.ground_truth import read_ground_truth

@@ -18,7 +18,7 @@ from ops.distances.taking import KEYS
 from ops.measures.retrieval import average_precision
 from ops.templates.templates import QuantisedTemplate
 from ops.words import TakeWords
-from pipelines.evaluation.evaluating import GroundTruth, Manual, place_ground_truth
+from pipelines.evaluation.groundtruth import GroundTruth, Manual, place_ground_truth
 from pipelines.retrieval.ranking import Hit
 from storage.ground_truth import ground_truth_files, read_ground_truth
 from storage.schemas import result_schema

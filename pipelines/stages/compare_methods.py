@@ -22,8 +22,9 @@ from pipelines.annotation.annotators import make_annotator, targets_unknown
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
-from pipelines.evaluation.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
+from pipelines.evaluation.evaluating import Evaluation, Row, measures, metrics_rows
 from pipelines.evaluation.exams import Fold, Material, make_folds
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split

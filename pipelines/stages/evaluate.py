@@ -16,16 +16,18 @@ from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.evaluating import (
     SCOPES,
-    GroundTruth,
-    UnknownLabels,
     evaluate,
-    ground_truth_of_classes,
-    ground_truth_rows,
     measures,
     metrics_rows,
     metrics_table,
-    place_ground_truth,
     write_metrics,
+)
+from pipelines.evaluation.groundtruth import (
+    GroundTruth,
+    UnknownLabels,
+    ground_truth_of_classes,
+    ground_truth_rows,
+    place_ground_truth,
 )
 from pipelines.stages import annotate
 from pipelines.templates.learning import read_templates, run_of

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from ops.errors import KinedexError
 from pipelines.annotation.labels import annotate_stage, labels_of, source_frame
 from pipelines.cli import app
-from pipelines.evaluation.evaluating import analysis_frame
+from pipelines.evaluation.groundtruth import analysis_frame
 from pipelines.stages import annotate, evaluate, learn_templates
 from storage.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, write_store

@@ -18,17 +18,19 @@ from ops.errors import KinedexError, SourceError
 from ops.measures.metrics import Counts
 from pipelines.evaluation.evaluating import (
     Evaluation,
+    evaluate,
+    metrics_rows,
+    metrics_table,
+    pool_folds,
+    write_metrics,
+)
+from pipelines.evaluation.groundtruth import (
     GroundTruth,
     UnknownLabels,
     analysis_frame,
-    evaluate,
     ground_truth_of_classes,
     ground_truth_rows,
-    metrics_rows,
-    metrics_table,
     place_ground_truth,
-    pool_folds,
-    write_metrics,
 )
 from storage.ground_truth import LabelFile, ManualSegment
 from storage.schemas import result_schema

@@ -16,7 +16,7 @@ from ops.errors import KinedexError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import TakeWords
 from pipelines.cli import app
-from pipelines.evaluation.evaluating import Manual
+from pipelines.evaluation.groundtruth import Manual
 from pipelines.retrieval import ranking
 from pipelines.retrieval.ranking import Hit, Searched, rank_store, ranking_table
 from pipelines.retrieval.retrieval import Judged, judge_clips, judge_hits, mean_average_precision, recall_at_tau
