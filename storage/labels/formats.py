@@ -109,8 +109,8 @@ def _format(form: str | None, output: str | Path, folder: bool) -> str:
         return "csv"
     if ending not in FORMATS:
         raise KinedexError(
-            f"{output}: no format of labels ends in '.{ending}'{did_you_mean(ending, FORMATS)}; --format says which is "
-            "meant, and where this is a folder to be made, so does a / at its end (CSV, then)"
+            f"{output}: its ending, '.{ending}', is no format of labels{did_you_mean(ending, FORMATS)}; for a folder "
+            "of this name give --format, or put a / at its end"
         )
     return ending
 

@@ -118,10 +118,10 @@ def test_what_is_a_folder_and_which_format_is_meant(tmp_path: Path):
     takes = [TakeLabels(name, 30.0, 9, ()) for name in ("one", "two")]
     year = tmp_path / "lab.2024"
     with pytest.raises(
-        KinedexError, match=r"lab\.2024: no format of labels ends in '\.2024'.*--format.* folder.*a / at"
+        KinedexError, match=r"2024: its ending, '\.2024', is no format of labels.*folder.*--format.*a / at"
     ):
         write_labels(takes, None, year)
-    with pytest.raises(KinedexError, match=r"labels\.cvs: .* '\.cvs'; did you mean 'csv'"):
+    with pytest.raises(KinedexError, match=r"labels\.cvs: .* '\.cvs', is no .*; did you mean 'csv'"):
         write_labels(takes, None, tmp_path / "labels.cvs")
     assert list(tmp_path.iterdir()) == []
     assert write_labels(takes, None, f"{year}/") == [year / "one.csv", year / "two.csv"]

@@ -89,7 +89,7 @@ def test_a_folder_with_a_dot_in_its_name_needs_a_format_or_a_slash(line: Line, t
     given = ["labels", "export", str(line.store), "-o", str(tmp_path / "lab.2024")]
     refused = CliRunner().invoke(app, given)
     assert refused.exit_code == 1
-    assert "no format of labels ends in '.2024'" in refused.stderr
+    assert "its ending, '.2024', is no format of labels" in refused.stderr
     for right in ([*given, "--format", "VTT"], [*given[:-1], f"{given[-1]}/"]):
         assert CliRunner().invoke(app, right).exit_code == 0
     assert len(list((tmp_path / "lab.2024").iterdir())) == 4
