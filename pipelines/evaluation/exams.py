@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
@@ -14,7 +14,7 @@ from pipelines.evaluation.evaluating import GroundTruth
 from pipelines.evaluation.scheme import Split
 from pipelines.stages.leave_one_out import without
 from pipelines.templates.learning import TrainingClips
-from pipelines.wording import few
+from pipelines.wording import counted, few
 
 Truth = tuple[str, int, int]
 """A class and the analysis frames [start, stop) that it is in."""
@@ -70,7 +70,8 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
 
     Returns
     -------
-    At least one fold; no take is annotated with templates that it was learned from.
+    At least one fold; no take is annotated with templates that it was learned from. The folds' remarks name the takes
+    that are in no fold, and the folds that are not there as nothing is left to learn from.
 
     Raises
     ------
@@ -93,11 +94,35 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
         truth = material.place(tested)
         remarks = truth.remarks
         tested = tested.filter(pl.col("name").is_in(truth.takes))
-    folds = [_fold(split, name, takes, material, remarks) for name, takes in _parts(split, tested.sort("name"))]
+    parts = _parts(split, tested.sort("name"))
+    folds = [_fold(split, name, takes, material) for name, takes in parts]
     usable = [fold for fold in folds if fold.clips and fold.exams]
     if not usable:
         raise KinedexError(f"split '{split.name}': no fold has both clips to learn from and takes to annotate")
-    return usable
+    remarks = (*remarks, *_in_no_fold(split, tested, parts), *_not_there(split, folds))
+    return [replace(fold, remarks=(*remarks, *fold.remarks)) for fold in usable]
+
+
+def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, pl.DataFrame]]) -> list[str]:
+    """The takes without a value of the column that is left out."""
+    within = {name for _, takes in parts for name in takes["name"]}
+    names = [name for name in tested["name"].sort() if name not in within]
+    if not names:
+        return []
+    return [f"{counted(len(names), 'take')} without {split.leave_out}, in no fold and not annotated: {few(names)}"]
+
+
+def _not_there(split: Split, folds: Sequence[Fold]) -> list[str]:
+    """The folds without a clip to learn from, with their takes."""
+    remarks = []
+    for fold in folds:
+        if not fold.clips:
+            why = f"of {split.leave_out} {fold.name}" if split.leave_out is not None else "takes of this fold"
+            remarks.append(
+                f"{fold.name}: all training clips are {why}, so there is no such fold; not annotated: "
+                f"{counted(len(fold.exams), 'take')} ({few([exam.name for exam in fold.exams])})"
+            )
+    return remarks
 
 
 def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]:
@@ -123,7 +148,7 @@ def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]
     return [(f"fold {index + 1}", tested.filter(pl.Series(dealt == index))) for index in range(split.folds)]
 
 
-def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material, remarks: tuple[str, ...]) -> Fold:
+def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> Fold:
     names = set(tested["name"].to_list())
     left_out = set(names)
     if split.leave_out is not None and split.leave_out in material.training.columns:
@@ -137,7 +162,7 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material, rem
             "exclude each other, or use `leave_out` or `folds`"
         )
     clips = tuple(rest for one in material.clips if (rest := without(one, left_out)).names)
-    said = list(remarks)
+    said = []
     gone = sorted({one.subclass for one in material.clips} - {one.subclass for one in clips})
     if gone:
         said.append(f"{name}: no clips of others, so no template: {few(gone)}")
