@@ -230,6 +230,13 @@ def test_thresholds_are_calibrated_on_the_clips_of_the_fold(line: Comparing) -> 
         line.compare([method], [LEFT_OUT])
 
 
+def test_actors_of_clips_that_the_stage_does_not_learn_from_are_known(line: Comparing) -> None:
+    line.run(learn_templates, where="class IS NOT NULL AND actor = 'ann'")
+    method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
+    with pytest.raises(KinedexError, match="all training clips are of bob"):
+        line.compare([method], [{"name": "eve", "train": "class IS NOT NULL AND actor = 'bob'"}])
+
+
 def test_methods_and_splits_have_names_of_their_own(line: Comparing) -> None:
     with pytest.raises(ValueError, match="methods: two are named 'best'"):
         line.compare([BEST, BEST], [{"name": "eve"}])
