@@ -1,5 +1,4 @@
-"""How good a method is in a split: counts, confusion of classes, average precision, boundaries, and how sure it all
-is."""
+"""How good a method is in a split: counts, average precision, boundaries, and how sure it all is."""
 
 from __future__ import annotations
 
@@ -13,29 +12,15 @@ import numpy.typing as npt
 from ops.measures.detection import THRESHOLDS, Found, Known, average_precision, bootstrap, boundary_errors, overlap
 from ops.measures.metrics import Counts, compare, pooled
 from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.confusion import Confusion, confusion
 from pipelines.evaluation.exams import Exam
 
 I64 = npt.NDArray[np.int64]
-
-NOTHING = "none"
-"""What a frame without a label is called in the confusion of classes."""
 
 INTERVAL_OF = ("p1", "r1", "f1", "p2", "r2", "f2")
 
 Outcome = Mapping[str, Sequence[Segment]]
 """What a method has found in all folds of a split, by the name of the take."""
-
-
-@dataclass(frozen=True)
-class Confusion:
-    """Frames by what they are (rows) and what they were labelled (columns).
-
-    labels: of rows and columns, the last is `NOTHING`. A frame that is in several classes, or has several labels,
-    counts as right where one is the other; what then is left is counted in equal parts.
-    """
-
-    labels: tuple[str, ...]
-    frames: npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -153,36 +138,6 @@ def _boundaries(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) 
         if any(name == label for name, _, _ in exam.truth)
     ]
     return np.concatenate([np.empty((0, 2), np.int64), *errors])
-
-
-def confusion(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) -> Confusion:
-    """Count the frames of all takes by what they are and what they were labelled."""
-    names = (*labels, NOTHING)
-    frames = np.zeros((len(names), len(names)))
-    for exam in exams:
-        truth = _marked([(names.index(label), start, stop) for label, start, stop in exam.truth], exam, len(labels))
-        mine = _marked([(names.index(one.label), one.start, one.stop) for one in outcome[exam.name]], exam, len(labels))
-        both = truth & mine
-        np.fill_diagonal(frames[:-1, :-1], frames.diagonal()[:-1] + both.sum(axis=1))
-        rest_true, rest_mine = truth & ~both, mine & ~both
-        without_true = ~truth.any(axis=0)
-        without_mine = ~mine.any(axis=0)
-        frames[-1, -1] += float((without_true & without_mine).sum())
-        # what is wrong of a frame is shared out among the other side's labels that are wrong there, or `none`
-        wrong_mine, wrong_true = rest_mine.sum(axis=0), rest_true.sum(axis=0)
-        share = np.where(wrong_mine > 0, 1.0 / np.maximum(wrong_mine, 1), 0.0)
-        frames[:-1, :-1] += (rest_true * share) @ rest_mine.T.astype(float)
-        frames[:-1, -1] += (rest_true & (wrong_mine == 0)).sum(axis=1)
-        frames[-1, :-1] += (rest_mine & (wrong_true == 0)).sum(axis=1)
-    return Confusion(names, frames)
-
-
-def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -> npt.NDArray[np.bool_]:
-    """Which frames are in which class, bool (labels, L)."""
-    marked = np.zeros((labels, exam.frames), np.bool_)
-    for label, start, stop in segments:
-        marked[label, start:stop] = True
-    return marked
 
 
 def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:

@@ -157,7 +157,11 @@ def _judgement(one: Judgement, study: Study) -> dict[str, object]:
         "groups": {name: scores(counts) for name, counts in one.by_group.items()},
         "classes": {name: scores(counts) for name, counts in one.by_class.items()},
         "takes": {name: scores(counts) for name, counts in one.by_take.items()},
-        "confusion": {"labels": list(one.confusion.labels), "frames": one.confusion.frames.round(3).tolist()},
+        "confusion": {
+            "rows": list(one.confusion.rows),
+            "columns": list(one.confusion.columns),
+            "frames": one.confusion.frames.round(3).tolist(),
+        },
     }
     if "overlap" in study.metrics:
         result["map"] = {f"{threshold:g}": _number(value) for threshold, value in one.precision.items()}

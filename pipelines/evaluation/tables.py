@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from rich import box
 from rich.console import Group
@@ -12,23 +11,14 @@ from rich.table import Table
 from rich.text import Text
 
 from ops.measures.metrics import Counts
-from pipelines.evaluation.judging import NOTHING, Fate, Judgement
+from pipelines.evaluation.confusion import confusions
+from pipelines.evaluation.judging import Fate, Judgement
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
 MOST_CONFUSIONS = 8
 MOST_LISTED = 60
 """Manual segments that Markdown lists; the page folds them, the JSON has all."""
-
-
-@dataclass(frozen=True)
-class Confused:
-    """Frames of one class that were labelled as another (or nothing), and the share of the class that they are."""
-
-    label: str
-    taken_for: str
-    frames: float
-    share: float
 
 
 def headings(study: Study) -> list[str]:
@@ -74,18 +64,6 @@ def between(interval: tuple[float, float]) -> str:
 def six(counts: Counts) -> list[str]:
     """The six measures of the thesis in the order of Table 5.2."""
     return [digits(float(getattr(counts, name.lower()))) for name in MEASURE_NAMES]
-
-
-def confusions(judgement: Judgement, most: int = MOST_CONFUSIONS) -> list[Confused]:
-    """The greatest confusions of one class with another, or with nothing, by frames; none below half a percent."""
-    labels, frames = judgement.confusion.labels, judgement.confusion.frames
-    found = []
-    for i, label in enumerate(labels):
-        total = float(frames[i].sum())
-        for j, other in enumerate(labels):
-            if i != j and total and frames[i, j] >= 0.005 * total:
-                found.append(Confused(label, other, float(frames[i, j]), float(frames[i, j]) / total))
-    return sorted(found, key=lambda one: (-one.frames, one.label, one.taken_for))[:most]
 
 
 def described(result: SplitResult) -> str:
@@ -157,13 +135,13 @@ def _by_class(result: SplitResult) -> list[str]:
         if any(one.frames_automatic + one.frames_manual for one in counts):
             rows.append([label, *(f"{digits(one.f1)} / {digits(one.f2)}" for one in counts)])
     lines = ["### By class, F1 / F2", "", *grid(["class", *names], rows)]
-    worst = confusions(result.judgements[result.leading])
+    worst = confusions(result.judgements[result.leading].confusion, MOST_CONFUSIONS)
     if worst:
         said = [
             f"{one.label} → {one.taken_for} ({one.frames:.0f} frames, {one.share:.0%})"
             for one in worst
         ]  # fmt: skip
-        lines += [f"Confused most by {result.leading}: {'; '.join(said)}. ({NOTHING}: no label.)", ""]
+        lines += [f"Confused most by {result.leading}: {'; '.join(said)}.", ""]
     return lines
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.measures.metrics import Counts
+from pipelines.evaluation.confusion import Confusion
 from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import NOTHING, Confusion, Outcome
+from pipelines.evaluation.judging import Outcome
 from pipelines.evaluation.study import Threshold
 from pipelines.report.axes import Axis, percent, time_axis
 
@@ -97,12 +98,20 @@ class Shade:
 
 @dataclass(frozen=True)
 class ConfusionRow:
-    """One row of a confusion: the class by name and number, its frames, and its entries."""
+    """One row of a confusion: what it is, with its number (empty where it is no class), its frames, and its entries."""
 
     label: str
-    number: int
+    number: str
     frames: float
     shades: tuple[Shade, ...]
+
+
+@dataclass(frozen=True)
+class ConfusionTable:
+    """A confusion as it is drawn. heads: of the columns, as (what they say, what a pointer is told)."""
+
+    heads: tuple[tuple[str, str], ...]
+    rows: tuple[ConfusionRow, ...]
 
 
 @dataclass(frozen=True)
@@ -184,22 +193,24 @@ def _strip(
     return Strip(name, tuple(blocks), f"{name}: {'; '.join(words) or 'nothing'}")
 
 
-def confusion_rows(confusion: Confusion) -> list[ConfusionRow]:
-    """Lay a confusion out; classes that are neither there nor labelled are left out of the rows."""
+def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> ConfusionTable:
+    """Lay a confusion out; rows without a frame, and the column of labels too few without one, are left out."""
+    given = [str(numbers[label]) for label in confusion.classes]
+    few = confusion.frames[:, -1].any()
+    heads = [*zip([*given, "–", "+"], confusion.columns, strict=True)][: None if few else -1]
     rows = []
-    for index, label in enumerate(confusion.labels):
+    for index, (label, number) in enumerate(zip(confusion.rows, [*given, "", ""], strict=True)):
         frames = confusion.frames[index]
         total = float(frames.sum())
         if not total:
             continue
-        shares = frames / total
-        right = label if label != NOTHING else NOTHING
+        shares = (frames / total).tolist()
         shades = tuple(
-            Shade(float(count), float(share), round(60 * float(share) ** 0.5), confusion.labels[column] == right)
-            for column, (count, share) in enumerate(zip(frames.tolist(), shares.tolist(), strict=True))
+            Shade(count, share, round(60 * share**0.5), column == index)
+            for column, (count, share) in enumerate(zip(frames.tolist(), shares, strict=True))
         )
-        rows.append(ConfusionRow(label, index + 1, total, shades))
-    return rows
+        rows.append(ConfusionRow(label, number, total, shades[: len(heads)]))
+    return ConfusionTable(tuple(heads), tuple(rows))
 
 
 def histogram(frames: npt.NDArray[np.int64], rate_hz: float) -> list[Bar]:

@@ -10,17 +10,17 @@ from jinja2 import Environment
 
 from ops.measures.detection import THRESHOLDS
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
-from pipelines.evaluation.tables import between, confusions, described, digits, fate, headings, row, sentence, six
+from pipelines.evaluation.tables import between, described, digits, fate, headings, row, sentence, six
 from pipelines.report.environment import page_environment
 from pipelines.report.methodfigures import (
     FURTHEST,
     HEIGHT,
     WIDTH,
     Bar,
-    ConfusionRow,
+    ConfusionTable,
     Strips,
     Sweep,
-    confusion_rows,
+    confusion_table,
     histogram,
     strips,
     sweeps,
@@ -39,7 +39,7 @@ class Section:
     labels: tuple[str, ...]
     takes: tuple[Strips, ...]
     sweeps: tuple[Sweep, ...]
-    confusion: dict[str, list[ConfusionRow]]
+    confusion: dict[str, ConfusionTable]
     bars: dict[str, list[Bar]]
 
 
@@ -110,7 +110,7 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
     bars = {
         end: histogram(judgement.boundaries[:, column], study.rate_hz) for column, end in enumerate(("start", "stop"))
     }
-    confusion = {name: confusion_rows(result.judgements[name].confusion) for name in ordered}
+    confusion = {name: confusion_table(result.judgements[name].confusion, numbers) for name in ordered}
     return Section(result, used, tuple(takes), tuple(sweeps(result.sweep)), confusion, bars)
 
 
@@ -123,7 +123,6 @@ def _environment() -> Environment:
         "row": row,
         "fate": fate,
         "six": six,
-        "confusions": confusions,
         "boundaries": boundary_summary,
         "sortable": lambda value: "" if value is None or math.isnan(value) else value,
     }

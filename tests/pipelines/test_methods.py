@@ -17,7 +17,7 @@ from pipelines.config import load_pipeline
 from pipelines.evaluation import cells as grid
 from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, fates, judge
+from pipelines.evaluation.judging import chosen_takes, fates, judge
 from pipelines.evaluation.scheme import Method, Split
 from pipelines.runner import run_pipeline
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
@@ -250,24 +250,6 @@ def test_queries_that_are_to_be_learned_need_the_stage(line: Comparing, monkeypa
 
 def exam(*truth: tuple[str, int, int], frames: int = 10) -> Exam:
     return Exam("t", "g", (1,), frames, truth)
-
-
-def test_frames_are_confused_as_they_are_labelled() -> None:
-    #       0 1 2 3 4 5 6 7 8 9
-    # true  a a a a b b b . . .
-    # mine  a a b b b . . . c c
-    found = {"t": (Segment("a", 0, 2, 1.0), Segment("b", 2, 5, 1.0), Segment("c", 8, 10, 1.0))}
-    result = confusion(found, [exam(("a", 0, 4), ("b", 4, 7))], ["a", "b", "c"])
-    assert result.labels == ("a", "b", "c", NOTHING)
-    assert result.frames.tolist() == [[2, 2, 0, 0], [0, 1, 0, 2], [0, 0, 0, 0], [0, 0, 2, 1]]
-
-
-def test_a_frame_of_two_classes_is_confused_in_parts() -> None:
-    found = {"t": (Segment("b", 0, 4, 1.0), Segment("c", 2, 4, 1.0))}
-    result = confusion(found, [exam(("a", 0, 4), frames=4)], ["a", "b", "c"])
-    assert result.frames[0].tolist() == [0, 3, 1, 0]
-    both = confusion({"t": (Segment("a", 0, 4, 1.0),)}, [exam(("a", 0, 4), ("b", 0, 4), frames=4)], ["a", "b"])
-    assert both.frames.tolist() == [[4, 0, 0], [0, 0, 4], [0, 0, 0]]
 
 
 def test_a_segment_that_one_method_finds_is_found() -> None:
