@@ -58,7 +58,7 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of an evaluation: scope 'pooled', 'class', 'take' or 'fold'."""
+    """One line of an evaluation: scope 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
 
     scope: str
     name: str

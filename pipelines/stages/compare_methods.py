@@ -23,7 +23,8 @@ from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
 from pipelines.evaluation.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
-from pipelines.evaluation.exams import Fold, Material, make_folds
+from pipelines.evaluation.exams import Fold
+from pipelines.evaluation.folds import Material, make_folds
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
@@ -50,7 +51,9 @@ class Params(evaluating.Params):
     methods: list[Method] = Field(min_length=1, description="ways to annotate, each with a name")
     splits: list[Split] = Field(min_length=1, description="what is learned from, and what is annotated")
     classes: str = Field(OWN, description="'own': every subclass is a class; or a class file")
-    divide_by: str = Field("actor", description="the column of takes that Table 5.2 is divided by")
+    divide_by: str = Field(
+        "actor", description="the column of takes that Table 5.2 is divided by; in the metrics, scope 'group'"
+    )
     taus: list[float] = Field(
         [],
         description="thresholds of the sweep (thesis, Figure 5.6), for all methods but those that τ does not matter to",
@@ -320,7 +323,7 @@ def _write(context: StageContext, study: Study) -> list[str]:
     """Keep the metrics, write page, summary and JSON; their paths within the store, the page first."""
     with context.writer() as writer:
         tables = [
-            metrics_rows(Evaluation(f"{result.split.name}: {name}", rows_of(judged)), context.run)
+            metrics_rows(Evaluation(f"{result.split.name}: {name}", rows_of(judged, result.folds)), context.run)
             for result in study.splits
             for name, judged in result.judgements.items()
         ]
@@ -339,11 +342,13 @@ def _write(context: StageContext, study: Study) -> list[str]:
     return files
 
 
-def rows_of(judged: Judgement) -> tuple[Row, ...]:
-    """A judgement as lines of an evaluation; a fold is a group of takes."""
+def rows_of(judged: Judgement, folds: Sequence[Fold]) -> tuple[Row, ...]:
+    """A judgement as lines of an evaluation; a group is of the takes that have the same value of `divide_by`."""
+    by_fold = {fold.name: pooled(judged.by_take[exam.name] for exam in fold.exams) for fold in folds}
     return (
         Row("pooled", "all", judged.pooled),
-        *(Row("fold", name, counts) for name, counts in judged.by_group.items()),
+        *(Row("fold", name, counts) for name, counts in by_fold.items() if len(by_fold) > 1),
+        *(Row("group", name, counts) for name, counts in judged.by_group.items()),
         *(Row("class", name, counts) for name, counts in judged.by_class.items()),
         *(Row("take", name, counts) for name, counts in judged.by_take.items()),
     )

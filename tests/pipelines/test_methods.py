@@ -89,6 +89,8 @@ def test_every_method_is_judged_in_every_split(line: Comparing) -> None:
     assert set(left_out["methods"]["best"]["groups"]) == {"ann", "bob"}
     assert left_out["methods"]["best"]["pooled"]["f1"] == pytest.approx(1.0)
     metrics = open_store(line.store).result("metrics").to_pylist()
+    scopes = {row["scope"]: row["name"] for row in metrics if row["evaluation"] == "left out: best"}
+    assert (set(scopes), scopes["group"]) == ({"pooled", "fold", "group", "class", "take"}, "bob")
     assert {row["evaluation"] for row in metrics} >= {"eve: best", "left out: thesis"}
 
 
