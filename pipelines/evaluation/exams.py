@@ -13,6 +13,9 @@ from pipelines.evaluation.evaluating import GroundTruth
 from pipelines.evaluation.scheme import Split
 from pipelines.templates.learning import TrainingClips
 
+WHOLE = "all"
+"""The name of the only fold of a fixed split."""
+
 Truth = tuple[str, int, int]
 """A class and the analysis frames [start, stop) that it is in."""
 

@@ -11,14 +11,11 @@ import polars as pl
 from catalog.classes import Classes
 from ops.errors import KinedexError, did_you_mean
 from pipelines.evaluation.evaluating import GroundTruth
-from pipelines.evaluation.exams import Fold, as_they_are, how_clips_are_used, laid_out
+from pipelines.evaluation.exams import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out
 from pipelines.evaluation.scheme import Split
 from pipelines.stages.leave_one_out import without
 from pipelines.templates.learning import TrainingClips
 from pipelines.wording import counted, few
-
-WHOLE = "all"
-"""The name of the only fold of a fixed split."""
 
 PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Self
 
 import polars as pl
@@ -13,30 +12,24 @@ from pydantic import ConfigDict, Field, model_validator
 
 from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
-from catalog.queries import KeyframeQuery
-from ops.distances.decoding import background
 from ops.errors import KinedexError
 from ops.measures.metrics import pooled
-from ops.templates.templates import Kind
-from pipelines.annotation.annotators import make_annotator, targets_unknown
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
+from pipelines.evaluation.cells import Cell, Found, cells_table, known_cells, remarks_of, run_cells
 from pipelines.evaluation.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
 from pipelines.evaluation.exams import Fold
 from pipelines.evaluation.folds import Material, make_folds
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
+from pipelines.evaluation.preparing import Known, make_cell, of_other_classes, with_templates
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from pipelines.evaluation.study import SplitResult, Study, Threshold, content
 from pipelines.evaluation.tables import markdown, overview
 from pipelines.report.methods import methods_page
 from pipelines.report.write import write_page
-from pipelines.stages import annotate
 from pipelines.stages import evaluate as evaluating
 from pipelines.stages import learn_templates as learning
-from pipelines.templates.learning import SubclassTemplate, learn_templates
-from pipelines.templates.recipes import feature_weights
 from pipelines.wording import few
 from storage.manifest import now
 from storage.store import Store
@@ -84,17 +77,6 @@ class Params(evaluating.Params):
         return list(dict.fromkeys(name for method in self.methods for name in method.query_files))
 
 
-@dataclass(frozen=True)
-class Known:
-    """What folds share. templates: by subclass, clips and kind. queries: by fold, those that are learned."""
-
-    store: Store
-    classes: Classes
-    learned_with: learning.Params
-    templates: dict[tuple[str, tuple[str, ...], Kind], SubclassTemplate]
-    learned_queries: QueryLearner | None
-
-
 def _setting(method: Method) -> dict[str, object]:
     """What a method follows from."""
     fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
@@ -118,12 +100,12 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     params = params.model_copy(update={"methods": params.distinct})
     known = _known(context, params, store)
     folds = {split.name: _folds(params, split, known) for split in params.splits}
-    known = _with_templates(context, params, known, [fold for some in folds.values() for fold in some])
+    known = with_templates(context, params.methods, known, [fold for some in folds.values() for fold in some])
     remarks = [f"the same as a method before it, left out: {few(same)}"] if same else []
-    remarks += _remarks(params, known)
+    remarks += of_other_classes(params.methods, known)
     variants = [*params.methods, *_swept(params)]
     cells = {
-        (fold.split, fold.name, method.name): _cell(context, known, fold, method)
+        (fold.split, fold.name, method.name): make_cell(context, known, fold, method)
         for some in folds.values()
         for fold in some
         for method in variants
@@ -184,63 +166,10 @@ def _folds(params: Params, split: Split, known: Known) -> list[Fold]:
     return make_folds(split, material)
 
 
-def _with_templates(context: StageContext, params: Params, known: Known, folds: Sequence[Fold]) -> Known:
-    """Learn each template that any fold needs once; and the queries, where they are learned."""
-    kinds = list(dict.fromkeys(method.templates for method in params.methods))
-    wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
-    features = len(context.feature_set.features)
-    counts = feature_weights(known.learned_with.weights, context.feature_set)
-    templates = dict(known.templates)
-    with context.progress("templates", len(wanted) * len(kinds)) as progress:
-        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, counts):
-            templates |= {(one.subclass, one.clips, one.kind): one for one in some}
-            progress.advance(len(some))
-    if known.learned_queries is not None:
-        known.learned_queries.learn(folds)
-    return Known(known.store, known.classes, known.learned_with, templates, known.learned_queries)
-
-
 def _swept(params: Params) -> list[Method]:
     """A method for each threshold and each kind of method that has one, the same kind once."""
     curves = {method.curve_name: method for method in params.methods if method.method == "thesis"}
     return [method.at(tau) for method in curves.values() for tau in params.taus]
-
-
-def _remarks(params: Params, known: Known) -> list[str]:
-    remarks = []
-    for method in params.methods:
-        unknown = targets_unknown(_queries(known.store, method), known.classes)
-        if unknown:
-            remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
-    return remarks
-
-
-def _queries(store: Store, method: Method) -> list[KeyframeQuery]:
-    return annotate.queries_of(store, _params(method))
-
-
-def _params(method: Method) -> annotate.Params:
-    """The parameters of the stage `annotate` that mean the same method."""
-    return annotate.Params.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
-
-
-def _cell(context: StageContext, known: Known, fold: Fold, method: Method) -> Cell:
-    own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
-    feature_set = known.store.feature_set
-    templates = learning.completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
-    if method.learned_queries:
-        assert known.learned_queries is not None
-        queries: Sequence[KeyframeQuery] = known.learned_queries.queries(fold)
-    else:
-        queries = _queries(known.store, method)
-    usual = None
-    if method.method == "best":
-        usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
-    params = _params(method)
-    annotator = make_annotator(feature_set, templates, known.classes, method.delta, params.common_tau, queries, usual)
-    calibration = annotate.calibrated(context, known.store, params, known.classes, fold.clips)
-    annotator = annotate.refined(annotator, params, known.store.rate_hz, calibration.taus)
-    return Cell(cell_key(fold, annotator, known.store), fold, method, annotator)
 
 
 def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
@@ -249,7 +178,7 @@ def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
 
     def save(found: Mapping[str, Found]) -> None:
         with context.writer() as writer:
-            table = cells_table(distinct, found, context.run)
+            table = cells_table(cells, found, context.run)
             writer.put_results("method_cells", table, stage=context.key(), run=context.run)
             writer.commit()
 
@@ -285,10 +214,11 @@ def _result(
         )
         for method in _swept(params)
     ]
-    used = [cells[split.name, fold.name, method.name].annotator for fold in folds for method in params.methods]
-    labelled = {one.classes[index] for one in used for index in one.class_index.tolist()}
+    used = [cells[split.name, fold.name, method.name] for fold in folds for method in params.methods]
+    labelled = {one.annotator.classes[index] for one in used for index in one.annotator.class_index.tolist()}
     lacking = sorted({label for exam in exams for label, _, _ in exam.truth} - labelled)
     notes = [f"without a template, so their segments cannot be found: {few(lacking)}"] if lacking else []
+    notes += remarks_of(used)
     met = tuple(fates(outcomes, exams))
     return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), met, tuple(notes))
 

@@ -171,6 +171,27 @@ def test_the_same_method_twice_is_compared_once(line: Comparing) -> None:
     assert found["remarks"] == ["the same as a method before it, left out: again"]
 
 
+def test_what_a_method_found_stands_under_its_own_name(line: Comparing) -> None:
+    line.compare([{**THESIS, "name": "mine"}, BEST], [{"name": "eve"}, {"name": "again"}], taus=[0.05, 0.13])
+    rows = open_store(line.store).result("method_cells").to_pylist()
+    mine = [row for row in rows if row["method"] == "mine"]
+    assert [(row["split"], row["take"]) for row in mine] == [
+        (split, take) for split in ("eve", "again") for take in ("eve_1", "eve_2")
+    ]
+    swept = [row for row in rows if row["method"].endswith("τ = 0.13")]
+    assert [row["starts"] for row in swept] == [row["starts"] for row in mine]
+
+
+def test_what_is_to_be_known_of_thresholds_is_told_once(line: Comparing) -> None:
+    training = "class IS NOT NULL AND (actor = 'ann' OR class = 'walk')"
+    method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
+    found = line.compare([method, BEST], [{"name": "eve", "train": training}])["splits"][0]
+    (said,) = [one for one in found["remarks"] if "τ of all classes together" in one]
+    assert said.endswith("their clips are of one actor: kick, wave (calibrated)")
+    for text in (line.file("html"), line.file("md"), line.said.getvalue()):
+        assert "their clips are of one actor: kick, wave" in text
+
+
 def test_labels_without_a_template_are_told(line: Comparing, tmp_path: Path) -> None:
     with open(tmp_path / "ground_truth.csv", "a", encoding="utf-8") as file:
         file.write("eve_1,dance,20,40\n")
