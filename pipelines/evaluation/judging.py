@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,7 @@ class Judgement:
 
     by_class, by_group, by_take: counts. intervals: 95 % over takes, by measure. precision: mean average precision by
     threshold; class_precision: by class, then threshold. boundaries: int64 (M, 2), see `boundary_errors`.
+    joined_precision, joined_boundaries: the same where touching segments of one class are one (`joined`).
     """
 
     pooled: Counts
@@ -58,6 +59,8 @@ class Judgement:
     class_precision: dict[str, dict[float, float]]
     confusion: Confusion
     boundaries: I64
+    joined_precision: dict[float, float]
+    joined_boundaries: I64
 
 
 def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -> dict[tuple[str, str], Counts]:
@@ -91,6 +94,8 @@ def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws
     every = list(by_take.values())
     measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in INTERVAL_OF}
     class_precision = {label: _precision(outcome, exams, label) for label in labels}
+    one_piece = joined(outcome, exams)
+    joined_class_precision = [_precision(*one_piece, label) for label in labels]
     return Judgement(
         pooled(every),
         {label: pooled(counts[exam.name, label] for exam in exams) for label in labels},
@@ -101,7 +106,42 @@ def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws
         class_precision,
         confusion(outcome, exams, labels),
         _boundaries(outcome, exams, labels),
+        {threshold: _mean([one[threshold] for one in joined_class_precision]) for threshold in THRESHOLDS},
+        _boundaries(*one_piece, labels),
     )
+
+
+def joined(outcome: Outcome, exams: Sequence[Exam]) -> tuple[Outcome, list[Exam]]:
+    """Make one of segments of a class that touch or overlap, automatic and manual ones alike.
+
+    Repetitions in a row are one manual segment where a person saw one motion, and several where he counted them; what
+    is joined does not depend on that. What is joined is as sure as its parts are on average, by frames.
+    """
+    mine = {exam.name: _joined(outcome[exam.name]) for exam in exams}
+    true = [_joined([Segment(*one, 1.0) for one in exam.truth]) for exam in exams]
+    return mine, [
+        replace(exam, truth=tuple((one.label, one.start, one.stop) for one in own))
+        for exam, own in zip(exams, true, strict=True)
+    ]
+
+
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    runs: list[list[Segment]] = []
+    for one in sorted(segments, key=lambda one: (one.label, one.start, one.stop)):
+        if runs and runs[-1][0].label == one.label and one.start <= max(part.stop for part in runs[-1]):
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    found = [
+        Segment(
+            run[0].label,
+            run[0].start,
+            max(one.stop for one in run),
+            float(np.average([one.sure for one in run], weights=[one.stop - one.start for one in run])),
+        )
+        for run in runs
+    ]
+    return sorted(found, key=lambda one: (one.start, one.stop))
 
 
 def _measure(name: str) -> Callable[[Counts], float]:

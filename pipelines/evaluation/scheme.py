@@ -11,8 +11,8 @@ from ops.templates.templates import Kind
 LEARNED = "learned"
 """In place of query files: the queries are learned in each fold, from the fold's own training clips."""
 
-Metric = Literal["frames", "segments", "overlap", "boundaries"]
-METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries")
+Metric = Literal["frames", "segments", "overlap", "boundaries", "joined"]
+METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries", "joined")
 Filter = Annotated[str, Field(min_length=1)]
 
 

@@ -85,12 +85,15 @@ class Study:
     remarks: tuple[str, ...] = ()
 
 
-def boundary_summary(judgement: Judgement, rate_hz: float) -> dict[str, dict[str, float | int | None]]:
+def boundary_summary(
+    judgement: Judgement, rate_hz: float, *, joined: bool = False
+) -> dict[str, dict[str, float | int | None]]:
     """Boundary errors in seconds at start and stop: how many, the median (positive: too late), and how large they are
-    in the middle, and in the worst tenth."""
+    in the middle, and in the worst tenth; joined: where touching segments of one class are one."""
     summary: dict[str, dict[str, float | int | None]] = {}
+    frames = judgement.joined_boundaries if joined else judgement.boundaries
     for column, end in enumerate(("start", "stop")):
-        errors = judgement.boundaries[:, column] / rate_hz
+        errors = frames[:, column] / rate_hz
         sizes = np.abs(errors)
         summary[end] = {
             "segments": len(errors),
@@ -171,6 +174,11 @@ def _judgement(one: Judgement, study: Study) -> dict[str, object]:
         }
     if "boundaries" in study.metrics:
         result["boundaries"] = boundary_summary(one, study.rate_hz)
+    if "joined" in study.metrics:
+        result["joined"] = {
+            "map": {f"{threshold:g}": _number(value) for threshold, value in one.joined_precision.items()},
+            "boundaries": boundary_summary(one, study.rate_hz, joined=True),
+        }
     return result
 
 

@@ -17,6 +17,13 @@ from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
 MOST_CONFUSIONS = 8
+REPETITIONS = (
+    "a person may have labelled repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
+    "and boundaries then say little of either, though frames and segments (F1, F2) agree"
+)
+"""What is to be known of overlap and boundaries."""
+
+JOINED = "joined: the same where touching segments of one class are one, on both sides"
 MOST_LISTED = 60
 """Manual segments that Markdown lists; the page folds them, the JSON has all."""
 
@@ -32,6 +39,8 @@ def headings(study: Study) -> list[str]:
         columns += ["mAP .1", "mAP .5", "mAP .7"]
     if "boundaries" in study.metrics:
         columns += ["start ±s", "stop ±s"]
+    if "joined" in study.metrics:
+        columns += ["mAP .5 joined"]
     return columns
 
 
@@ -48,6 +57,8 @@ def row(judgement: Judgement, study: Study) -> list[str]:
     if "boundaries" in study.metrics:
         ends = boundary_summary(judgement, study.rate_hz)
         values += [digits(ends[end]["median_size"]) for end in ("start", "stop")]
+    if "joined" in study.metrics:
+        values += [digits(judgement.joined_precision[0.5])]
     return values
 
 
@@ -75,6 +86,12 @@ def described(result: SplitResult) -> str:
     )
     segments = sum(len(exam.truth) for exam in result.exams)
     return f"{result.split.kind}; {parts}{takes} takes with {segments} manual segments{folds}"
+
+
+def overlap_notes(study: Study) -> list[str]:
+    """What is to be known of what is measured by overlap, where it is."""
+    notes = [REPETITIONS] if {"overlap", "boundaries"} & {*study.metrics} else []
+    return notes + ([JOINED] if "joined" in study.metrics else [])
 
 
 def sentence(text: str) -> str:
@@ -108,6 +125,7 @@ def markdown(study: Study) -> str:
     lines += [f"Frames (1) and segments (2) as in the thesis, 5.4; {study.rate_hz:g} frames a second; intervals: 95 % "
               "over takes, by bootstrap; mAP at thresholds of intersection over union; start and stop: how far off "
               "boundaries are in the middle.", ""]  # fmt: skip
+    lines += [*(f"{sentence(text)}." for text in overlap_notes(study)), ""] if overlap_notes(study) else []
     lines += [f"- {remark}" for remark in study.remarks] + ([""] if study.remarks else [])
     for result in study.splits:
         lines += [f"## {result.split.name}", "", sentence(described(result)) + ".", ""]

@@ -10,7 +10,7 @@ from jinja2 import Environment
 
 from ops.measures.detection import THRESHOLDS
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
-from pipelines.evaluation.tables import between, described, digits, fate, headings, row, sentence, six
+from pipelines.evaluation.tables import between, described, digits, fate, headings, overlap_notes, row, sentence, six
 from pipelines.report.environment import page_environment
 from pipelines.report.methodfigures import (
     FURTHEST,
@@ -62,6 +62,7 @@ def methods_page(study: Study) -> str:
             slots={label: colour_slot(index) for index, label in enumerate(labels)},
             numbers={label: index + 1 for index, label in enumerate(labels)},
             headings=headings(study),
+            overlap_notes=overlap_notes(study),
             thresholds=THRESHOLDS,
             width=WIDTH,
             height=HEIGHT,

@@ -53,7 +53,8 @@ class Params(evaluating.Params):
     )
     metrics: list[Metric] = Field(
         list(METRICS),
-        description="what is reported: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), boundaries",
+        description="what is reported: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), boundaries, "
+        "and joined: overlap and boundaries once more where touching segments of one class are one",
     )
     draws: int = Field(1000, ge=1, description="how often takes are drawn for the 95 % intervals")
 

@@ -17,7 +17,7 @@ from pipelines.config import load_pipeline
 from pipelines.evaluation import cells as grid
 from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import chosen_takes, fates, judge
+from pipelines.evaluation.judging import chosen_takes, fates, joined, judge
 from pipelines.evaluation.scheme import Method, Split
 from pipelines.runner import run_pipeline
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
@@ -214,6 +214,12 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     summary = line.file("md")
     assert "| best | 1.00 |" in summary
     assert "### Found by no method: 0" in summary
+    for text in (reading.text, summary):
+        assert "repetitions in a row as one segment" in text
+        assert "where touching segments of one class are one" in text
+    left_out = json.loads(line.file("json"))["splits"][1]["methods"]["best"]
+    assert left_out["joined"]["map"]["0.7"] == pytest.approx(1.0)
+    assert left_out["joined"]["boundaries"]["start"]["median_size"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -280,6 +286,21 @@ def test_a_segment_that_one_method_finds_is_found() -> None:
     found, missed = fates({"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
     assert (found.label, found.overlaps, found.missed) == ("a", {"one": pytest.approx(1 / 6), "two": 0.0}, False)
     assert (missed.label, missed.labels, missed.missed) == ("b", {"one": ("a",), "two": ()}, True)
+
+
+def test_touching_segments_of_one_class_are_one_where_they_are_joined() -> None:
+    truth = exam(("a", 0, 6), ("a", 8, 10), ("b", 2, 4))
+    found = {"t": (Segment("a", 3, 6, 0.2), Segment("b", 2, 4, 1.0), Segment("a", 0, 3, 0.8), Segment("a", 7, 10, 0.5))}
+    mine, (one,) = joined(found, [truth])
+    assert [(each.label, each.start, each.stop, each.sure) for each in mine["t"]] == [
+        ("a", 0, 6, pytest.approx(0.5)), ("b", 2, 4, 1.0), ("a", 7, 10, 0.5),
+    ]  # fmt: skip
+    assert sorted(one.truth) == sorted(truth.truth)
+    assert joined({"t": ()}, [exam(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))])[1][0].truth == (("a", 0, 6),)
+    result = judge(found, [truth], ["a", "b"], draws=10)
+    assert result.precision[0.7] < result.joined_precision[0.6] == 1.0
+    assert result.boundaries.tolist() == [[3, 0], [-1, 0], [0, 0]]
+    assert result.joined_boundaries.tolist() == [[0, 0], [-1, 0], [0, 0]]
 
 
 def test_the_takes_shown_are_the_best_the_middle_and_the_worst() -> None:
