@@ -85,6 +85,23 @@ class Study:
     remarks: tuple[str, ...] = ()
 
 
+def take_title(study: Study, result: SplitResult, exam: Exam) -> str:
+    """What a take is called among the takes of all splits: its name, after its split's where two splits mean two."""
+    same = [other for split in study.splits for other in split.exams if other.name == exam.name]
+    alike = all(other.take_ids == exam.take_ids for other in same)
+    return exam.name if alike else f"{result.split.name}: {exam.name}"
+
+
+def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
+    """The takes whose timelines are shown: title → the takes of the store that each is laid out of."""
+    parts = {}
+    for result in study.splits:
+        exams = {exam.name: exam for exam in result.exams}
+        for name in result.shown().values():
+            parts[take_title(study, result, exams[name])] = exams[name].take_ids
+    return parts
+
+
 def boundary_summary(
     judgement: Judgement, rate_hz: float, *, joined: bool = False
 ) -> dict[str, dict[str, float | int | None]]:

@@ -55,8 +55,8 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Block:
-    """A segment on a strip: its place in percent, its class by number, whether it is wrong, and what a pointer is
-    told."""
+    """A segment on a strip: its place in percent, its class by number, whether it is wrong, what a pointer is told,
+    its frames, and what the player calls it."""
 
     left: float
     width: float
@@ -64,6 +64,9 @@ class Block:
     roomy: bool
     wrong: bool
     tip: str
+    start: int
+    stop: int
+    called: str
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,9 @@ class Strip:
 
 @dataclass(frozen=True)
 class Strips:
-    """A take with what every method labels."""
+    """A take with what every method labels. title: its name among the takes of all splits."""
 
+    title: str
     what: str
     exam: Exam
     strips: tuple[Strip, ...]
@@ -152,6 +156,7 @@ def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
 
 
 def strips(
+    title: str,
     what: str,
     exam: Exam,
     outcomes: Mapping[str, Outcome],
@@ -171,7 +176,7 @@ def strips(
     for name, outcome in outcomes.items():
         own = [(one.start, one.stop, one.label) for one in outcome[exam.name]]
         rows.append(_strip(name, own, manual, exam, numbers, rate_hz))
-    return Strips(what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
+    return Strips(title, what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
 
 
 def _strip(
@@ -188,7 +193,12 @@ def _strip(
         said = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
         width = percent(stop - start, exam.frames)
         tip = f"{name}: {said}" + ("; " + ("not found" if name == "manual" else "not so by hand") if wrong else "")
-        blocks.append(Block(percent(start, exam.frames), width, numbers[label], width >= LEAST_PERCENT, wrong, tip))
+        blocks.append(
+            Block(
+                percent(start, exam.frames), width, numbers[label], width >= LEAST_PERCENT, wrong, tip, start, stop,
+                f"{name}: {label}",
+            )
+        )  # fmt: skip
         words.append(said)
     return Strip(name, tuple(blocks), f"{name}: {'; '.join(words) or 'nothing'}")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from jinja2 import Environment
 
 from ops.measures.detection import THRESHOLDS
-from pipelines.evaluation.study import SplitResult, Study, boundary_summary
+from pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
 from pipelines.evaluation.tables import between, described, digits, fate, headings, overlap_notes, row, sentence, six
 from pipelines.report.environment import page_environment
 from pipelines.report.methodfigures import (
@@ -25,6 +25,7 @@ from pipelines.report.methodfigures import (
     strips,
     sweeps,
 )
+from pipelines.report.motions import Motions, motions_json
 from pipelines.report.palette import colour_rules, colour_slot
 
 MOST_ROWS = 300
@@ -43,8 +44,12 @@ class Section:
     bars: dict[str, list[Bar]]
 
 
-def methods_page(study: Study) -> str:
+def methods_page(study: Study, motions: Motions | None = None) -> str:
     """Render a comparison of methods.
+
+    Parameters
+    ----------
+    motions: what the player plays, by the titles of takes; None: there is no player.
 
     Returns
     -------
@@ -68,6 +73,8 @@ def methods_page(study: Study) -> str:
             height=HEIGHT,
             furthest=FURTHEST,
             most=MOST_ROWS,
+            motions=motions,
+            motions_json=motions_json(motions),
             light=light,
             dark=dark,
         )
@@ -99,6 +106,7 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
     )
     takes = [
         strips(
+            take_title(study, result, exams[name]),
             what,
             exams[name],
             ordered,

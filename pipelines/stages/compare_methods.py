@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Self
+from typing import Literal, Self
 
 import polars as pl
 import pyarrow as pa
@@ -24,9 +24,10 @@ from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
 from pipelines.evaluation.preparing import Known, make_cell, of_other_classes, with_templates
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
-from pipelines.evaluation.study import SplitResult, Study, Threshold, content
+from pipelines.evaluation.study import SplitResult, Study, Threshold, content, shown_parts
 from pipelines.evaluation.tables import markdown, overview
 from pipelines.report.methods import methods_page
+from pipelines.report.motions import embed
 from pipelines.report.write import write_page
 from pipelines.stages import evaluate as evaluating
 from pipelines.stages import learn_templates as learning
@@ -57,6 +58,12 @@ class Params(evaluating.Params):
         "and joined: overlap and boundaries once more where touching segments of one class are one",
     )
     draws: int = Field(1000, ge=1, description="how often takes are drawn for the 95 % intervals")
+
+    embed: Literal["auto", "all", "none"] | list[str] = Field(
+        "auto",
+        description="takes whose motion the page carries, so that a click on a segment shows it: auto (as many as keep "
+        "the page below 20 MB), all that have a timeline, none, or a list of names",
+    )
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -114,7 +121,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     found = _run(context, list(cells.values()))
     splits = [_result(params, split, folds[split.name], cells, found, known.classes) for split in params.splits]
     study = _study(context, params, store, known.classes, splits, remarks)
-    files = _write(context, study)
+    files = _write(context, params, study)
     context.terminal.show(overview(study))
     for remark in [*remarks, *(remark for split in study.splits for remark in split.remarks)]:
         context.say(remark)
@@ -250,7 +257,7 @@ def _study(
     )
 
 
-def _write(context: StageContext, study: Study) -> list[str]:
+def _write(context: StageContext, params: Params, study: Study) -> list[str]:
     """Keep the metrics, write page, summary and JSON; their paths within the store, the page first."""
     with context.writer() as writer:
         tables = [
@@ -260,8 +267,12 @@ def _write(context: StageContext, study: Study) -> list[str]:
         ]
         writer.put_results("metrics", pa.concat_tables(tables), stage=context.key(), run=context.run)
         writer.commit()
+    store = context.open()
+    named = dict(store.takes().select("take_id", "name").iter_rows())
+    shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
+    motions = embed(store, shown, params.embed, context.stage)
     texts = {
-        "methods.html": methods_page(study),
+        "methods.html": methods_page(study, motions),
         "methods.md": markdown(study),
         "methods.json": json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -210,7 +211,8 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     assert "Walks & kicks" in reading.text
     assert "Table 5.2" in reading.text
     assert "Figure 5.6" in reading.text
-    assert page.count('role="img"') == page.count("aria-label") - page.count('role="group"') - 1 - 2  # nav, legends
+    others = 1 + 2 + 3  # the splits, their legends, the player with its time and speed
+    assert page.count('role="img"') == page.count("aria-label") - page.count('role="group"') - others
     summary = line.file("md")
     assert "| best | 1.00 |" in summary
     assert "### Found by no method: 0" in summary
@@ -220,6 +222,26 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     left_out = json.loads(line.file("json"))["splits"][1]["methods"]["best"]
     assert left_out["joined"]["map"]["0.7"] == pytest.approx(1.0)
     assert left_out["joined"]["boundaries"]["start"]["median_size"] == 0.0
+
+
+def test_a_click_on_a_segment_of_the_page_shows_the_motion(line: Comparing) -> None:
+    elsewhere = {**LEFT_OUT, "name": "elsewhere", "seed": 5}
+    found = line.compare([BEST], [{"name": "eve"}, LEFT_OUT, elsewhere])
+    page = line.file("html")
+    carried = json.loads(re.search(r'id="motions">(.*?)</script>', page).group(1))
+    lengths = {motion["take"]: motion["frames"] for motion in carried["motions"]}
+    shown = [(split["name"], one) for split in found["splits"] for one in split["shown"].values()]
+    for split, one in shown:
+        title = one["take"] if one["take"] in lengths else f"{split}: {one['take']}"
+        assert lengths[title] == one["frames"]
+        assert f'data-take="{title}"' in page
+    assert "elsewhere: ann: order 1, take 1" in lengths or "left out: ann: order 1, take 1" in lengths
+    assert re.search(r'data-start="0" data-stop="20" data-what="best: w', page)
+    line.compare([BEST], [{"name": "eve"}], embed="none")
+    assert 'id="motions"' not in line.file("html")
+    assert "--set compare_methods.embed=all" in line.file("html")
+    line.compare([BEST], [{"name": "eve"}], embed=["eve_2"])
+    assert "1 of the 2 takes with a timeline (eve_2), as asked for" in Reading(line.file("html")).text
 
 
 @pytest.mark.parametrize(
