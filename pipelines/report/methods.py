@@ -15,6 +15,7 @@ from pipelines.report.environment import page_environment
 from pipelines.report.methodfigures import (
     FURTHEST,
     HEIGHT,
+    ROOMS,
     WIDTH,
     Bar,
     ConfusionTable,
@@ -70,6 +71,7 @@ def methods_page(study: Study, motions: Motions | None = None) -> str:
             overlap_notes=overlap_notes(study),
             thresholds=THRESHOLDS,
             width=WIDTH,
+            rooms=ROOMS,
             height=HEIGHT,
             furthest=FURTHEST,
             most=MOST_ROWS,
