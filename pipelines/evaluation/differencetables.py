@@ -12,7 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from pipelines.evaluation.differences import Change, Comparison
-from pipelines.evaluation.tables import digits, grid
+from pipelines.evaluation.marked import grid, plain
+from pipelines.evaluation.tables import digits
 from pipelines.wording import few
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
@@ -99,8 +100,8 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
     """Comparisons as Markdown."""
     lines = ["# Two evaluations compared", ""]
     for one in comparisons:
-        lines += [f"## {one.b} against {one.a}", "", f"{one.verdict}.", ""]
-        lines += [*(f"- {text}" for text in settings(one)), ""] if one.settings else []
+        lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
+        lines += [*(f"- {plain(text)}" for text in settings(one)), ""] if one.settings else []
         lines += [f"{one.scope.capitalize()}", "", *grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])]
         for what, changes in (("classes", one.classes), ("takes", one.takes)):
             for verdict in VERDICTS:
@@ -108,7 +109,7 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
                 if changed:
                     lines += [f"### {verdict.capitalize()}: {len(changed)} of {len(changes)} {what}", ""]
                     lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
-        lines += [f"- {text}" for text in remarks(one)] + [""]
+        lines += [f"- {plain(text)}" for text in remarks(one)] + [""]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from rich import box
 from rich.console import Group
@@ -13,6 +12,7 @@ from rich.text import Text
 from ops.measures.metrics import Counts
 from pipelines.evaluation.confusion import confusions
 from pipelines.evaluation.judging import Fate, Judgement
+from pipelines.evaluation.marked import grid, plain
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
@@ -121,17 +121,17 @@ def overview(study: Study) -> Group:
 
 def markdown(study: Study) -> str:
     """The study as a Markdown summary."""
-    lines = [f"# {study.title}", ""]
+    lines = [f"# {plain(study.title)}", ""]
     lines += [f"Frames (1) and segments (2) as in the thesis, 5.4; {study.rate_hz:g} frames a second; intervals: 95 % "
               "over takes, by bootstrap; mAP at thresholds of intersection over union; start and stop: how far off "
               "boundaries are in the middle.", ""]  # fmt: skip
     lines += [*(f"{sentence(text)}." for text in overlap_notes(study)), ""] if overlap_notes(study) else []
-    lines += [f"- {remark}" for remark in study.remarks] + ([""] if study.remarks else [])
+    lines += [f"- {plain(remark)}" for remark in study.remarks] + ([""] if study.remarks else [])
     for result in study.splits:
-        lines += [f"## {result.split.name}", "", sentence(described(result)) + ".", ""]
-        lines += [f"- {remark}" for remark in result.remarks] + ([""] if result.remarks else [])
+        lines += [f"## {plain(result.split.name)}", "", plain(sentence(described(result))) + ".", ""]
+        lines += [f"- {plain(remark)}" for remark in result.remarks] + ([""] if result.remarks else [])
         lines += grid(["method", *headings(study)], [[name, *row(j, study)] for name, j in result.judgements.items()])
-        lines += ["### By " + study.group, ""]
+        lines += ["### By " + plain(study.group), ""]
         lines += grid(
             ["", "method", *MEASURE_NAMES],
             [
@@ -159,7 +159,7 @@ def _by_class(result: SplitResult) -> list[str]:
             f"{one.label} → {one.taken_for} ({one.frames:.0f} frames, {one.share:.0%})"
             for one in worst
         ]  # fmt: skip
-        lines += [f"Confused most by {result.leading}: {'; '.join(said)}.", ""]
+        lines += [plain(f"Confused most by {result.leading}: {'; '.join(said)}."), ""]
     return lines
 
 
@@ -167,7 +167,8 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
     lines = [f"### Found by no method: {len(result.missed)}", ""]
     for one in result.missed[:MOST_LISTED]:
         labels = "; ".join(f"{method}: {', '.join(names) or 'nothing'}" for method, names in one.labels.items())
-        lines.append(f"- {one.take}, {one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s, {one.label} ({labels})")
+        seconds = f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s"
+        lines.append(f"- {plain(f'{one.take}, {seconds}, {one.label} ({labels})')}")
     if len(result.missed) > MOST_LISTED:
         lines.append(f"- and {len(result.missed) - MOST_LISTED} more, in the JSON")
     lines += [""] if result.missed else []
@@ -185,14 +186,3 @@ def fate(one: Fate, method: str) -> str:
     """What a method made of a manual segment: the overlap, or what it put there instead."""
     share = one.overlaps[method]
     return f"{share:.0%}" if share else f"missed ({', '.join(one.labels[method]) or 'nothing'})"
-
-
-def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table, and an empty line."""
-    cells = [[text.replace("|", "\\|") for text in line] for line in (header, *rows)]
-    return [
-        "| " + " | ".join(cells[0]) + " |",
-        "|" + "|".join(["---", *["--:"] * (len(header) - 1)]) + "|",
-        *("| " + " | ".join(line) + " |" for line in cells[1:]),
-        "",
-    ]

@@ -125,6 +125,7 @@ def test_settings_that_differ_are_said() -> None:
     assert one.settings == (("method", "thesis", "best"), ("queries", None, ["mine.yaml"]))
     assert "- method: thesis in A, best in B" in markdown([one])
     assert 'queries: not set in A, ["mine.yaml"] in B' in Reading(page([one])).text
+    assert 'queries: not set in A, \\["mine.yaml"\\] in B' in markdown([one])
 
 
 def test_thresholds_that_do_not_matter_are_not_said() -> None:

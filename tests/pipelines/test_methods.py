@@ -224,6 +224,17 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     assert left_out["joined"]["boundaries"]["start"]["median_size"] == 0.0
 
 
+def test_names_with_signs_stand_in_the_summary_as_they_are(line: Comparing) -> None:
+    line.compare(
+        [{**BEST, "name": "<i>x</i> | *y*"}], [{"name": "eve & `co`"}], title="Walks <i>& kicks", metrics=["frames"]
+    )
+    summary = line.file("md")
+    assert summary.startswith("# Walks \\<i\\>\\& kicks\n")
+    assert "## eve \\& \\`co\\`\n" in summary
+    assert "| \\<i\\>x\\</i\\> \\| \\*y\\* | 1.00 |" in summary
+    assert "eve_1" in summary
+
+
 def test_a_click_on_a_segment_of_the_page_shows_the_motion(line: Comparing) -> None:
     elsewhere = {**LEFT_OUT, "name": "elsewhere", "seed": 5}
     found = line.compare([BEST], [{"name": "eve"}, LEFT_OUT, elsewhere])
