@@ -25,7 +25,7 @@ BINS, FURTHEST = 20, 1.0
 ROOMS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
 """Widths of a strip, in pixels, at which more blocks have room for their class's number."""
 
-_DIGIT, _ROUND = 7.0, 4.0  # pixels of a digit, and around a number
+_DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and around a number
 
 
 @dataclass(frozen=True)

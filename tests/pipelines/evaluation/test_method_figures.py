@@ -32,7 +32,7 @@ def test_a_number_stands_in_the_longest_part_that_nothing_covers(
 
 
 def test_two_digits_need_more_room_than_one() -> None:
-    assert room_for(3, 0.02) == 600
+    assert room_for(3, 0.02) == 700
     assert room_for(12, 0.02) == 1000
     assert room_for(3, 1.0) == ROOMS[0]
     assert room_for(3, 0.001) is None
