@@ -59,9 +59,7 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
                 f"split '{split.name}': none of the {tested.height} takes that `{split.test}` selects has a class of "
                 "this evaluation; with clips_as_takes they are clips, such as `test: class IS NOT NULL`"
             )
-        strangers = tested.filter(~pl.Series(known))["name"].sort().to_list()
-        if strangers:
-            remarks = (f"{counted(len(strangers), 'clip')} of no class, left out: {few(strangers)}",)
+        remarks = _of_no_class(tested.filter(~pl.Series(known)))
         tested = tested.filter(pl.Series(known))
     else:
         truth = material.place(tested)
@@ -78,6 +76,16 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
         clips = sum(takes.height for name, takes in parts if name in there)
         remarks += (how_clips_are_used(split, clips, [exam for fold in usable for exam in fold.exams]),)
     return [replace(fold, remarks=(*remarks, *fold.remarks)) for fold in usable]
+
+
+def _of_no_class(clips: pl.DataFrame) -> tuple[str, ...]:
+    """The clips whose subclass is in no class, or that have none."""
+    if not clips.height:
+        return ()
+    subclasses = clips["class"].drop_nulls().unique().sort().to_list()
+    bare = clips["class"].null_count()
+    parts = [f"of {few(subclasses)}"] * bool(subclasses) + [f"{bare} without a subclass"] * bool(bare)
+    return (f"{counted(clips.height, 'clip')} of no class, left out: {'; '.join(parts)}",)
 
 
 def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, pl.DataFrame]]) -> list[str]:

@@ -123,7 +123,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     study = _study(context, params, store, known.classes, splits, remarks)
     files = _write(context, params, study)
     context.terminal.show(overview(study))
-    for remark in [*remarks, *(remark for split in study.splits for remark in split.remarks)]:
+    for remark in [*remarks, *_remarks(study)]:
         context.say(remark)
     context.say(f"report: {(context.store_path / files[0]).resolve()}")
     leading = study.splits[0].judgements[study.splits[0].leading].pooled
@@ -135,6 +135,16 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         **measures(leading),
         "files": files,
     }
+
+
+def _remarks(study: Study) -> list[str]:
+    """The remarks of all splits, each once, with the splits that it is of where there are several."""
+    found: dict[str, list[str]] = {}
+    for result in study.splits:
+        for remark in result.remarks:
+            found.setdefault(remark, []).append(result.split.name)
+    several = len(study.splits) > 1
+    return [(f"{few(splits)}: " if several else "") + remark for remark, splits in found.items()]
 
 
 def _known(context: StageContext, params: Params, store: Store) -> Known:
