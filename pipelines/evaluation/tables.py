@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ops.measures.metrics import Counts
-from pipelines.evaluation.confusion import confusions
+from pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from pipelines.evaluation.judging import Fate, Judgement
 from pipelines.evaluation.marked import grid, plain
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
@@ -160,6 +160,8 @@ def _by_class(result: SplitResult) -> list[str]:
             for one in worst
         ]  # fmt: skip
         lines += [plain(f"Confused most by {result.leading}: {'; '.join(said)}."), ""]
+        if any(EXTRA == one.label or LACKING == one.taken_for for one in worst):
+            lines += [f"{sentence(EXTRA)}, {LACKING}: beyond as many as the other side gave the frame.", ""]
     return lines
 
 
