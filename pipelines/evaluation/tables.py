@@ -14,6 +14,7 @@ from pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from pipelines.evaluation.judging import Fate, Judgement
 from pipelines.evaluation.marked import grid, plain
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
+from pipelines.wording import counted
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
 MOST_CONFUSIONS = 8
@@ -85,7 +86,7 @@ def described(result: SplitResult) -> str:
         f", {len(result.folds)} folds: {', '.join(one.name for one in result.folds)}" if len(result.folds) > 1 else ""
     )
     segments = sum(len(exam.truth) for exam in result.exams)
-    return f"{result.split.kind}; {parts}{takes} takes with {segments} manual segments{folds}"
+    return f"{result.split.kind}; {parts}{counted(takes, 'take')} with {counted(segments, 'manual segment')}{folds}"
 
 
 def overlap_notes(study: Study) -> list[str]:
@@ -100,23 +101,32 @@ def sentence(text: str) -> str:
 
 
 def overview(study: Study) -> Group:
-    """A table of methods for each split, for the terminal."""
+    """Tables of methods for each split, for the terminal: frames and segments, then what is measured by overlap."""
+    thesis = 4 * len({"frames", "segments"} & {*study.metrics})
     tables = []
     for result in study.splits:
-        table = Table(
-            title=f"{result.split.name} ({described(result)})",
-            title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
-        )  # fmt: skip
-        table.add_column("", overflow="fold")
-        for name in headings(study):
-            table.add_column(name, justify="right", no_wrap=True)
-        for name, judgement in result.judgements.items():
-            leads = name == result.leading and len(result.judgements) > 1
-            table.add_row(Text(name), *row(judgement, study), style="bold" if leads else None)
-        table.caption = f"{len(result.missed)} manual segments are found by no method"
-        table.caption_justify = "left"
-        tables.append(table)
+        title = f"{result.split.name} ({described(result)})"
+        parts = [part for part in (slice(thesis), slice(thesis, None)) if headings(study)[part]] or [slice(None)]
+        for part in parts:
+            tables.append(_overview(result, study, part))
+            tables[-1].caption_justify = "left"
+        tables[-len(parts)].title = title
+        tables[-1].caption = f"{counted(len(result.missed), 'manual segment')} found by no method"
     return Group(*tables)
+
+
+def _overview(result: SplitResult, study: Study, part: slice) -> Table:
+    """Some columns of the table of methods."""
+    table = Table(
+        title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold"
+    )  # fmt: skip
+    table.add_column("", overflow="fold", min_width=12)
+    for name in headings(study)[part]:
+        table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
+    for name, judgement in result.judgements.items():
+        leads = name == result.leading and len(result.judgements) > 1
+        table.add_row(Text(name), *row(judgement, study)[part], style="bold" if leads else None)
+    return table
 
 
 def markdown(study: Study) -> str:
@@ -160,7 +170,7 @@ def _by_class(result: SplitResult) -> list[str]:
             for one in worst
         ]  # fmt: skip
         lines += [plain(f"Confused most by {result.leading}: {'; '.join(said)}."), ""]
-        if any(EXTRA == one.label or LACKING == one.taken_for for one in worst):
+        if any(one.label == EXTRA or one.taken_for == LACKING for one in worst):
             lines += [f"{sentence(EXTRA)}, {LACKING}: beyond as many as the other side gave the frame.", ""]
     return lines
 

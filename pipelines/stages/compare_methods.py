@@ -47,8 +47,8 @@ class Params(evaluating.Params):
     classes: str = Field(OWN, description="'own': every subclass is a class; or a class file")
     divide_by: str = Field(
         "actor",
-        description="the column of takes that Table 5.2 is divided by (in the metrics, scope 'group'); of clips laid end to end, those "
-        "of one take have the same value",
+        description="the column of takes that Table 5.2 is divided by (in the metrics, scope 'group'); of clips laid "
+        "end to end, those of one take have the same value",
     )
     taus: list[float] = Field(
         [],

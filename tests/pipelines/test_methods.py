@@ -17,9 +17,11 @@ from ops.measures.metrics import Counts
 from pipelines.config import load_pipeline
 from pipelines.evaluation import cells as grid
 from pipelines.evaluation.cells import Segment
-from pipelines.evaluation.exams import Exam
+from pipelines.evaluation.exams import Exam, Fold
 from pipelines.evaluation.judging import chosen_takes, fates, joined, judge
-from pipelines.evaluation.scheme import Method, Split
+from pipelines.evaluation.scheme import METRICS, Method, Split
+from pipelines.evaluation.study import SplitResult, Study
+from pipelines.evaluation.tables import overview
 from pipelines.runner import run_pipeline
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
 from pipelines.terminal import Terminal
@@ -222,6 +224,27 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     left_out = json.loads(line.file("json"))["splits"][1]["methods"]["best"]
     assert left_out["joined"]["map"]["0.7"] == pytest.approx(1.0)
     assert left_out["joined"]["boundaries"]["start"]["median_size"] == 0.0
+
+
+def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
+    line.compare([{**BEST, "name": "best of all, with a long name"}, THESIS], [{"name": "eve"}])
+    said = line.said.getvalue()
+    assert "2 takes with 4 manual segments" in said
+    result = line.compare([{**BEST, "name": "best of all, with a long name"}, THESIS], [{"name": "eve"}], metrics=[])
+    assert set(result["splits"][0]["methods"]) == {"best of all, with a long name", "thesis"}
+    study = Study("", "", "", "", "", "", 30.0, ("a",), {}, "actor", METRICS, (), (small_split(),))
+    narrow = Console(file=io.StringIO(), width=80)
+    narrow.print(overview(study))
+    assert isinstance(narrow.file, io.StringIO)
+    assert "…" not in narrow.file.getvalue()
+    assert narrow.file.getvalue().count("0.86–0.86") == 2
+
+
+def small_split() -> SplitResult:
+    take = exam(("a", 0, 4))
+    found = {"t": (Segment("a", 0, 3, 1.0),)}
+    judged = {name: judge(found, [take], ["a"], draws=5) for name in ("thesis, τ = 0.13, learned queries", "best")}
+    return SplitResult(Split(name="x"), (Fold("x", "all", (), (take,)),), {}, judged, (), ())
 
 
 def test_names_with_signs_stand_in_the_summary_as_they_are(line: Comparing) -> None:
