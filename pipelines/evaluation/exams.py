@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from catalog.classes import Classes
-from pipelines.evaluation.evaluating import GroundTruth
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.scheme import Split
 from pipelines.templates.learning import TrainingClips
 

@@ -10,8 +10,8 @@ import polars as pl
 
 from catalog.classes import Classes
 from ops.errors import KinedexError, did_you_mean
-from pipelines.evaluation.evaluating import GroundTruth
 from pipelines.evaluation.exams import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.scheme import Split
 from pipelines.stages.leave_one_out import without
 from pipelines.templates.learning import TrainingClips

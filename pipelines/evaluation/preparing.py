@@ -50,13 +50,14 @@ def with_templates(context: StageContext, methods: Sequence[Method], known: Know
     return replace(known, templates=templates)
 
 
-def of_other_classes(methods: Sequence[Method], known: Known) -> list[str]:
-    """Say which keyframe queries of methods are for none of the classes."""
+def said_of(methods: Sequence[Method], known: Known) -> list[str]:
+    """What is to be known of methods: queries for none of the classes, and parameters without effect, in words."""
     remarks = []
     for method in methods:
         unknown = targets_unknown(_queries(known.store, method), known.classes)
         if unknown:
             remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
+        remarks += [f"{method.name}: {remark}" for remark in annotate.without_effect(_params(method))]
     return remarks
 
 

@@ -17,11 +17,12 @@ from ops.measures.metrics import pooled
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.cells import Cell, Found, cells_table, known_cells, remarks_of, run_cells
-from pipelines.evaluation.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
+from pipelines.evaluation.evaluating import Evaluation, Row, measures, metrics_rows
 from pipelines.evaluation.exams import Fold
 from pipelines.evaluation.folds import Material, make_folds
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
-from pipelines.evaluation.preparing import Known, make_cell, of_other_classes, with_templates
+from pipelines.evaluation.preparing import Known, make_cell, said_of, with_templates
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from pipelines.evaluation.study import SplitResult, Study, Threshold, content, shown_parts
@@ -91,7 +92,7 @@ def _setting(method: Method) -> dict[str, object]:
     """What a method follows from."""
     fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
     if method.method == "best":
-        del fields["tau"]
+        del fields["tau"], fields["tau_by_class"]
     return fields | {"learned": method.learned_queries}
 
 
@@ -112,7 +113,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     folds = {split.name: _folds(params, split, known) for split in params.splits}
     known = with_templates(context, params.methods, known, [fold for some in folds.values() for fold in some])
     remarks = [f"the same as a method before it, left out: {few(same)}"] if same else []
-    remarks += of_other_classes(params.methods, known)
+    remarks += said_of(params.methods, known)
     variants = [*params.methods, *_swept(params)]
     cells = {
         (fold.split, fold.name, method.name): make_cell(context, known, fold, method)

@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 
 from catalog.classes import Classes, MotionClass
-from pipelines.evaluation.evaluating import GroundTruth, Manual
 from pipelines.evaluation.exams import Fold
 from pipelines.evaluation.folds import Material, make_folds
+from pipelines.evaluation.groundtruth import GroundTruth, Manual
 from pipelines.evaluation.scheme import Split
 from pipelines.templates.learning import TrainingClips
 
