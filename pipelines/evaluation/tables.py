@@ -112,7 +112,7 @@ def overview(study: Study) -> Group:
             tables[-1].caption_justify = "left"
         tables[-len(parts)].title = title
         tables[-1].caption = f"{counted(len(result.missed), 'manual segment')} found by no method"
-    return Group(*tables)
+    return Group(*tables, *(Text(f"{sentence(text)}.") for text in overlap_notes(study)))
 
 
 def _overview(result: SplitResult, study: Study, part: slice) -> Table:

@@ -300,6 +300,7 @@ def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
     assert isinstance(narrow.file, io.StringIO)
     assert "…" not in narrow.file.getvalue()
     assert narrow.file.getvalue().count("0.86–0.86") == 2
+    assert "repetitions in a row" in narrow.file.getvalue()
 
 
 def small_split() -> SplitResult:
