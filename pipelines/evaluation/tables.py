@@ -33,9 +33,9 @@ def headings(study: Study) -> list[str]:
     """The columns of the table of methods, after the method's name."""
     columns = []
     if "frames" in study.metrics:
-        columns += ["F1", "95 %", "P1", "R1"]
+        columns += ["F1", "95\N{NO-BREAK SPACE}%", "P1", "R1"]
     if "segments" in study.metrics:
-        columns += ["F2", "95 %", "P2", "R2"]
+        columns += ["F2", "95\N{NO-BREAK SPACE}%", "P2", "R2"]
     if "overlap" in study.metrics:
         columns += ["mAP .1", "mAP .5", "mAP .7"]
     if "boundaries" in study.metrics:
