@@ -63,10 +63,11 @@ class Prepared:
 class Annotated:
     """One annotation of the long takes.
 
-    motion_hours: of the long takes. stages: seconds by stage. cpu_seconds: of all processes, their start and the
-    evaluation included, which other work on the machine changes less. worker_mib: the most memory of each worker;
-    coordinator_mib: of the process that collects, writes and evaluates. kept: takes that an earlier run had annotated.
-    searched: the share of frames that templates were matched in. f1, f2: with the interval over takes (95 %).
+    motion_hours: of the long takes. stages: seconds by stage, of those that ran. cpu_seconds: of all processes, their
+    start and the evaluation included, which other work on the machine changes less. worker_mib: the most memory of each
+    worker; coordinator_mib: of the process that collects, writes and evaluates. kept: takes that an earlier run had
+    annotated. searched: the share of frames that templates were matched in. f1, f2: each with its interval over takes
+    (95 %).
     """
 
     method: str
@@ -126,7 +127,7 @@ def run(
     pools: list[Watched] = []
     force = frozenset({"annotate"}) if anew and method is not None else frozenset[str]()
     with watched(pools):
-        run_pipeline(file, store, executor="processes", workers=workers, force=force, terminal=silent())
+        ran = run_pipeline(file, store, executor="processes", workers=workers, force=force, terminal=silent()).ran
     spent = os.times()  # workers that have ended count
     cpu = spent.user + spent.system + spent.children_user + spent.children_system
     opened = open_store(store)
@@ -139,7 +140,7 @@ def run(
     f1, f2 = intervals(opened, records["evaluate"].run)
     return Annotated(
         method, int(summary["takes"]), int(summary["kept_takes"]),
-        int(summary["frames"]) / opened.rate_hz / 3600, seconds, cpu, peaks, peak_mib(),
+        int(summary["frames"]) / opened.rate_hz / 3600, {name: seconds[name] for name in ran}, cpu, peaks, peak_mib(),
         int(summary["segments"]), float(summary["searched"]), f1, f2,
     )  # fmt: skip
 

@@ -54,7 +54,7 @@ fingerprint    VARCHAR    a hash of its words and of all that they were annotate
     View(
         "distance_curves",
         "results",
-        "The distance curve of a subclass over a take, one cost per frame.",
+        "The distance curve of a subclass over a take, one cost per frame; of a take that was kept, by an earlier run.",
         columns(f"""{_RUN}
 {_TAKE}
 class    VARCHAR    the class that the subclass belongs to

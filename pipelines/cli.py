@@ -26,7 +26,7 @@ app.registered_commands.sort(key=lambda one: list(_TITLES.values()).index(str(on
 
 def main() -> None:
     """The console command `kinedex`."""
-    app()
+    app(prog_name="kinedex")  # by whatever file it was started
 
 
 if __name__ == "__main__":

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from ops.errors import StoreError
+from ops.errors import KinedexError, StoreError
 from pipelines.config import Pipeline, Stage
+from pipelines.digests import Reading
 from storage.manifest import StageRecord
 from storage.store import Store, open_store
 
@@ -21,6 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 FORCED = "--force"
 """The reason of a stage that runs because it was asked for."""
 
+TAKES = "takes"
+"""The role of the stage that brings the takes in."""
+
 # What a stage is run by, but what its results do not depend on.
 _CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
 
@@ -29,13 +33,15 @@ _CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors"}
 class Step:
     """One stage of a plan: its fingerprint, the record of the last time it ran, and why it runs (None: it does not).
 
-    parts: what the fingerprint is made of, by name, each a hash.
+    parts: what the fingerprint is made of, by name, each a hash. what: the takes that it depends on, in words, where
+    these are not all of the store's.
     """
 
     stage: Stage
     parts: dict[str, str]
     record: StageRecord | None
     reason: str | None
+    what: str = ""
 
     @property
     def fingerprint(self) -> str:
@@ -48,6 +54,7 @@ class Planner:
 
     A stage is skipped where the store holds a record with its fingerprint: a hash of the project's sources that it
     imports, its parameters, what it reads outside the store, the store's takes, and the fingerprints of its inputs.
+    Of a stage that says which takes it reads (its function `reads`) only these count, and not what brought them in.
     """
 
     def __init__(self, pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> None:
@@ -58,41 +65,54 @@ class Planner:
         self.force = force
         self._fingerprints: dict[str, str] = {}
         self._running: set[str] = set()
+        self._done: set[str] = set()
 
     def step(self, stage: Stage) -> Step:
         """What is to be done about the next stage; stages are asked for in the pipeline's order."""
         store = _open(self.store_path)
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
-        parts = self.parts(stage, store)
+        reading = _reading(stage, store)
+        parts = self._parts(stage, store, reading)
         reason = FORCED if stage.name in self.force else _reason(record, parts)
         if reason is None and store is not None and record is not None:
             reason = _gone(stage, store, record)
         if reason is None:
-            upstream = next((name for name in stage.inputs.values() if name in self._running), None)
-            reason = f"{upstream} runs" if upstream else None
+            reason = self._upstream(stage, reading)
         if reason is not None:
             self._running.add(stage.name)
-        step = Step(stage, parts, record, reason)
+        step = Step(stage, parts, record, reason, reading.what if reading else "")
         self._fingerprints[stage.name] = step.fingerprint
         return step
 
     def done(self, step: Step) -> Step:
         """The step with the store's takes as the stage has left them; for the record of a stage that has just run."""
-        store = _open(self.store_path)
-        done = replace(step, parts={**step.parts, "takes": _takes(store)})
+        self._done.add(step.stage.name)
+        if "takes" not in step.parts:
+            return step  # it has read what its parts say
+        done = replace(step, parts={**step.parts, "takes": _takes(_open(self.store_path))})
         self._fingerprints[step.stage.name] = done.fingerprint
         return done
 
-    def parts(self, stage: Stage, store: Store | None) -> dict[str, str]:
+    def _upstream(self, stage: Stage, reading: Reading | None) -> str | None:
+        """Why a stage runs that nothing has changed for but a stage before it; None where none matters."""
+        for role, name in stage.inputs.items():
+            if name in self._running and (reading is None or role != TAKES):
+                return f"{name} runs"
+            if name in self._running and name not in self._done:
+                return f"{name} runs, which may change the takes that it reads"
+        return None
+
+    def _parts(self, stage: Stage, store: Store | None, reading: Reading | None) -> dict[str, str]:
         """What a stage's fingerprint is made of."""
         external = getattr(stage.module, "external_digest", None)
         parts = {
             "code": code_digest(f"pipelines.stages.{stage.uses}"),
             "parameters": _hash(stage.params.model_dump(mode="json")),
             "files": external(stage.params, store) if external else "",
-            "takes": _takes(store),
+            **({"takes": _takes(store)} if reading is None else {"reading": reading.digest}),
         }
-        return parts | {f"input {name}": self._fingerprints[name] for name in sorted(set(stage.inputs.values()))}
+        inputs = {name for role, name in stage.inputs.items() if reading is None or role != TAKES}
+        return parts | {f"input {name}": self._fingerprints[name] for name in sorted(inputs)}
 
 
 def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> list[Step]:
@@ -115,6 +135,19 @@ def _open(path: Path) -> Store | None:
         return None
 
 
+def _reading(stage: Stage, store: Store | None) -> Reading | None:
+    """What a stage reads of the store's takes; None where it does not say so, so that all of them count."""
+    reads = getattr(stage.module, "reads", None)
+    if reads is None:
+        return None
+    try:
+        reading: Reading = reads(stage.params, store) if store else Reading("", "")
+    except KinedexError:
+        # the stage runs, and says what is wrong: by then the takes may be others
+        return Reading("cannot be read", "")
+    return reading
+
+
 def _takes(store: Store | None) -> str:
     return store.manifest.content_digest() if store else ""
 
@@ -131,6 +164,7 @@ def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
         "parameters": "its parameters changed",
         "files": "its files changed",
         "takes": "the store's takes changed",
+        "reading": "the takes that it reads changed",
     }
     return (
         "; ".join(said.get(name, name.removeprefix("input ") + " changed") for name in changed) or "its inputs changed"

@@ -100,7 +100,8 @@ def _saying(step: Step) -> str:
     if step.reason is not None:
         return step.reason
     assert step.record is not None
-    return f"nothing to do, done {step.record.finished} (run {step.record.run})"
+    same = f", unchanged: {step.what}" if step.what else ""
+    return f"nothing to do{same}, done {step.record.finished} (run {step.record.run})"
 
 
 def _run_step(run: _Run, planner: Planner, step: Step) -> None:

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import accumulate, groupby
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 
 from catalog.features import FeatureSet
 from ops.errors import StoreError
-from storage.manifest import Part
+from storage.manifest import Part, ResultPart
 from storage.parts import ROW_GROUP, FramesWriter, part_file, write_part
 from storage.schemas import takes_schema
 from storage.store import Store
@@ -44,6 +44,8 @@ FANOUT = 8
 
 KEPT_ROWS = 2 * ROW_GROUP
 """Most rows of the old parts that a merge holds in memory: some 90 MB. A single row group or take may be larger."""
+
+AnyPart = TypeVar("AnyPart", Part, ResultPart)
 
 
 class Map(Protocol):
@@ -120,14 +122,14 @@ def compact(
     )
 
 
-def worthwhile(parts: Iterable[Part], full_bytes: float = float("inf")) -> list[list[Part]]:
+def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:
     """Which parts to merge with which: groups of `FANOUT` and more of one tier, and parts that are mostly tombstones.
 
     Parameters
     ----------
     parts: all parts of one kind. full_bytes: live bytes from which a part is left alone (estimated by rows).
     """
-    tiers: dict[int, list[Part]] = {}
+    tiers: dict[int, list[AnyPart]] = {}
     alone = []
     for part in parts:
         if part.bytes * _live_share(part) >= full_bytes:
@@ -183,7 +185,7 @@ def _tier(rows: int) -> int:
     return tier
 
 
-def _live_share(part: Part) -> float:
+def _live_share(part: Part | ResultPart) -> float:
     return part.live_rows / part.rows if part.rows else 1.0
 
 

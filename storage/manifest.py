@@ -104,6 +104,16 @@ class ResultPart:
     stage: str
     run: str
 
+    @property
+    def live_rows(self) -> int:
+        """All of its rows count."""
+        return self.rows
+
+    @property
+    def dropped_rows(self) -> int:
+        """It has no tombstones."""
+        return 0
+
 
 @dataclass(frozen=True)
 class StageRecord:

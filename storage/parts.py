@@ -26,6 +26,9 @@ from storage.schemas import frames_schema
 ROW_GROUP = 131_072
 """Rows of a row group of frames: about 27 MB on disk, so that one take is read without much else."""
 
+FULL_BYTES = 32_000_000
+"""A results part of this size is full: what follows goes into another one."""
+
 
 @dataclass(frozen=True)
 class _Packed:
@@ -212,34 +215,68 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
         temporary.unlink(missing_ok=True)
 
 
-def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> Part | None:
-    """Write tables of one schema, one after the other as they come, as one part of `folder`; None where no row came.
+def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> list[Part]:
+    """Write tables of one schema, one after the other as they come, as parts of `folder`; none where no row came.
 
-    Only one piece is in memory at a time; each is a row group of its own (or several, where it is very long).
+    A part that has grown to `FULL_BYTES` is closed. Only one piece is in memory at a time; each is a row group of its
+    own (or several, where it is very long).
     """
-    temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
-    writer: pq.ParquetWriter | None = None
-    rows = 0
+    parts = []
+    growing: _Growing | None = None
     try:
         for piece in pieces:
             if not piece.num_rows:
                 continue
-            with writing(store / folder):
-                if writer is None:
-                    (store / folder).mkdir(parents=True, exist_ok=True)
-                    writer = pq.ParquetWriter(temporary.absolute(), piece.schema, compression="zstd")
-                writer.write_table(piece)
-            rows += piece.num_rows
-        if writer is None:
-            return None
-        with writing(store / folder):
-            writer.close()
-        return publish_part(store, temporary, folder, rows, ())
+            if growing is None:
+                growing = _Growing(store, folder)
+            if growing.add(piece) >= FULL_BYTES:
+                parts.append(growing.close())
+                growing = None
+        if growing is not None:
+            parts.append(growing.close())
+            growing = None
+        return parts
     finally:
-        if writer is not None and writer.is_open:
+        if growing is not None:
+            growing.discard()
+
+
+class _Growing:
+    """A part that is being written piece by piece, under a temporary name."""
+
+    def __init__(self, store: Path, folder: str) -> None:
+        self._store, self._folder = store, folder
+        self._temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
+        self._writer: pq.ParquetWriter | None = None
+        self._rows = 0
+
+    def add(self, piece: pa.Table) -> int:
+        """Write one more piece; returns how many bytes the file has."""
+        with writing(self._store / self._folder):
+            if self._writer is None:
+                self._temporary.parent.mkdir(parents=True, exist_ok=True)
+                self._writer = pq.ParquetWriter(self._temporary.absolute(), piece.schema, compression="zstd")
+            self._writer.write_table(piece)
+            self._rows += piece.num_rows
+            return self._temporary.stat().st_size
+
+    def close(self) -> Part:
+        """Finish the part and give it its name."""
+        assert self._writer is not None
+        try:
+            with writing(self._store / self._folder):
+                self._writer.close()
+            return publish_part(self._store, self._temporary, self._folder, self._rows, ())
+        finally:
+            self._temporary.unlink(missing_ok=True)
+
+    def discard(self) -> None:
+        """Remove what was written."""
+        if self._writer is not None and self._writer.is_open:
+            # on a full disk not even the end of a file that is thrown away can be written
             with suppress(OSError):
-                writer.close()
-        temporary.unlink(missing_ok=True)
+                self._writer.close()
+        self._temporary.unlink(missing_ok=True)
 
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:

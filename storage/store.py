@@ -5,7 +5,7 @@ DuckDB is loaded when it is needed, which takes as long as answering some hundre
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from ops.errors import KinedexError, ParameterError, StoreError, did_you_mean
 from ops.words import TakeWords
 from storage import index
 from storage.frames import read_frames, read_words
-from storage.manifest import Manifest, read_newest
+from storage.manifest import Manifest, ResultPart, read_newest
 from storage.parts import part_file
 from storage.schemas import result_schema, takes_schema
 
@@ -178,15 +178,14 @@ class Store:
         ]
         return pa.concat_tables(tables) if tables else schema.empty_table()
 
-    def result_pieces(self, kind: str, run: str) -> Iterator[pa.Table]:
-        """The rows of one kind of result of a run, piece by piece as they were written; see `result`."""
+    def result_pieces(self, kind: str, parts: Iterable[ResultPart]) -> Iterator[pa.Table]:
+        """The rows of parts of one kind of result, piece by piece as they were written."""
         schema = result_schema(kind)
-        for part in self.manifest.results.get(kind, ()):
-            if part.run == run:
-                file = part_file(self.path, part.path)
-                with reading(file), pq.ParquetFile(file) as opened:
-                    for group in range(opened.num_row_groups):
-                        yield opened.read_row_group(group).cast(schema)
+        for part in parts:
+            file = part_file(self.path, part.path)
+            with reading(file), pq.ParquetFile(file) as opened:
+                for group in range(opened.num_row_groups):
+                    yield opened.read_row_group(group).cast(schema)
 
     def index_path(self) -> Path:
         """The DuckDB file of the index of exactly these takes.

@@ -200,7 +200,15 @@ class StoreWriter:
             replace(self._manifest, frames=parts) if kind == "frames" else replace(self._manifest, takes=parts)
         )
 
-    def put_results(self, kind: str, tables: pa.Table | Iterable[pa.Table], *, stage: str, run: str) -> None:
+    def put_results(
+        self,
+        kind: str,
+        tables: pa.Table | Iterable[pa.Table],
+        *,
+        stage: str,
+        run: str,
+        keep: Iterable[ResultPart] = (),
+    ) -> None:
         """Set a stage's results of one kind, in place of its earlier ones.
 
         Parameters
@@ -210,13 +218,21 @@ class StoreWriter:
             removed. Several tables, such as a generator makes, are written one by one as they come: what is large need
             not be in memory at once.
         stage: "<pipeline>/<stage>". run: the run's id.
+        keep: parts of the stage's earlier results that stay, files and rows as they are (`storage.lasting`).
+
+        Raises
+        ------
+        StoreError: a table does not fit, a part to keep is not there, or the disk is full; nothing is changed.
         """
         result_schema(kind)
+        stay = {part.path for part in keep}
+        before = self._manifest.results.get(kind, ())
+        if stay - {part.path for part in before if part.stage == stage}:
+            raise StoreError(f"{self.path}: {min(stay)} is no part of the results {kind} of {stage}")
         given = [tables] if isinstance(tables, pa.Table) else tables
-        part = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
-        kept = tuple(part for part in self._manifest.results.get(kind, ()) if part.stage != stage)
-        if part is not None:
-            kept += (ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run),)
+        parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
+        kept = tuple(part for part in before if part.stage != stage or part.path in stay)
+        kept += tuple(ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run) for part in parts)
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
 
     def forget_stage(self, stage: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 
@@ -14,7 +14,12 @@ import pyarrow.compute as pc
 
 from pipelines.annotation.annotating import split_takes
 from pipelines.annotation.annotators import Annotator
+from storage.lasting import Lasting, lasting
+from storage.manifest import ResultPart
 from storage.store import Store
+
+PIECE_BYTES = 16_000_000
+"""Small pieces of curves are put together up to this size, uncompressed, where they are written again."""
 
 
 def setting_digest(annotator: Annotator, keep_curves: bool, code: str) -> str:
@@ -68,10 +73,12 @@ def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, s
 class Kept:
     """Takes whose earlier annotations still hold.
 
-    run: the run that made them. searched: take_id → the share of its frames that templates were matched in.
+    stage: "<pipeline>/<stage>"; run: its run that made them. searched: take_id → the share of its frames that templates
+    were matched in.
     """
 
     store: Store
+    stage: str
     run: str
     searched: dict[int, float]
 
@@ -79,11 +86,20 @@ class Kept:
         """Their segments, as rows of a new run."""
         return self._rows(self.store.result("annotations", run=self.run), run)
 
-    def curves(self, run: str) -> Iterator[pa.Table]:
-        """Their distance curves, as rows of a new run, piece by piece."""
-        if self.searched:
-            for piece in self.store.result_pieces("distance_curves", self.run):
-                yield self._rows(piece, run)
+    def curve_parts(self) -> Lasting:
+        """What becomes of the parts of distance curves: those that stay, and those whose rows are put again."""
+        return lasting(self.store, "distance_curves", self.stage, self.searched)
+
+    def curves(self, parts: Iterable[ResultPart], run: str) -> Iterator[pa.Table]:
+        """Their distance curves in these parts, as rows of a new run, in pieces of some size."""
+        waiting: list[pa.Table] = []
+        for piece in self.store.result_pieces("distance_curves", parts):
+            waiting.append(self._rows(piece, run))
+            if sum(rows.nbytes for rows in waiting) >= PIECE_BYTES:
+                yield pa.concat_tables(waiting).combine_chunks()
+                waiting = []
+        if waiting:
+            yield pa.concat_tables(waiting).combine_chunks()
 
     def _rows(self, table: pa.Table, run: str) -> pa.Table:
         rows = table.filter(pc.is_in(table.column("take_id"), pa.array(self.searched, pa.int64())))
@@ -95,11 +111,11 @@ def kept_annotations(store: Store, stage: str, prints: dict[int, str]) -> Kept:
     """The takes that a stage has annotated before, with the same fingerprint."""
     runs = [part.run for part in store.manifest.results.get("annotated_takes", ()) if part.stage == stage]
     if not runs:
-        return Kept(store, "", {})
+        return Kept(store, stage, "", {})
     rows = store.result("annotated_takes", run=runs[-1]).select(["take_id", "fingerprint", "searched"]).to_pylist()
     same = {
         int(row["take_id"]): float(row["searched"])
         for row in rows
         if row["fingerprint"] is not None and prints.get(row["take_id"]) == row["fingerprint"]
     }
-    return Kept(store, runs[-1], same)
+    return Kept(store, stage, runs[-1], same)

@@ -81,7 +81,8 @@ def plan(
     for step in steps:
         last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
         inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
-        table.add_row(step.stage.name, inputs, step.reason or "– (nothing to do)", last)
+        nothing = f"– (unchanged: {step.what})" if step.what else "– (nothing to do)"
+        table.add_row(step.stage.name, inputs, step.reason or nothing, last)
     make_console().print(table)
 
 

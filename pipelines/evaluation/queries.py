@@ -11,14 +11,15 @@ from catalog.queries import KeyframeQuery
 from ops.errors import KinedexError
 from pipelines.context import StageContext
 from pipelines.evaluation.exams import Fold
-from pipelines.keyframes.learning import Outcome, every_query, lessons
-from pipelines.keyframes.runs import Course, known_runs, learn, runs_of, runs_table
+from pipelines.keyframes.keeping import KeptRuns
+from pipelines.keyframes.learning import Lesson, Outcome, every_query, lessons
+from pipelines.keyframes.runs import Course, known_runs, learn
 from pipelines.stages import learn_keyframes
 
 
 class QueryLearner:
     """Learns the queries of folds as the stage `learn_keyframes` does; runs that were finished before are known, those
-    of that stage too.
+    of that stage too, and stay in the store for as long as any fold has their clips, whatever the settings.
 
     params: of the stage `learn_keyframes`; its filters of takes are not used, a fold has its own clips.
     """
@@ -39,37 +40,31 @@ class QueryLearner:
         context, params = self._context, self._params
         store = context.open()
         setting, rounds = learn_keyframes.setting_of(params, store), params.rounds()
-        known = known_runs(store.result("keyframe_runs", pipeline=context.pipeline))
+        wanted = [self._lessons(fold) for fold in folds]
+        kept = KeptRuns(context, [lesson for own in wanted for lesson in own])
+        others = known_runs(store.result("keyframe_runs", pipeline=context.pipeline))
         finished: list[Course] = []
-
-        def save(courses: list[Course]) -> None:
-            table = runs_table(runs_of(_distinct([*finished, *courses])), context.run)
-            with context.writer() as writer:
-                writer.put_results("keyframe_runs", table, stage=context.key(), run=context.run)
-                writer.commit()
-
-        with context.progress("runs", rounds.runs * sum(len(fold.clips) for fold in folds)) as progress:
-            for fold in folds:
-                names = [one.subclass for one in fold.clips]
-                wanted = lessons(fold.clips, load_classes(params.classes, names))
-                bare = [one.subclass for one in wanted if not one.negatives]
-                if bare:
-                    raise KinedexError(
-                        f"split '{fold.split}', {fold.name}: no training clip is of another class than {bare[0]}, so "
-                        "there is nothing to tell it from"
-                    )
-                courses = learn(wanted, setting, rounds, context.executor, known, save, progress.advance)
+        with context.progress("runs", rounds.runs * sum(map(len, wanted))) as progress:
+            for fold, own in zip(folds, wanted, strict=True):
+                known = [*others, *kept.known()]  # those of the folds before among them
+                courses = learn(own, setting, rounds, context.executor, known, kept.save, progress.advance)
                 finished += courses
-                known += runs_of(courses)
                 self._outcomes[fold.split, fold.name] = [course.outcome for course in courses]
-        save([])
+        kept.save(finished)
+
+    def _lessons(self, fold: Fold) -> list[Lesson]:
+        """What each query of a fold is learned from; a KinedexError where a class has nothing to be told from."""
+        names = [one.subclass for one in fold.clips]
+        wanted = lessons(fold.clips, load_classes(self._params.classes, names))
+        bare = [one.subclass for one in wanted if not one.negatives]
+        if bare:
+            raise KinedexError(
+                f"split '{fold.split}', {fold.name}: no training clip is of another class than {bare[0]}, so "
+                "there is nothing to tell it from"
+            )
+        return wanted
 
     def queries(self, fold: Fold) -> list[KeyframeQuery]:
         """The queries of a fold."""
         feature_set = self._context.feature_set
         return every_query(self._outcomes[fold.split, fold.name], feature_set)
-
-
-def _distinct(courses: Sequence[Course]) -> list[Course]:
-    """Each course once; folds may share one."""
-    return list({course.key: course for course in courses}.values())

@@ -139,15 +139,6 @@ def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:
 # ---- tables ----------------------------------------------------------------------------------------------
 
 
-def runs_of(courses: Sequence[Course]) -> list[Known]:
-    """All finished runs of courses; those that the outcome did not need are among them."""
-    return [
-        Known(course.key, course.lesson.subclass, number, run)
-        for course in courses
-        for number, run in sorted(course.runs.items())
-    ]
-
-
 def runs_table(runs: Sequence[Known], run: str) -> pa.Table:
     """Finished runs as results of the kind `keyframe_runs`."""
     rows = [

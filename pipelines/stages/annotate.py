@@ -186,7 +186,8 @@ def _annotate(
 ) -> Done:
     """Annotate what is new, and put it into the store with what is kept.
 
-    Curves go to disk batch by batch; of segments, rows of tables are held, about a hundred bytes each.
+    Curves go to disk batch by batch, and those of takes that are kept stay in their files; of segments, rows of tables
+    are held, about a hundred bytes each.
     """
     setting = setting_digest(annotator, params.store_curves, context.code)
     prints = fingerprints(writer.store, takes, setting) if context.code else {}
@@ -194,9 +195,10 @@ def _annotate(
     new = takes.filter(~pl.col("take_id").is_in(list(kept.searched)))
     names = dict(takes.select("take_id", "name").iter_rows())
     segments, searched = [kept.annotations(context.run)], dict(kept.searched)
+    known = kept.curve_parts()
 
     def curves() -> Iterator[pa.Table]:
-        yield from kept.curves(context.run)
+        yield from kept.curves(known.again, context.run)
         with context.progress("takes", new.height) as progress:
             for batch in annotate_takes(context.store_path, annotator, new, context.executor, params.store_curves):
                 segments.append(annotations_table(batch, annotator, names, writer.store.rate_hz, context.run))
@@ -205,7 +207,7 @@ def _annotate(
                 yield curves_table(batch, annotator, names, context.run)
 
     put = partial(writer.put_results, stage=context.key(), run=context.run)
-    put("distance_curves", curves())
+    put("distance_curves", curves(), keep=known.stay)
     table = pa.concat_tables(segments)
     table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: within a take they are in order
     put("annotations", table)

@@ -13,7 +13,7 @@ from ops.errors import KinedexError
 from ops.learning.consensus import AGREEMENTS, AtLeast
 from ops.learning.lessons import Evolution, InitialGaps
 from pipelines.context import StageContext
-from pipelines.digests import files_digest
+from pipelines.digests import Reading, files_digest, takes_read
 from pipelines.keyframes.background import mine
 from pipelines.keyframes.keeping import KeptRuns
 from pipelines.keyframes.learning import Learner, Lesson, Setting, allowed_features, lessons
@@ -110,6 +110,12 @@ class Params(BaseModel):
 def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: the text of its class file."""
     return files_digest([] if params.classes == OWN else [config_path("classes", params.classes)])
+
+
+def reads(params: Params, store: Store) -> Reading:
+    """The takes that the stage depends on: the clips that it learns from, and the takes that it mines for negatives."""
+    background = {} if params.background is None else {"background take": params.background}
+    return takes_read(store, {"clip": params.where, **background})
 
 
 def setting_of(params: Params, store: Store) -> Setting:

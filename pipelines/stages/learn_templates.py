@@ -13,7 +13,7 @@ from catalog.features import FeatureSet
 from ops.errors import KinedexError
 from ops.templates.templates import MOST_ROUNDS, Kind
 from pipelines.context import StageContext
-from pipelines.digests import files_digest
+from pipelines.digests import Reading, files_digest, takes_read
 from pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
@@ -71,6 +71,11 @@ def external_digest(params: Params, store: Store | None) -> str:
     """What the stage depends on outside the store: template files, and which features are each other's mirror image."""
     pairs = str(store.feature_set.mirror) if store is not None and params.mirror else ""
     return files_digest([Path(file).expanduser() for file in params.template_files]) + pairs
+
+
+def reads(params: Params, store: Store) -> Reading:
+    """The takes that the stage depends on: the clips that it learns from, and no others."""
+    return takes_read(store, {"clip": params.where})
 
 
 def run(context: StageContext, params: Params) -> dict[str, object]:

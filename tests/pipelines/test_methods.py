@@ -19,6 +19,7 @@ from pipelines.evaluation.cells import Segment
 from pipelines.evaluation.exams import Exam
 from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, fates, judge
 from pipelines.evaluation.scheme import Method, Split
+from pipelines.keyframes import runs as keyframe_runs
 from pipelines.runner import run_pipeline
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
 from pipelines.terminal import Terminal
@@ -28,6 +29,7 @@ from tests.pipelines.study import Reading
 
 THESIS = {"name": "thesis", "tau": 0.13}
 BEST = {"name": "best", "method": "best"}
+LEARNED = {**BEST, "name": "with keyframes", "queries": "learned"}
 LEFT_OUT = {
     "name": "left out", "test": "class IS NOT NULL", "leave_out": "actor", "clips_as_takes": True,
     "clips_a_take": 3, "orders": 2, "most_clips": 2,
@@ -156,11 +158,61 @@ def test_the_result_does_not_depend_on_the_executor(line: Comparing, tmp_path: P
 
 
 def test_learned_queries_are_learned_in_each_fold_from_its_own_clips(line: Comparing) -> None:
-    method = {**BEST, "name": "with keyframes", "queries": "learned"}
-    found = line.compare([BEST, method], [LEFT_OUT])["splits"][0]
+    found = line.compare([BEST, LEARNED], [LEFT_OUT])["splits"][0]
     assert found["methods"]["with keyframes"]["pooled"]["f1"] > 0.8
     runs = open_store(line.store).result("keyframe_runs").to_pylist()
     assert len({row["key"] for row in runs}) == 2 * len(MOTIONS)  # each class once without ann, once without bob
+
+
+def _runs(line: Comparing) -> set[tuple[str, int]]:
+    rows = open_store(line.store).result("keyframe_runs").to_pylist()
+    return {(row["key"], row["number"]) for row in rows}
+
+
+def _done(monkeypatch: pytest.MonkeyPatch, most: float = math.inf) -> list[tuple[str, int]]:
+    """The runs that are done from now on; after so many, the power goes."""
+    done: list[tuple[str, int]] = []
+    original = keyframe_runs.do_runs
+
+    def counted(task: keyframe_runs.RunTask) -> list:
+        if len(done) >= most:
+            raise KinedexError("out of power")
+        done.extend((task.lesson.subclass, number) for number in task.numbers)
+        return original(task)
+
+    monkeypatch.setattr(keyframe_runs, "do_runs", counted)
+    return done
+
+
+def test_runs_of_folds_with_other_settings_are_kept(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
+    line.compare([LEARNED], [LEFT_OUT])
+    first = _runs(line)
+    params = line.params["learn_keyframes"]
+    line.params["learn_keyframes"] = params.model_copy(update={"seed": 7})
+    line.compare([LEARNED], [LEFT_OUT])
+    both = _runs(line)
+    assert len(both) == 2 * len(first)
+    assert both > first
+    line.params["learn_keyframes"] = params
+    done = _done(monkeypatch)
+    line.compare([LEARNED], [LEFT_OUT])
+    assert not done
+    assert _runs(line) == both
+    # clips that are not learned from any more: nothing could use these runs
+    line.compare([LEARNED], [{**LEFT_OUT, "train": "class IN ('walk', 'kick')", "test": "class IN ('walk', 'kick')"}])
+    assert not _runs(line) & both
+
+
+def test_an_interruption_in_the_first_fold_loses_no_run_of_the_others(
+    line: Comparing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line.compare([LEARNED], [LEFT_OUT])
+    first = _runs(line)
+    line.params["learn_keyframes"] = line.params["learn_keyframes"].model_copy(update={"runs": 4, "settled": 0.0})
+    _done(monkeypatch, most=2)
+    with pytest.raises(KinedexError, match="out of power"):
+        line.compare([LEARNED], [LEFT_OUT])
+    assert _runs(line) > first
 
 
 def test_the_same_method_twice_is_compared_once(line: Comparing) -> None:

@@ -249,6 +249,72 @@ def test_results_that_come_piece_by_piece_are_one_part_and_never_in_memory_at_on
     assert open_store(tmp_path).result("hits").num_rows == 0
 
 
+def test_results_that_are_long_are_several_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_store(tmp_path, {"a": 5})
+    monkeypatch.setattr("storage.parts.FULL_BYTES", 20_000)
+    random = np.random.default_rng(7)
+    starts = [random.integers(0, 1 << 30, 1000).tolist() for _ in range(12)]
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        writer.put_results("hits", (hits(*some) for some in starts), stage="p/search", run="r1")
+        writer.commit()
+    store = open_store(tmp_path)
+    parts = store.manifest.results["hits"]
+    assert 1 < len(parts) < 12
+    assert all(part.bytes >= 20_000 for part in parts[:-1])
+    assert sum(part.rows for part in parts) == 12_000
+    assert store.result("hits").column("start").to_pylist() == [start for some in starts for start in some]
+    assert verify(store) == []
+
+
+def test_long_results_that_break_off_show_nothing_and_the_next_writer_removes_their_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_store(tmp_path, {"a": 5})
+    monkeypatch.setattr("storage.parts.FULL_BYTES", 1)
+
+    def pieces(*starts: int) -> Iterator[pa.Table]:
+        for start in starts:
+            yield hits(start)
+        raise KinedexError("a worker failed")
+
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        writer.put_results("hits", hits(1), stage="p/search", run="r1")
+        writer.commit()
+        (first,) = writer.manifest.results["hits"]
+        with pytest.raises(KinedexError, match="a worker failed"):
+            writer.put_results("hits", pieces(2, 3), stage="p/search", run="r2", keep=[first])
+        assert writer.commit().version == 3
+    store = open_store(tmp_path)
+    assert store.result("hits").column("start").to_pylist() == [1]
+    found = verify(store)
+    assert len(found) == 2
+    assert not any(one.fault for one in found)
+    StoreWriter.open(tmp_path, BODY).close()
+    assert verify(store) == []
+    assert [path.name for path in (tmp_path / "results/hits").iterdir()] == [Path(first.path).name]
+
+
+def test_parts_of_earlier_results_may_stay(tmp_path: Path) -> None:
+    make_store(tmp_path, {"a": 5})
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        writer.put_results("hits", hits(1, 2), stage="one/search", run="r1")
+        writer.put_results("hits", hits(3), stage="two/search", run="r2")
+        writer.commit()
+        first, other = writer.manifest.results["hits"]
+        writer.put_results("hits", hits(4), stage="one/search", run="r3", keep=[first])
+        writer.commit()
+        found = open_store(tmp_path)
+        assert found.result("hits", stage="one/search").column("start").to_pylist() == [1, 2, 4]
+        assert [part.run for part in found.manifest.results["hits"]] == ["r1", "r2", "r3"]
+        writer.put_results("hits", hits(), stage="one/search", run="r4", keep=[first])
+        writer.commit()
+        with pytest.raises(StoreError, match="is no part of the results hits of one/search"):
+            writer.put_results("hits", hits(5), stage="one/search", run="r5", keep=[other])
+    store = open_store(tmp_path)
+    assert store.result("hits").column("start").to_pylist() == [1, 2, 3]
+    assert verify(store) == []
+
+
 def test_pieces_that_fail_leave_no_file(tmp_path: Path) -> None:
     make_store(tmp_path, {"a": 5})
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from ops.errors import KinedexError
@@ -14,7 +15,10 @@ from pipelines.annotation.annotators import Annotator, make_annotator
 from pipelines.annotation.kept import setting_digest
 from pipelines.context import StageContext
 from pipelines.stages import annotate, learn_templates
+from storage.compaction import FANOUT
+from storage.garbage import collect
 from storage.store import Store, open_store
+from storage.verify import verify
 from tests.pipelines.annotation.test_annotating import KICK, annotator, template
 from tests.pipelines.labelled import BODY, Line, clip, long_take, motion, write_store
 
@@ -57,7 +61,7 @@ def test_new_takes_alone_are_annotated_and_all_is_as_if_annotated_at_once(tmp_pa
     grown = open_store(line.store)
     for kind in ("annotations", "distance_curves"):
         assert results(grown, kind).equals(results(whole, kind))
-        assert len(set(grown.result(kind).column("run").to_pylist())) == 1
+    assert len(set(grown.result("annotations").column("run").to_pylist())) == 1
     both = [store.result("annotated_takes").drop_columns(["run", "take_id"]) for store in (grown, whole)]
     assert both[0].equals(both[1])
     assert (
@@ -66,6 +70,80 @@ def test_new_takes_alone_are_annotated_and_all_is_as_if_annotated_at_once(tmp_pa
     assert line.run(annotate, method=method)["kept_takes"] == 4
     assert results(open_store(line.store), "annotations").equals(results(whole, "annotations"))
     line.executor.close()
+
+
+def curve_files(store: Store) -> dict[str, set[str]]:
+    """The files of distance curves, and the takes in each."""
+    parts = store.manifest.results.get("distance_curves", ())
+    return {part.path: set(pq.read_table(store.path / part.path, columns=["take"])[0].to_pylist()) for part in parts}
+
+
+def test_curves_of_takes_that_are_kept_stay_in_their_files(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD)
+    (first,) = curve_files(open_store(line.store))
+    times = (line.store / first).stat()
+    write_store(line.store, NEW)
+    line.run(annotate)
+    store = open_store(line.store)
+    assert list(curve_files(store).values()) == [{"cat_1", "cat_3"}, {"cat_0", "cat_2"}]
+    assert first in curve_files(store)
+    assert (line.store / first).stat() == times
+    assert {part.stage for part in store.manifest.results["distance_curves"]} == {"test/annotate"}
+    collect(line.store, keep=1)
+    assert verify(open_store(line.store)) == []
+    assert results(open_store(line.store), "distance_curves").num_rows == 2 * 4
+    line.run(annotate)
+    assert curve_files(open_store(line.store)) == curve_files(store)
+
+
+def test_of_takes_that_changed_or_are_not_asked_for_the_curves_go(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD)
+    write_store(line.store, NEW)
+    line.run(annotate)
+    write_store(line.store, [long_take("cat_1", "cat", "kick", "rest")])  # the same name, other words
+    line.run(annotate, where="class IS NULL AND name != 'cat_2'")
+    store = open_store(line.store)
+    assert list(curve_files(store).values()) == [{"cat_0", "cat_1", "cat_3"}]
+    assert store.result("distance_curves").num_rows == 2 * 3
+    lengths = {row["take"]: len(row["costs"]) for row in store.result("distance_curves").to_pylist()}
+    assert lengths == dict(store.takes("class IS NULL AND name != 'cat_2'").select("name", "frames").iter_rows())
+    collect(line.store, keep=1)
+    assert verify(open_store(line.store)) == []
+    assert len(list((line.store / "results/distance_curves").iterdir())) == 1
+    line.run(annotate, tau=0.1)
+    assert not set(curve_files(open_store(line.store))) & set(curve_files(store))
+
+
+def test_small_files_of_curves_are_put_together_before_there_are_many(tmp_path: Path):
+    names = [f"cat_{number:02d}" for number in range(20)]
+    line = annotated(tmp_path / "store", long_take("cat_99", "cat", "walk"))
+    written = 0
+    for name in names:
+        write_store(line.store, [long_take(name, "cat", "walk", "kick")])
+        before = set(curve_files(open_store(line.store)))
+        line.run(annotate)
+        after = curve_files(open_store(line.store))
+        assert len(after) <= 2 * FANOUT
+        written += sum(len(takes) for path, takes in after.items() if path not in before)
+    takes = [take for found in after.values() for take in found]
+    assert sorted(takes) == [*names, "cat_99"]
+    assert written <= 2 * len(names) + FANOUT  # each take once, and once more where files are put together
+
+
+def test_an_annotation_that_fails_leaves_the_old_curves_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    line = annotated(tmp_path / "store", *OLD)
+    before = open_store(line.store)
+    write_store(line.store, NEW)
+
+    def failing(*given: object) -> object:
+        raise KinedexError("out of power")
+
+    monkeypatch.setattr(annotate, "annotate_takes", failing)
+    with pytest.raises(KinedexError, match="out of power"):
+        line.run(annotate)
+    after = open_store(line.store)
+    assert after.manifest.results == before.manifest.results
+    assert verify(after) == []
 
 
 def test_what_has_changed_is_annotated_again(tmp_path: Path):
