@@ -39,8 +39,8 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
 
     Raises
     ------
-    KinedexError: the positions of a query without margins lie outside the template, or it asks for features the template
-        does not have.
+    KinedexError: the positions of a query without margins lie outside the template, or it asks for features the
+        template does not have.
     """
     columns, features = template.shape
     fit = None
