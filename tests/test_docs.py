@@ -27,7 +27,14 @@ from tests.pipelines.labelled import Line
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = {str(page.relative_to(DOCS)): page.read_text(encoding="utf-8") for page in PAGES}
-GUIDES = ("tutorial.md", "accuracy.md", *(name for name in TEXTS if name.startswith("howto/")))
+GUIDES = (
+    "tutorial.md",
+    "accuracy.md",
+    "keyframe-learning.md",
+    "labels.md",
+    "formats.md",
+    *(name for name in TEXTS if name.startswith("howto/")),
+)
 LINES = [
     (name, line.strip()) for name in GUIDES for line in re.findall(r"^ {4}(kinedex .*)$", TEXTS[name], re.MULTILINE)
 ]
