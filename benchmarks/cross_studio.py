@@ -24,7 +24,7 @@ from ops.templates.templates import QuantisedTemplate
 from ops.words import U64, TakeWords, bits
 from pipelines.annotation.annotating import annotate_words
 from pipelines.annotation.annotators import Annotator, make_annotator
-from pipelines.evaluation.evaluating import Manual, place_ground_truth
+from pipelines.evaluation.groundtruth import Manual, place_ground_truth
 from pipelines.stages.annotate import usual_features
 from pipelines.templates.learning import read_templates
 from storage.ground_truth import read_ground_truth
@@ -166,7 +166,7 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
         make_annotator(store.feature_set, templates, classes, DELTA, TAU, usual=one) for one in (None, usual)
     )
     takes = store.takes("class IS NULL")
-    placed = place_ground_truth(read_ground_truth(truth), takes, store.takes()["name"], classes, "miss")
+    placed = place_ground_truth([read_ground_truth(truth)], takes, store.takes()["name"], classes, "miss")
     found = []
     for manual in sorted(placed.segments, key=lambda one: (one.take, one.start)):
         words = store.words([manual.take_id])

@@ -21,6 +21,7 @@ from ops.distances.costs import cost_table, encode, lay_out
 from ops.distances.dtw import distance_curves
 from ops.distances.pruning import bounds_below, coarse_bounds, surviving
 from ops.distances.ranking import rank, rank_together
+from ops.distances.stripes import BLOCK
 from ops.distances.sweep import CAP, pieces_of, sweep
 from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from ops.words import TakeWords, bits
@@ -182,7 +183,8 @@ def _rankings(store: Store) -> list[Figure]:
     for template, bound in zip(templates, bounds, strict=True):
         computed += len(template) * bounds_below(template, coded, TAU, stretches, bound).computed
         exact = bounds_below(template, coded, TAU, stretches).units < CAP
-        left = surviving(exact, stretches, 2 * (len(template) - 1))
+        blocks = np.logical_or.reduceat(exact, np.arange(0, frames, BLOCK))
+        left = surviving(blocks, stretches, 2 * (len(template) - 1))
         possible += len(template) * int((left[:, 2] - left[:, 0]).sum())
     time = seconds(lambda: rank_together(templates, words, thresholds, None, coded), 3)
     plain = seconds(lambda: [distance_curves([t], words.words, stretches, np.float32) for t in templates], 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +15,7 @@ from catalog.features import FeatureSet
 from catalog.gaptexts import read_gap
 from catalog.mirroring import mirrored
 from catalog.queries import Gap, KeyframeQuery
-from ops.errors import did_you_mean
+from ops.errors import KinedexError, did_you_mean
 
 ANALYSIS_RATE_HZ = 30.0
 MOST_CHAINS = 64
@@ -37,6 +38,27 @@ def read_queries(
     ConfigError: the first fault, with its line, what was expected, and the nearest valid name.
     """
     return _queries(load_yaml(config_path("queries", name_or_path)), feature_set, rate_hz)
+
+
+def read_query_files(
+    names_or_paths: Iterable[str | Path], feature_set: FeatureSet, rate_hz: float = ANALYSIS_RATE_HZ
+) -> list[KeyframeQuery]:
+    """The queries of several files, as `read_queries` reads each.
+
+    Raises
+    ------
+    ConfigError: the first fault of a file. KinedexError: two queries of the same name.
+    """
+    queries: dict[str, KeyframeQuery] = {}
+    for name in names_or_paths:
+        for query in read_queries(name, feature_set, rate_hz):
+            if query.name in queries:
+                raise KinedexError(
+                    f"two keyframe queries are named '{query.name}' (the second one in {name}); give one of them "
+                    f"another name and say what it is for: `class: {query.target}`"
+                )
+            queries[query.name] = query
+    return list(queries.values())
 
 
 def parse_queries(

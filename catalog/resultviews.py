@@ -17,6 +17,10 @@ values    UBIGINT[]    for each keyframe, those of its features that must be on
 positions    INTEGER[]    the template column of each keyframe, from 0
 lows    INTEGER[]    least gap to each next keyframe, in frames
 highs    INTEGER[]    greatest gap to each next keyframe, in frames; −1: any"""
+_METHOD = (
+    "method    VARCHAR    how frames were labelled: 'templates' or 'templates within keyframe hits' (method thesis), "
+    "'templates in a row' or 'templates in a row within keyframe hits' (method best)"
+)
 
 RESULT_VIEWS = (
     View(
@@ -74,9 +78,9 @@ subclass    VARCHAR    whose template came nearest
 {_SECONDS}
 cost    DOUBLE    least distance within the range, from 0
 confidence    DOUBLE    from 0 (something else would do as well) to 1
-method    VARCHAR    how frames got their labels: thesis or best"""),
+{_METHOD}"""),
         "SELECT class, count(*) AS segments, sum(stop_seconds - start_seconds) AS seconds FROM annotations "
-        "GROUP BY class ORDER BY class",
+        "WHERE method IN ('templates', 'templates within keyframe hits') GROUP BY class ORDER BY class",
     ),
     View(
         "ranked_hits",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ops.errors import KinedexError
 from storage.labels.formats import ENDINGS, read_labels
+from storage.labels.segments import LabelFile as LabelFile
 from storage.labels.segments import ManualSegment as ManualSegment
 from storage.labels.tables import COLUMNS
 
@@ -43,8 +44,8 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
     return found
 
 
-def read_ground_truth(path: str | Path) -> list[ManualSegment]:
-    """Read manual segments from a label file: CSV, JSON, ELAN, WebVTT or Audacity, as its ending says.
+def read_ground_truth(path: str | Path) -> LabelFile:
+    """Read takes and their manual segments from a label file: CSV, JSON, ELAN, WebVTT or Audacity, as its ending says.
 
     Where a format does not carry the take's name, the file bears it. Frames are of the source rate, from 0, and
     half-open; seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).

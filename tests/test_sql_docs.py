@@ -5,14 +5,19 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from catalog.classes import load_classes
+from catalog.queries import Keyframe, KeyframeQuery
 from catalog.sqlreference import renewed
 from catalog.views import MACROS, VIEWS
+from pipelines.annotation.annotators import make_annotator
 from pipelines.stages import annotate, index, ingest, learn_templates
+from pipelines.templates.learning import read_templates
 from storage.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
-from tests.pipelines.labelled import Line
+from tests.pipelines.labelled import BODY, Line
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "sql.md").read_text(encoding="utf-8")
 STATEMENTS = re.findall(r"```sql\n(.*?)```", PAGE, re.DOTALL)
@@ -60,6 +65,28 @@ def test_the_archive_of_the_examples_says_something(store: Store) -> None:
     nothing_stored = {view.name for view in VIEWS if view.origin == "results" and not store.result(view.name).num_rows}
     assert empty - nothing_stored <= {"word_runs", "annotated_takes", "runs_where", "followed_by"}
     assert not nothing_stored & {"templates", "annotations", "distance_curves", "annotated_takes"}
+
+
+def test_annotations_can_be_chosen_by_what_the_page_says_of_their_method(store: Store) -> None:
+    (meaning,) = (
+        column.meaning
+        for view in VIEWS
+        for column in view.columns
+        if column.name == "method" and view.name == "annotations"
+    )
+    named = set(re.findall("'([^']+)'", meaning))
+    query = KeyframeQuery("q", "hop", (Keyframe("upper", 1, 1),), ())
+    templates = read_templates(store, "test/learn_templates", "soft")
+    classes = load_classes("own", ["hop", "sway"])
+    found = {
+        make_annotator(BODY, templates, classes, 0.05, 0.13, queries, usual).method
+        for queries in ((), (query,))
+        for usual in (None, np.zeros((1, 40)))
+    }
+    assert found == named
+    (stored,) = set(store.result("annotations").column("method").to_pylist())
+    assert stored in named
+    assert store.sql("SELECT * FROM annotations WHERE method = 'templates'").num_rows > 0
 
 
 def test_every_example_of_help_runs_and_is_on_the_page(store: Store) -> None:

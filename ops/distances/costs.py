@@ -147,7 +147,7 @@ def bound_table(
     units: F64,
     most: int,
     dtype: type[np.unsignedinteger[Any]],
-    needed: npt.NDArray[np.bool_] | None = None,
+    needed: npt.NDArray[np.bool_],
 ) -> Table:
     """Tabulate whole units that local costs hold at least: ⌊cost / unit⌋, and `most` where it is more or no cost.
 
@@ -156,23 +156,29 @@ def bound_table(
     Parameters
     ----------
     units: float64 (T,), what a unit of each template is worth, as a cost.
-    needed: bool (W,), the words that are asked for; rows of others are left as they are. None: all.
+    needed: bool (W,), the words that are asked for; rows of others are left as they are.
 
     Returns
     -------
     dtype (W, S).
     """
-    scale = np.zeros(len(layout.masks))
-    for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
-        scale[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
     table = np.empty((len(vocabulary), len(layout.masks)), dtype)
-    every = np.ones(len(vocabulary), np.bool_) if needed is None else needed
-    fill_bounds(vocabulary, layout.values, layout.parts, layout.worths * scale, most, every, table)
-    if needed is None:
-        _fill_padding(layout, table, most)
-    else:
-        table[np.ix_(np.flatnonzero(needed), layout.padding)] = most
+    fill_bounds(
+        vocabulary, layout.values, layout.parts, layout.worths * unit_scales(layout, units), most, needed, table
+    )
+    table[np.ix_(np.flatnonzero(needed), layout.padding)] = most
     return table
+
+
+def unit_scales(layout: Layout, units: F64) -> F64:
+    """Return how many units a weight of 1 is in each column, a little less: float64 (S,), 0 where no template is.
+
+    units: float64 (T,), what a unit of each template is worth, as a cost.
+    """
+    scales = np.zeros(len(layout.masks))
+    for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
+        scales[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
+    return scales
 
 
 def grid_step(columns: int) -> float:

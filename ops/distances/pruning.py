@@ -15,31 +15,31 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64, PADDING, CodedWords, bound_table, lay_out
-from ops.distances.sweep import CAP, COARSE_CAP, U8, U16, pieces_of, sweep_bounds, sweep_coarse
+from ops.distances.costs import F64, I32, I64, CodedWords, bound_table, lay_out
+from ops.distances.stripes import BLOCK, COARSE_CAP, SLOTS, U8, least_sums
+from ops.distances.sweep import CAP, U16, pieces_of, sweep_bounds
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 
 _PIECE = 4096  # frames of a stretch that are computed apart from the rest of it
-_BLOCK = 8  # frames that are ruled out together: as many bytes as fit into a word of the machine
 _TABLE_CELLS = 16_000_000  # most bytes of a table of coarse costs; where words are many, fewer templates share a pass
 _WORTHWHILE = 128  # columns from which coarse sums cost less than they save: rows of few are as slow as in 16 bits
-_LONG_ROW = 256  # columns from which a row of 8-bit sums is filled up to a multiple of so many
+_TOGETHER = SLOTS // 2  # most templates in a pass: with more, few rows would have to be filled up a lot
 
 
 @dataclass(frozen=True)
 class Coarse:
-    """A distance curve, bounded in coarse units: no path that ends at a frame costs less.
+    """A distance curve, bounded in coarse units: no path that ends in a block of frames costs less.
 
-    sums: uint8 (L,), `ops.distances.sweep.COARSE_CAP` where no path below the threshold ends that it was made for.
-    unit: what one is worth, as a distance.
+    sums: uint8 (B,), of blocks of `ops.distances.stripes.BLOCK` frames, the last one may have fewer; `COARSE_CAP` where
+    no path below the threshold ends that it was made for. unit: what one is worth, as a distance.
     """
 
     sums: U8
     unit: float
 
     def below(self, threshold: float) -> npt.NDArray[np.bool_]:
-        """The frames at which a path below a threshold may end, bool (L,)."""
+        """The blocks in which a path below a threshold may end, bool (B,)."""
         least = min(float(COARSE_CAP), np.ceil(threshold / self.unit * (1 + 1e-9)))
         below: npt.NDArray[np.bool_] = self.sums < np.uint8(least)
         return below
@@ -93,30 +93,21 @@ def coarse_bounds(
     thresholds = np.asarray(thresholds, np.float64)
     if len(thresholds) != len(templates) or not np.all(thresholds > 0):
         raise ParameterError("thresholds", f"above 0, one for each of {len(templates)} templates", thresholds.tolist())
-    sums = np.full((len(templates), len(coded)), COARSE_CAP, np.uint8)
-    room = max(PADDING, _TABLE_CELLS // max(1, len(coded.vocabulary)))
+    sums = np.full((len(templates), -(-len(coded) // BLOCK)), COARSE_CAP, np.uint8)
+    room = _TABLE_CELLS // max(1, len(coded.vocabulary))
     first, columns = 0, 0
     for place in range(len(templates) + 1):
-        if place == len(templates) or (place > first and columns + len(templates[place]) >= room):
-            if place > first and len(stretches):
-                own = slice(first, place)
-                _sweep_together(templates[own], coded, thresholds[own], stretches, sums[own])
+        full = place < len(templates) and (columns + len(templates[place]) >= room or place - first == _TOGETHER)
+        if place > first and (place == len(templates) or full):
+            if len(stretches):
+                layout = lay_out(templates[first:place])
+                pieces = pieces_of(stretches, _PIECE, 2 * (int(layout.lengths.max()) - 1))
+                units = thresholds[first:place] * layout.lengths / COARSE_CAP
+                sums[first:place] = least_sums(layout, coded, units, pieces)
             first, columns = place, 0
         if place < len(templates):
             columns += len(templates[place]) + 1
     return [Coarse(own, float(tau) / COARSE_CAP) for own, tau in zip(sums, thresholds, strict=True)]
-
-
-def _sweep_together(
-    templates: Sequence[QuantisedTemplate], coded: CodedWords, thresholds: F64, stretches: I64, sums: U8
-) -> None:
-    layout = lay_out(templates)
-    table = bound_table(layout, coded.vocabulary, thresholds * layout.lengths / COARSE_CAP, COARSE_CAP, np.uint8)
-    if table.shape[1] >= _LONG_ROW and table.shape[1] % _LONG_ROW:
-        missing = _LONG_ROW - table.shape[1] % _LONG_ROW
-        table = np.pad(table, ((0, 0), (0, missing)), constant_values=COARSE_CAP)
-    pieces = pieces_of(stretches, _PIECE, 2 * (int(layout.lengths.max()) - 1))
-    sweep_coarse(table, coded.codes, pieces, layout.firsts, layout.lasts, sums)
 
 
 def bounds_below(
@@ -170,19 +161,17 @@ def bounds_below(
 
 
 def surviving(below: npt.NDArray[np.bool_], stretches: I64, reach: int) -> I64:
-    """Return the pieces, see `ops.distances.sweep.pieces_of`, that cover the frames that may be below a threshold.
+    """Return the pieces, see `ops.distances.sweep.pieces_of`, that cover the blocks that may be below a threshold.
 
-    Frames are looked at in blocks of 8. Blocks between which fewer frames lie than a piece has to reach back are in
-    one piece. Pieces are in ascending order.
+    Blocks between which fewer frames lie than a piece has to reach back are in one piece. Pieces are in ascending
+    order.
     """
-    blocks = np.zeros(-(-len(below) // _BLOCK), np.uint64)
-    blocks.view(np.bool_)[: len(below)] = below
-    places = np.flatnonzero(blocks)
+    places = np.flatnonzero(below)
     if not len(places):
         return np.empty((0, 3), np.int64)
-    apart = np.flatnonzero((np.diff(places) - 1) * _BLOCK > reach)
-    begins = places[np.concatenate(([0], apart + 1))] * _BLOCK
-    ends = (places[np.concatenate((apart, [len(places) - 1]))] + 1) * _BLOCK
+    apart = np.flatnonzero((np.diff(places) - 1) * BLOCK > reach)
+    begins = places[np.concatenate(([0], apart + 1))] * BLOCK
+    ends = (places[np.concatenate((apart, [len(places) - 1]))] + 1) * BLOCK
     # A piece meets the stretches from the first that ends behind its beginning to the last that begins before its end.
     first = np.searchsorted(stretches[:, 1], begins, side="right")
     counts = np.maximum(np.searchsorted(stretches[:, 0], ends, side="left") - first, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ops.distances.annotation import TOLERANCE
 from ops.distances.costs import F64, I64, CodedWords, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
+from ops.distances.stripes import BLOCK
 from ops.distances.taking import take_best
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
@@ -166,10 +168,11 @@ def _rising(coarse: Coarse, threshold: float, most: int | None, columns: int) ->
 
     A stretch of as many frames as the template has columns holds a hit or two, the best of which its least bound tells.
     """
-    places = np.arange(0, len(coarse.sums), max(columns, 1))
-    if most is None or most >= len(places) // 4:
+    width = max(columns // BLOCK, 1)
+    blocks = coarse.sums[: len(coarse.sums) // width * width].reshape(-1, width)
+    if most is None or most >= len(blocks) // 4:
         return [threshold]
-    least = np.minimum.reduceat(coarse.sums, places)
+    least = reduce(np.minimum, blocks.T)  # block by block of all stretches, which is faster than stretch by stretch
     first = (int(np.partition(least, most)[most]) + 1) * coarse.unit + _MARGIN * threshold
     return [*(tau for tau in (first, first + 2 * _MARGIN * threshold) if tau < 0.9 * threshold), threshold]
 

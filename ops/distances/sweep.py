@@ -9,7 +9,6 @@ import numpy.typing as npt
 from ops.distances.costs import F64, I32, I64, Table, column_costs
 from ops.words import NO_WORD, U64
 
-U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 
 _NO_WORD = np.uint64(NO_WORD)
@@ -23,9 +22,6 @@ CHUNK = 512
 
 CAP = 21845
 """Sums of whole units stop here: with a (2,1) step of the dearest cost on top, a third of 65,535 still fits 16 bits."""
-
-COARSE_CAP = 255
-"""Sums of coarse units stop here, the greatest number of 8 bits: every addition stops there by itself."""
 
 ROW_CELLS = 4_000_000
 """Costs of words against columns that are kept while paths are traced: 32 MB."""
@@ -159,46 +155,6 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
         previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
         keep(lanes, steps, found, sums)
         following, steps = refill(pieces, following, lanes, state, CAP)
-
-
-@nb.njit(cache=True, nogil=True)
-def sweep_coarse(table: U8, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: U8) -> None:
-    """Fill lower bounds in coarse units of all templates of a layout: uint8 (T, L), `COARSE_CAP` for all no less.
-
-    The same as `sweep` with sums in 8 bits, four times as many at once: what would go beyond 255 stays there. (kernel)
-    """
-    columns = table.shape[1]
-    cap = np.uint8(COARSE_CAP)
-    state = np.full((3, LANES, columns + 2), cap, np.uint8)
-    found = np.empty((len(firsts), LANES, CHUNK), np.uint8)
-    lanes = np.zeros((LANES, 3), np.int64)
-    previous, last, here = 0, 1, 2
-    following, steps = refill(pieces, 0, lanes, state, COARSE_CAP)
-    while steps > 0:
-        before, behind, now = state[previous], state[last], state[here]
-        for step in range(steps):
-            for k in range(LANES):
-                cost = table[codes[lanes[k, 0] + step]]
-                a, b, c = before[k], behind[k], now[k]
-                for n in range(columns):
-                    one, two, own = b[n + 1], a[n + 1], cost[n]
-                    near = one if one < two else two
-                    single = np.uint8(near + own)
-                    single = single if single >= own else cap
-                    twice = np.uint8(own + own)
-                    twice = twice if twice >= own else cap
-                    double = np.uint8(b[n] + twice)
-                    double = double if double >= twice else cap
-                    c[n + 2] = double if double < single else single
-                for t in range(len(firsts)):
-                    c[firsts[t] + 2] = cost[firsts[t]]
-                for t in range(len(firsts)):
-                    found[t, k, step] = c[lasts[t] + 2]
-            before, behind, now = behind, now, before
-        turn = steps % 3
-        previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
-        keep(lanes, steps, found, sums)
-        following, steps = refill(pieces, following, lanes, state, COARSE_CAP)
 
 
 @nb.njit(cache=True, nogil=True)

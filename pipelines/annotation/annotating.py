@@ -137,11 +137,12 @@ def _explained_takes(annotator: Annotator, row: Row, words: TakeWords, ranges: S
     there."""
     columns = lay_columns(row.templates, row.usual, row.decoding)
     takes, sure = [], []
-    for start, stop in pairwise(words.offsets.tolist()):
+    places = [_places_of_takes(one, words.offsets) for one in ranges] if any(annotator.queries) else None
+    for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
         own, within = words.words[start:stop], None
-        if any(annotator.queries):
-            clipped = [np.clip(one - start, 0, stop - start) for one in ranges]
-            within = [one[one[:, 0] < one[:, 1]] for one in clipped]
+        if places is not None:
+            pieces = zip(ranges, places, strict=True)
+            within = [np.clip(one[slice(*place[take])] - start, 0, stop - start) for one, place in pieces]
         found = explain(row.templates, row.usual, own, row.decoding, within, columns)
         sure.append(confidences(found, row.templates, annotator.class_index, row.usual, own, row.decoding, columns))
         takes.append(found)
@@ -167,8 +168,7 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
     """The frames that each template is matched in, on the words laid end to end: whole takes, or the hits of its
     queries with their margins."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
-    every = {query.name: query for queries in annotator.queries for query in queries}
-    wanted = list(every.values())
+    wanted = list(dict.fromkeys(query for queries in annotator.queries for query in queries))
     if store is None:
         hits = preselect(words, annotator.feature_set, wanted)
     else:
@@ -180,7 +180,7 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
             continue
         several = [
             ranges_around(found.starts, found.stops, found.offsets, words.offsets, left, right)
-            for found, (left, right) in zip((hits[query.name] for query in queries), reach, strict=True)
+            for found, (left, right) in zip((hits[query] for query in queries), reach, strict=True)
         ]
         ranges.append(several[0] if len(several) == 1 else united(several, words.offsets))
     return ranges
@@ -197,6 +197,13 @@ def _curves(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F6
         if queries:
             curves[index] = distance_curves([annotator.templates[index]], words.words, ranges[index])[0]
     return curves
+
+
+def _places_of_takes(ranges: I64, offsets: I64) -> list[tuple[int, int]]:
+    """Of ascending ranges that are apart, which [first, last) have frames of each take."""
+    firsts = np.searchsorted(ranges[:, 1], offsets[:-1], side="right")
+    lasts = np.searchsorted(ranges[:, 0], offsets[1:], side="left")
+    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
 
 def _frames_within(ranges: I64, offsets: I64) -> I64:

@@ -99,6 +99,7 @@ def make_annotator(
     tau: float,
     queries: Sequence[KeyframeQuery] = (),
     usual: F64 | None = None,
+    learned: Sequence[KeyframeQuery] = (),
 ) -> Annotator:
     """Quantise templates and sort them and the queries into classes.
 
@@ -110,6 +111,7 @@ def make_annotator(
         subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
     usual: float64 (K, f), the usual postures (`ops.distances.background.background`): all frames of a take are labelled
         together, by the explanation of the greatest value. None: frame by frame, as in the thesis.
+    learned: further queries, which are sorted by themselves: they preselect besides `queries`, never in their place.
 
     Raises
     ------
@@ -127,20 +129,28 @@ def make_annotator(
             f"at delta = {delta:g} every template is wildcards alone and would fit anything: in no column is a feature "
             "within delta of 0 or 1; raise `delta`, or learn from clips that have more in common"
         )
-    by_target: dict[str, list[KeyframeQuery]] = {}
-    for query in queries:
-        by_target.setdefault(query.target, []).append(query)
+    own, further = (_queries_of([one.subclass for one in used], some, of_subclass) for some in (queries, learned))
     return Annotator(
         feature_set,
         classes.names,
         tuple(one.subclass for one in used),
         np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64),
         tuple(quantised[one.subclass] for one in used),
-        tuple(tuple(by_target.get(one.subclass) or by_target.get(of_subclass[one.subclass]) or ()) for one in used),
+        tuple((*written, *found) for written, found in zip(own, further, strict=True)),
         tau,
         _remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
         None if usual is None else Row(tuple(one.learned.template for one in used), usual, Decoding()),
     )
+
+
+def _queries_of(
+    subclasses: Sequence[str], queries: Sequence[KeyframeQuery], of_subclass: Mapping[str, str]
+) -> list[tuple[KeyframeQuery, ...]]:
+    """For each subclass its queries, or else those of its class."""
+    by_target: dict[str, list[KeyframeQuery]] = {}
+    for query in queries:
+        by_target.setdefault(query.target, []).append(query)
+    return [tuple(by_target.get(one) or by_target.get(of_subclass[one]) or ()) for one in subclasses]
 
 
 def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:

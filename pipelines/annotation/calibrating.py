@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from ops.distances.calibration import best_threshold
 from ops.distances.dtw import distance_curves
 from ops.errors import KinedexError
 from ops.templates.templates import quantise
+from pipelines.annotation.annotating import split_takes
 from pipelines.executors import Executor
 from pipelines.templates.learning import SubclassTemplate, TrainingClips
 from pipelines.wording import few
@@ -20,6 +22,13 @@ from pipelines.wording import few
 F64 = npt.NDArray[np.float64]
 
 HIGHEST = 1.0
+
+_NO_COSTS = (
+    "they have no clips",
+    "their clips are of one actor",
+    "no clip of theirs fits a template of other actors' clips",
+)
+"""Why nothing is known of how the clips of a class fit its own templates, by the number of their actors."""
 
 Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
 """How templates are learned from clips: those of the stage `learn_templates`, files and combinations included."""
@@ -64,8 +73,8 @@ def calibrate(
 
     Returns
     -------
-    Thresholds of those classes that have templates. A class whose clips are all of one actor (or fit nothing) gets the
-    threshold that divides own from other clips best over all classes; `remarks` say so.
+    Thresholds of those classes that have templates. A class without clips, with clips of one actor, or with clips that
+    fit nothing gets the threshold that divides own from other clips best over all classes; `remarks` say so.
 
     Raises
     ------
@@ -97,10 +106,13 @@ def _of(clips: TrainingClips, actors: Mapping[str, str | None], actor: str, *, h
 def fold_costs(fold: Fold) -> F64:
     """The cost of every clip for every template, float64 (templates, clips), ∞ where it does not fit (in a worker)."""
     words = [one for clips in fold.clips for one in clips.words]
-    edges = np.cumsum([0, *map(len, words)]).astype(np.int64)
     templates = [quantise(one.learned.template, fold.delta) for one in fold.templates]
-    curves = distance_curves(templates, np.concatenate(words), np.stack([edges[:-1], edges[1:]], axis=1))
-    costs: F64 = np.minimum.reduceat(curves, edges[:-1], axis=1) if len(templates) else curves[:, :0]
+    costs = np.full((len(templates), len(words)), np.inf)
+    for batch in split_takes(range(len(words)), map(len, words)) if templates else ():
+        edges = np.cumsum([0, *(len(words[clip]) for clip in batch)]).astype(np.int64)
+        ranges = np.stack([edges[:-1], edges[1:]], axis=1)
+        curves = distance_curves(templates, np.concatenate([words[clip] for clip in batch]), ranges)
+        costs[:, batch] = np.minimum.reduceat(curves, edges[:-1], axis=1)
     # what is wildcards alone fits anything, and is left out of annotation
     costs[[not one.fixed for one in templates]] = np.inf
     return costs
@@ -110,8 +122,11 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
     of_subclass = classes.of_subclass()
     own: dict[str, list[float]] = {}
     others: dict[str, list[float]] = {}
-    for fold, costs in found:
+    actors: dict[str | None, set[int]] = defaultdict(set)
+    for number, (fold, costs) in enumerate(found):
         truth = [of_subclass.get(one.subclass) for one in fold.clips for _ in one.names]
+        for label in truth:
+            actors[label].add(number)
         labels = [of_subclass.get(one.subclass) for one in fold.templates]
         for name in sorted({label for label in labels if label is not None}):
             least = costs[[label == name for label in labels]].min(axis=0)
@@ -121,16 +136,16 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
     if not np.isfinite(every[0]).any():
         raise KinedexError("`tau: calibrated`: no clip fits a template of its class that other actors' clips made")
     common, _ = best_threshold(*every)
-    taus, scores, bare = {}, {}, []
+    taus, scores, bare = {}, {}, defaultdict(list)
     for name in classes.names:
+        if name not in own and name not in others:  # without a template, nothing is labelled with it
+            continue
         mine = np.array(own.get(name, ()))
         if np.isfinite(mine).any():
             tau, scores[name] = best_threshold(mine, np.array(others.get(name, ())))
         else:
             tau = common
-            bare.append(name)
+            bare[_NO_COSTS[min(len(actors[name]), 2)]].append(name)
         taus[name] = min(tau, HIGHEST)
-    remarks = (
-        (f"τ of all classes together ({common:.3g}), as their clips are of one actor: {few(bare)}",) if bare else ()
-    )
-    return Calibration(taus, scores, remarks)
+    remarks = [f"τ of all classes together ({common:.3g}), as {why}: {few(names)}" for why, names in bare.items()]
+    return Calibration(taus, scores, tuple(remarks))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -23,14 +23,14 @@ PIECE_BYTES = 16_000_000
 
 
 def setting_digest(annotator: Annotator, keep_curves: bool, code: str) -> str:
-    """A hash of all that decides a take's annotations besides its words.
+    """A hash of all that decides a take's annotations besides its words; a row of templates knows no thresholds.
 
     Parameters
     ----------
     code: a hash of the sources that the stage runs.
     """
     hasher = hashlib.sha256(f"{code}/{keep_curves}".encode())
-    _feed(hasher, annotator)
+    _feed(hasher, annotator if annotator.row is None else replace(annotator, tau=0.0, taus=None))
     return hasher.hexdigest()[:16]
 
 

@@ -45,7 +45,7 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
 def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int) -> int:
     """The last source frame at or before an analysis frame, `frames` (how many there are) at most.
 
-    `pipelines.evaluation.evaluating.analysis_frame` gives back the analysis frame, unless the source is slower than
+    `pipelines.evaluation.groundtruth.analysis_frame` gives back the analysis frame, unless the source is slower than
     the analysis.
     """
     return min(math.floor(round(frame * source_rate_hz / rate_hz, 9)), frames)

@@ -18,12 +18,13 @@ app.add_typer(labels, rich_help_panel="Ask a store")
 def export(
     store: StorePath,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="folder for a file per take, or one file")
+        str, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="folder for a file per take, or one file")
     ],
     form: Annotated[
         str | None,
         typer.Option(
-            "--format", help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); as FILE ends unless given"
+            "--format",
+            help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); as FILE ends unless given, csv in a folder",
         ),
     ] = None,
     take: Annotated[list[str] | None, typer.Option(help="only this take; may be repeated")] = None,
@@ -44,8 +45,7 @@ def export(
     opened = open_store(store)
     chosen = annotate_stage(opened, stage)
     found = labels_of(opened, chosen, take or (), where)
-    kind = form or output.suffix.lower().removeprefix(".") or "csv"
-    paths = write_labels(found, kind, output, force=force)
+    paths = write_labels(found, form, output, force=force)
     count = sum(len(one.labels) for one in found)
     where_to = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
     print(f"{count} segments of {len(found)} takes, annotated by {chosen}: {where_to}")
@@ -61,12 +61,17 @@ def read(
 
     from storage.labels.formats import read_labels
 
-    rows = [
-        {"take": one.take, "class": one.label, "start": one.start, "stop": one.stop}
-        | {"unit": "seconds" if one.in_seconds else "source frames", "where": one.where}
-        for file in files
-        for one in read_labels(file)
-    ]
+    unit = {True: "seconds", False: "source frames"}
+    rows: list[dict[str, object]] = []
+    for file in map(read_labels, files):
+        rows += [
+            {"take": one.take, "class": one.label, "start": one.start, "stop": one.stop}
+            | {"unit": unit[one.in_seconds], "where": one.where}
+            for one in file.segments
+        ]
+        # takes that somebody looked at without finding anything
+        labelled = {one.take for one in file.segments}
+        rows += [{"take": take, "where": file.path} for take in file.takes if take not in labelled]
     text, number = pa.string(), pa.float64()
     kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
     show_table(pa.Table.from_pylist(rows, schema=pa.schema(list(kinds.items()))), form, output)

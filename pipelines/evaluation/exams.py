@@ -10,7 +10,7 @@ import polars as pl
 
 from catalog.classes import Classes
 from ops.errors import KinedexError, did_you_mean
-from pipelines.evaluation.evaluating import GroundTruth
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.scheme import Split
 from pipelines.stages.leave_one_out import without
 from pipelines.templates.learning import TrainingClips

@@ -68,6 +68,7 @@ def timeline(
     The lanes of the classes that occur in the take. Whether two segments agree is the segment measure's own
     reading (thesis, 5.4): the same class, and at least one frame in common.
     """
+    judged = bool(manual) or score is not None  # a person may have found nothing in it
     occurring = {segment.label for segment in (*automatic, *manual)}
     lanes = []
     for label in (label for label in slots if label in occurring):
@@ -77,7 +78,7 @@ def timeline(
             Lane(
                 label=label,
                 slot=slots[label],
-                automatic=tuple(bar(s, take, "automatic", theirs if manual else None) for s in ours),
+                automatic=tuple(bar(s, take, "automatic", theirs if judged else None) for s in ours),
                 manual=tuple(bar(s, take, "manual", ours) for s in theirs),
                 description=f"{label}: {counted(len(ours), 'automatic segment')}, "
                 f"{counted(len(theirs), 'manual segment')}",

@@ -223,8 +223,8 @@ def _rank_batch(
     begin = time.perf_counter()
     words = store.words(take_ids)
     coded = encode(words.words)
-    queries = {query.name: query for one in templates for query in one.queries}
-    hits = preselect_stored(store, words, list(queries.values()))
+    queries = dict.fromkeys(query for one in templates for query in one.queries)
+    hits = preselect_stored(store, words, list(queries))
     by_name = {take_id: place for place, take_id in enumerate(sorted(take_ids, key=lambda each: names[each]))}
     order = np.array([by_name[take_id] for take_id in words.take_ids.tolist()], np.int64)
     ranges = {place: _ranges(store, one, words, hits) for place, one in enumerate(templates) if one.queries}
@@ -249,7 +249,7 @@ def _rank_batch(
     return Found(words.take_ids, len(words.words), every, reading, tuple(seconds))
 
 
-def _ranges(store: Store, one: Searched, words: TakeWords, hits: Mapping[str, TakeRanges]) -> I64:
+def _ranges(store: Store, one: Searched, words: TakeWords, hits: Mapping[KeyframeQuery, TakeRanges]) -> I64:
     """The frames of words laid end to end that the hits of a template's queries leave, int64 (R, 2)."""
     columns = one.template.values(len(store.feature_set.features))
     within = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)

@@ -18,7 +18,7 @@ from ops.distances.taking import KEYS
 from ops.measures.retrieval import average_precision
 from ops.templates.templates import QuantisedTemplate
 from ops.words import TakeWords
-from pipelines.evaluation.evaluating import GroundTruth, Manual, place_ground_truth
+from pipelines.evaluation.groundtruth import GroundTruth, Manual, place_ground_truth
 from pipelines.retrieval.ranking import Hit
 from storage.ground_truth import ground_truth_files, read_ground_truth
 from storage.schemas import result_schema
@@ -62,8 +62,8 @@ def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]
     """
     takes = store.takes(where)
     files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
-    segments = [segment for file in files for segment in read_ground_truth(file)]
-    return place_ground_truth(segments, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
+    labels = list(map(read_ground_truth, files))
+    return place_ground_truth(labels, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
 
 
 def names_filter(takes: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from catalog.queries import SAME_FRAME, Gap, KeyframeQuery
 from ops.measures.retrieval import precision_recall
 from ops.search.gaps import UNBOUNDED, nominal_gap
-from pipelines.evaluation.evaluating import Manual
+from pipelines.evaluation.groundtruth import Manual
 from pipelines.retrieval.ranking import Searched, rank_store
 from pipelines.retrieval.retrieval import Judged, judge_hits
 from storage.schemas import result_schema

@@ -156,7 +156,9 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> None:
         writer.commit()
 
 
-def preselect_stored(store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]) -> dict[str, TakeRanges]:
+def preselect_stored(
+    store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]
+) -> dict[KeyframeQuery, TakeRanges]:
     """Search takes of a store as `preselect` does: in the slices of its index, which all workers share, where it has
     one; else in the words.
 
@@ -169,11 +171,15 @@ def preselect_stored(store: Store, words: TakeWords, queries: Sequence[KeyframeQ
         return preselect(words, store.feature_set, queries)
     _refuse_filters(queries)
     found = shared.of(words.take_ids).search(queries)
-    return {query.name: ranges for query, ranges in zip(queries, found, strict=True)}
+    return dict(zip(queries, found, strict=True))
 
 
-def preselect(words: TakeWords, feature_set: FeatureSet, queries: Sequence[KeyframeQuery]) -> dict[str, TakeRanges]:
-    """Search words in memory: query name → its ranges in each take, from first to last keyframe, without margins.
+def preselect(
+    words: TakeWords, feature_set: FeatureSet, queries: Sequence[KeyframeQuery]
+) -> dict[KeyframeQuery, TakeRanges]:
+    """Search words in memory: query → its ranges in each take, from first to last keyframe, without margins.
+
+    Several queries may have the same name: one that was learned, and one that somebody wrote.
 
     Raises
     ------
@@ -183,7 +189,7 @@ def preselect(words: TakeWords, feature_set: FeatureSet, queries: Sequence[Keyfr
     if not queries:
         return {}
     resident = resident_words(words, feature_set)
-    return {query.name: resident.search(query) for query in queries}
+    return {query: resident.search(query) for query in queries}
 
 
 def _refuse_filters(queries: Sequence[KeyframeQuery]) -> None:

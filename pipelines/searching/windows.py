@@ -67,7 +67,7 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
 
 
 def template_ranges(
-    hits: Mapping[str, TakeRanges],
+    hits: Mapping[KeyframeQuery, TakeRanges],
     queries: Sequence[KeyframeQuery],
     template: npt.NDArray[np.float64],
     feature_set: FeatureSet,
@@ -88,5 +88,5 @@ def template_ranges(
     for query in queries:
         windows = [template_window(chain, template, feature_set) for chain in query.chains]
         left, right = max(window.left for window in windows), max(window.right for window in windows)
-        extended.append(extend(hits[query.name], left, right, frames))
+        extended.append(extend(hits[query], left, right, frames))
     return unite(extended)

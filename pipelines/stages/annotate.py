@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
 from catalog.queries import KeyframeQuery
-from catalog.queryfiles import read_queries
+from catalog.queryfiles import read_query_files
 from ops.distances.decoding import background
 from ops.errors import KinedexError, did_you_mean
 from pipelines.annotation.annotating import annotate_takes
@@ -61,18 +61,20 @@ class Params(BaseModel):
     )
     tau: Annotated[float, Field(gt=0, le=1)] | Literal["calibrated"] = Field(
         DEFAULT_TAU,
-        description="distances below tau make an annotation; 'calibrated': each class has the threshold that divides "
-        "its training clips from others best, matched with templates of the other actors' clips",
+        description="method thesis: distances below tau make an annotation; 'calibrated': each class has the threshold "
+        "that divides its training clips from others best, matched with templates of the other actors' clips",
     )
     tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
-        {}, description="class → its own tau, instead of the common or the calibrated one"
+        {}, description="method thesis: class → its own tau, instead of the common or the calibrated one"
     )
     min_seconds: float = Field(0, ge=0, allow_inf_nan=False, description="shorter segments are left out")
     classes: str = Field(
         OWN, description="'own': every subclass is a class; or a class file, by its shipped name or its path"
     )
     queries: list[str] | str | None = Field(
-        None, description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames"
+        None,
+        description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames; where "
+        "the pipeline learns queries too, the hits of either count",
     )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")
 
@@ -102,16 +104,17 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         takes = takes_to_annotate(store, params)
         templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         classes = classes_of(store, params, templates)
-        queries = [*queries_of(store, params), *learned_queries(context, store)]
+        queries, learned = queries_of(store, params), learned_queries(context, store)
         usual = usual_features(store, templates) if params.method == "best" else None
         annotator = make_annotator(
-            store.feature_set, templates, classes, params.delta, params.common_tau, queries, usual
+            store.feature_set, templates, classes, params.delta, params.common_tau, queries, usual, learned
         )
         calibration = calibrated(context, store, params, classes)
         annotator = refined(annotator, params, store.rate_hz, calibration.taus)
-        for remark in calibration.remarks:
+        remarks = [*annotator.remarks, *calibration.remarks, *without_effect(params)]
+        for remark in remarks:
             context.say(remark)
-        _say_what_is_left_out(context, classes, annotator, queries)
+        _say_what_is_left_out(context, classes, annotator, queries, learned)
         done = _annotate(context, writer, annotator, takes, params)
         writer.commit()
     share = _share_searched(done.searched, takes)
@@ -131,14 +134,30 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         "method": params.method,
         "delta": params.delta,
         "tau": params.tau,
-        "tau_by_class": {} if annotator.taus is None else _rounded(zip(annotator.classes, annotator.taus, strict=True)),
+        "tau_by_class": _rounded(_own_taus(annotator)),
         "calibration_f": _rounded(calibration.scores.items()),
-        "remarks": list(annotator.remarks),
+        "remarks": remarks,
     }
+
+
+def _own_taus(annotator: Annotator) -> Iterator[tuple[str, float]]:
+    """The thresholds of classes that have templates, where classes have thresholds of their own."""
+    labelled = set(annotator.class_index.tolist())
+    if annotator.taus is not None:
+        yield from ((annotator.classes[index], float(annotator.taus[index])) for index in sorted(labelled))
 
 
 def _rounded(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
     return {name: round(float(value), 6) for name, value in pairs}
+
+
+def without_effect(params: Params) -> list[str]:
+    """What is asked for, and does not matter to the method, in words."""
+    asked = ["`tau: calibrated`"] * (params.tau == CALIBRATED) + ["`tau_by_class`"] * bool(params.tau_by_class)
+    if params.method != "best" or not asked:
+        return []
+    have = "has" if len(asked) == 1 else "have"
+    return [f"{' and '.join(asked)} {have} no effect with `method: best`, in which τ does not matter"]
 
 
 def calibrated(
@@ -218,7 +237,8 @@ def _annotate(
 def refined(
     annotator: Annotator, params: Params, rate_hz: float, calibrated: Mapping[str, float] | None = None
 ) -> Annotator:
-    """An annotator with the thresholds of classes, and the least length of segments.
+    """An annotator with the thresholds of classes, which rows of templates have none of, and the least length of
+    segments.
 
     Parameters
     ----------
@@ -232,7 +252,7 @@ def refined(
     wrong = sorted(set(params.tau_by_class) - set(annotator.classes))
     if wrong:
         raise KinedexError(f"tau_by_class: no class is named '{wrong[0]}'{did_you_mean(wrong[0], annotator.classes)}")
-    given = {**(calibrated or {}), **params.tau_by_class}
+    given = {} if annotator.row is not None else {**(calibrated or {}), **params.tau_by_class}
     taus = np.array([given.get(name, annotator.tau) for name in annotator.classes]) if given else None
     return replace(annotator, taus=taus, min_frames=least)
 
@@ -277,30 +297,30 @@ def learned_queries(context: StageContext, store: Store) -> list[KeyframeQuery]:
 
 def queries_of(store: Store, params: Params) -> list[KeyframeQuery]:
     """All queries of the query files."""
-    queries: dict[str, KeyframeQuery] = {}
-    for name in params.query_files:
-        for query in read_queries(name, store.feature_set, store.rate_hz):
-            if query.name in queries:
-                raise KinedexError(f"two keyframe queries are named '{query.name}' (the second one in {name})")
-            queries[query.name] = query
-    return list(queries.values())
+    return read_query_files(params.query_files, store.feature_set, store.rate_hz)
 
 
 def _say_what_is_left_out(
-    context: StageContext, classes: Classes, annotator: Annotator, queries: Sequence[KeyframeQuery]
+    context: StageContext,
+    classes: Classes,
+    annotator: Annotator,
+    queries: Sequence[KeyframeQuery],
+    learned: Sequence[KeyframeQuery],
 ) -> None:
-    for remark in annotator.remarks:
-        context.say(remark)
     if classes.without_class:
         context.say(f"in no class and not annotated: {few(classes.without_class)}")
     empty = [one.name for one in classes.classes if not set(one.subclasses) & set(annotator.subclasses)]
     if empty:
         context.say(f"classes without a template, which nothing can be labelled with: {few(empty)}")
-    unknown = targets_unknown(queries, classes)
+    unknown = sorted({*targets_unknown(queries, classes), *targets_unknown(learned, classes)})
     if unknown:
         context.say(f"keyframe queries for other classes, left out: {few(unknown)}")
-    without = [name for name, own in zip(annotator.subclasses, annotator.queries, strict=True) if not own]
-    if queries and without:
+    used = dict(zip(annotator.subclasses, map(set, annotator.queries), strict=True))
+    both = [name for name, own in used.items() if own & set(queries) and own & set(learned)]
+    if both:
+        context.say(f"preselected for by queries of files and learned ones, within the hits of either: {few(both)}")
+    without = [name for name, own in used.items() if not own]
+    if (queries or learned) and without:
         context.say(f"without a keyframe query, matched in all frames: {few(without)}")
 
 

@@ -22,8 +22,9 @@ from pipelines.annotation.annotators import make_annotator, targets_unknown
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
-from pipelines.evaluation.evaluating import Evaluation, GroundTruth, Row, measures, metrics_rows
+from pipelines.evaluation.evaluating import Evaluation, Row, measures, metrics_rows
 from pipelines.evaluation.exams import Fold, Material, make_folds
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
@@ -96,7 +97,7 @@ def _setting(method: Method) -> dict[str, object]:
     """What a method follows from."""
     fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
     if method.method == "best":
-        del fields["tau"]
+        del fields["tau"], fields["tau_by_class"]
     return fields | {"learned": method.learned_queries}
 
 
@@ -209,6 +210,7 @@ def _remarks(params: Params, known: Known) -> list[str]:
         unknown = targets_unknown(_queries(known.store, method), known.classes)
         if unknown:
             remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
+        remarks += [f"{method.name}: {remark}" for remark in annotate.without_effect(_params(method))]
     return remarks
 
 

@@ -16,16 +16,18 @@ from pipelines.context import StageContext
 from pipelines.digests import files_digest
 from pipelines.evaluation.evaluating import (
     SCOPES,
-    GroundTruth,
-    UnknownLabels,
     evaluate,
-    ground_truth_of_classes,
-    ground_truth_rows,
     measures,
     metrics_rows,
     metrics_table,
-    place_ground_truth,
     write_metrics,
+)
+from pipelines.evaluation.groundtruth import (
+    GroundTruth,
+    UnknownLabels,
+    ground_truth_of_classes,
+    ground_truth_rows,
+    place_ground_truth,
 )
 from pipelines.stages import annotate
 from pipelines.templates.learning import read_templates, run_of
@@ -134,8 +136,9 @@ def ground_truth(store: Store, params: Params, takes: pl.DataFrame, classes: Cla
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
     files = truth_files(params, sorted(takes["source_root"].unique()))
-    segments = [segment for file in files for segment in read_ground_truth(file)]
-    return place_ground_truth(segments, takes, store.takes()["name"], classes, params.unknown_labels)
+    return place_ground_truth(
+        list(map(read_ground_truth, files)), takes, store.takes()["name"], classes, params.unknown_labels
+    )
 
 
 def truth_files(params: Params, roots: Sequence[str]) -> list[Path]:

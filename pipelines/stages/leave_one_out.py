@@ -20,7 +20,6 @@ from pipelines.context import StageContext
 from pipelines.evaluation.evaluating import (
     SCOPES,
     Evaluation,
-    GroundTruth,
     evaluate,
     measures,
     metrics_rows,
@@ -28,6 +27,7 @@ from pipelines.evaluation.evaluating import (
     pool_folds,
     write_metrics,
 )
+from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.stages import annotate
 from pipelines.stages import evaluate as evaluating
 from pipelines.stages import learn_templates as learning

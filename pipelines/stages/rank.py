@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 
 from catalog.configs import config_path
-from catalog.queryfiles import read_queries
+from catalog.queryfiles import read_query_files
 from ops.templates.templates import Kind
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
@@ -46,7 +46,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     """Rank, store the hits, and print a row for each class (thesis, Table 3.2)."""
     store = context.open()
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-    queries = [query for name in params.queries for query in read_queries(name, store.feature_set, store.rate_hz)]
+    queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
     searched, vague = searched_templates(learned, params.delta, queries)
     if vague:
         context.say(f"templates of wildcards alone, which would fit anything, left out: {few(vague)}")

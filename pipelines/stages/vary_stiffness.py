@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 
 from catalog.configs import config_path
-from catalog.queryfiles import read_queries
+from catalog.queryfiles import read_query_files
 from ops.errors import KinedexError
 from ops.templates.templates import Kind
 from pipelines.context import StageContext
@@ -55,7 +55,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     """Rank with every variant of the queries, print a row for each, store precision and recall along the rankings."""
     store = context.open()
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-    queries = [query for name in params.queries for query in read_queries(name, store.feature_set, store.rate_hz)]
+    queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
     searched, _ = searched_templates(learned, params.delta, queries)
     truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
     takes = f"({params.where}) AND {names_filter(truth.takes)}"

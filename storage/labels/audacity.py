@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ops.errors import SourceError
-from storage.labels.segments import ManualSegment, TakeLabels
+from storage.labels.segments import LabelFile, ManualSegment, TakeLabels
 from storage.labels.texts import lines_of, parse_seconds, read_text, shown
 
 
@@ -15,7 +15,7 @@ def write(labels: TakeLabels) -> str:
     return "".join(rows)
 
 
-def read(path: str | Path) -> list[ManualSegment]:
+def read(path: str | Path) -> LabelFile:
     """Read a label track of the take that the file is named after.
 
     Lines that begin with a backslash give frequencies to the label above them, and are left alone.
@@ -42,4 +42,4 @@ def read(path: str | Path) -> list[ManualSegment]:
         if start >= stop:
             raise SourceError(path, f"start {start:g} s must be before stop {stop:g} s", line=line)
         found.append(ManualSegment(take, label, start, stop, str(path), line, in_seconds=True))
-    return found
+    return LabelFile.of_take(path, take, found)

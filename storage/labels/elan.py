@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ops.errors import SourceError
-from storage.labels.segments import Label, ManualSegment, TakeLabels
+from storage.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
 from storage.labels.texts import LONGEST_SECONDS, read_bytes, shown
 
 _TAKE = "kinedex take"
@@ -158,10 +158,11 @@ class _Document:
             raise self.error(f"TIME_VALUE must be milliseconds, a whole number from 0, got '{shown(text)}'")
         return int(text)
 
-    def segments(self) -> list[ManualSegment]:
+    def labels(self) -> LabelFile:
         """The annotations as segments, by time."""
         take = self.take or Path(self.path).stem
-        return sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
+        found = sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
+        return LabelFile.of_take(self.path, take, found)
 
     def _segment(self, take: str, one: _Annotation) -> ManualSegment:
         times = []
@@ -187,7 +188,7 @@ class _Document:
         )
 
 
-def read(path: str | Path) -> list[ManualSegment]:
+def read(path: str | Path) -> LabelFile:
     """Read the annotations of an EAF file.
 
     An annotation's class is its value; where that is empty, the name of its tier: files that have a tier for each class
@@ -214,7 +215,7 @@ def read(path: str | Path) -> list[ManualSegment]:
         raise SourceError(path, f"is not XML: {expat.ErrorString(fault.code)}", line=fault.lineno) from None
     except (ValueError, LookupError) as fault:
         raise SourceError(path, f"is in an encoding that is not read: {fault}") from None
-    return document.segments()
+    return document.labels()
 
 
 def _escaped(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ops.errors import KinedexError, SourceError
@@ -78,6 +79,23 @@ class ManualSegment:
     def error(self, message: str) -> SourceError:
         """An error that names the segment's file and line."""
         return SourceError(self.path, f"{self.place}: {message}" if self.place else message, line=self.line)
+
+
+@dataclass(frozen=True)
+class LabelFile:
+    """What a label file says: the takes that somebody looked at, and the stretches of them that were labelled.
+
+    takes: names, each once, in the file's order; a take without any segment is one in which nothing was found.
+    """
+
+    path: str
+    takes: tuple[str, ...]
+    segments: tuple[ManualSegment, ...]
+
+    @classmethod
+    def of_take(cls, path: object, take: str, segments: Sequence[ManualSegment]) -> LabelFile:
+        """A file of a single take."""
+        return cls(str(path), tuple(dict.fromkeys(one.take for one in segments)) or (take,), tuple(segments))
 
 
 def check_writable(labels: TakeLabels) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ops.errors import SourceError, did_you_mean
-from storage.labels.segments import ManualSegment, TakeLabels
+from storage.labels.segments import LabelFile, ManualSegment, TakeLabels
 from storage.labels.texts import LONGEST_SECONDS, parse_seconds, read_text, shown
 
 NAMES = ("take", "class")
@@ -24,12 +24,15 @@ _MOST_DIGITS = 15
 
 
 def write_csv(takes: Sequence[TakeLabels]) -> str:
-    """A CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth."""
+    """A CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
+
+    A take without labels has a row of its name alone.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, _WRITTEN, lineterminator="\n")
     writer.writeheader()
     for labels in takes:
-        writer.writerows({"take": labels.take, **row} for row in _rows(labels))
+        writer.writerows({"take": labels.take, **row} for row in [*_rows(labels)] or [{}])
     return text.getvalue()
 
 
@@ -64,11 +67,12 @@ def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
 # ---- CSV -------------------------------------------------------------------------------------------------
 
 
-def read_csv(path: str | Path) -> list[ManualSegment]:
+def read_csv(path: str | Path) -> LabelFile:
     """Read a CSV file with a header and the columns take, class, start, stop; further columns are left alone.
 
     start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
-    start_seconds and stop_seconds instead. UTF-8, with or without a byte order mark.
+    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, says that somebody
+    looked at the take. UTF-8, with or without a byte order mark.
 
     Raises
     ------
@@ -76,12 +80,15 @@ def read_csv(path: str | Path) -> list[ManualSegment]:
         that does not end after it starts.
     """
     try:
-        return list(_csv_rows(str(path), csv.DictReader(io.StringIO(read_text(path), newline=""))))
+        rows = list(_csv_rows(str(path), csv.DictReader(io.StringIO(read_text(path), newline=""))))
     except csv.Error as fault:
         raise SourceError(path, f"is not a CSV file: {fault}") from None
+    segments = tuple(segment for _, segment in rows if segment is not None)
+    return LabelFile(str(path), tuple(dict.fromkeys(take for take, _ in rows)), segments)
 
 
-def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[ManualSegment]:
+def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, ManualSegment | None]]:
+    """The take of each row, and its segment where it has one."""
     header = [(name or "").strip() for name in reader.fieldnames or ()]
     if not header:
         raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
@@ -96,6 +103,10 @@ def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[ManualSegment]
         texts = {name: (row[name] or "").strip() for name in columns}
         if not any(texts.values()):
             continue
+        take = texts["take"]
+        if take and not any(text for name, text in texts.items() if name != "take"):
+            yield take, None
+            continue
         for name in NAMES:
             if not texts[name]:
                 raise SourceError(path, f"{name} is empty", line=line)
@@ -104,7 +115,7 @@ def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[ManualSegment]
         if start >= stop:
             unit = "half-open source frames" if edges is FRAMES else "seconds"
             raise SourceError(path, f"start {start} must be before stop {stop} ({unit})", line=line)
-        yield ManualSegment(texts["take"], texts["class"], start, stop, path, line, edges is SECONDS)
+        yield take, ManualSegment(take, texts["class"], start, stop, path, line, edges is SECONDS)
 
 
 def _frame(path: str, line: int, name: str, text: str) -> int:
@@ -124,7 +135,7 @@ def _second(path: str, line: int, name: str, text: str) -> float:
 # ---- JSON ------------------------------------------------------------------------------------------------
 
 
-def read_json(path: str | Path) -> list[ManualSegment]:
+def read_json(path: str | Path) -> LabelFile:
     """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}, further keys left alone.
 
     start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds.
@@ -141,13 +152,14 @@ def read_json(path: str | Path) -> list[ManualSegment]:
         raise SourceError(path, "is nested too deeply") from None
     except ValueError as fault:
         raise SourceError(path, f"is not JSON: {fault}") from None
-    found = []
+    names, found = [], []
     for number, take in enumerate(_list(path, content, "takes", "the file")):
         place = f"takes[{number}]"
         name = _name(path, take, "take", place)
+        names.append(name)
         for count, one in enumerate(_list(path, take, "segments", place)):
             found.append(_segment(path, name, one, f"{place}.segments[{count}]"))
-    return found
+    return LabelFile(str(path), tuple(dict.fromkeys(names)), tuple(found))
 
 
 def _no_number(text: str) -> float:

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from ops.errors import SourceError
-from storage.labels.segments import ManualSegment, TakeLabels
+from storage.labels.segments import LabelFile, ManualSegment, TakeLabels
 from storage.labels.texts import LONGEST_SECONDS, lines_of, read_text, shown
 
 _TIME = r"(?:([0-9]{2,6}):)?([0-5][0-9]):([0-5][0-9])\.([0-9]{3})"
@@ -27,7 +27,7 @@ def write(labels: TakeLabels) -> str:
     return "\n".join(blocks)
 
 
-def read(path: str | Path) -> list[ManualSegment]:
+def read(path: str | Path) -> LabelFile:
     """Read the cues of a WebVTT file: their text, without tags, is the class; each line of a cue is a label.
 
     The take is the one of kinedex's own note, or else the one that the file is named after. Other notes, styles and
@@ -53,7 +53,7 @@ def read(path: str | Path) -> list[ManualSegment]:
         elif at > 0 and not re.fullmatch(r"(?:STYLE|REGION)[ \t]*", block[0]):
             found += _cue(path, take, block, at + 1)
         at = end
-    return found
+    return LabelFile.of_take(path, take, found)
 
 
 def _cue(path: str | Path, take: str, block: list[str], line: int) -> list[ManualSegment]:

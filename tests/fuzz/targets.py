@@ -205,7 +205,10 @@ def check_csv(path: Path) -> None:
 
 def check_ground_truth(path: Path) -> None:
     """Segments are ranges of frames with names."""
-    for segment in read_ground_truth(path):
+    found = read_ground_truth(path)
+    if not {segment.take for segment in found.segments} <= set(found.takes) or not all(found.takes):
+        raise Broken(f"{found.takes}")
+    for segment in found.segments:
         start, stop = segment.source_frames(FASTEST_HZ)
         whole = segment.in_seconds or (start, stop) == (segment.start, segment.stop)
         if not 0 <= segment.start < segment.stop < 10**15 or not start <= stop or not whole:

@@ -25,7 +25,7 @@ from pipelines.keyframes.margins import hit_ranges
 from pipelines.keyframes.runs import known_runs, outcomes_of
 from pipelines.searching.search import preselect
 from pipelines.searching.windows import template_window
-from pipelines.stages import learn_keyframes
+from pipelines.stages import annotate, learn_keyframes, learn_templates
 from pipelines.stages.learn_keyframes import Params
 from storage.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
@@ -34,7 +34,11 @@ QUICK = {"generations": 15, "population": 20, "runs": 6, "group": 2}
 
 
 class Learning(Line):
-    INPUTS: ClassVar[dict[str, dict[str, str]]] = {**Line.INPUTS, "learn_keyframes": {}}
+    INPUTS: ClassVar[dict[str, dict[str, str]]] = {
+        **Line.INPUTS,
+        "learn_keyframes": {},
+        "annotate": {"templates": "learn_templates", "keyframes": "learn_keyframes"},
+    }
 
     def outcomes(self) -> list:
         return outcomes_of(open_store(self.store).result("queries"))
@@ -64,7 +68,7 @@ def test_every_class_gets_queries_that_find_its_clips_and_no_others(store: Path)
         queries = keyframe_queries(outcome, BODY)
         assert 1 <= len(queries) <= 2
         for query in queries:
-            found = preselect(words, BODY, [query])[query.name]
+            found = preselect(words, BODY, [query])[query]
             hit = (np.diff(found.offsets) > 0).tolist()
             assert hit == [name == outcome.subclass for name in clips["class"]]
 
@@ -309,6 +313,27 @@ def test_queries_of_several_pipelines_are_kept_apart(store: Path) -> None:
     unknown = runner.invoke(app, ["keyframes", "show", str(store), "--pipeline", "keyframe"])
     assert unknown.exit_code == 1
     assert "test, other" in unknown.stderr
+
+
+def test_own_queries_preselect_besides_learned_ones_of_the_same_name(store: Path, tmp_path: Path) -> None:
+    line = Learning(store)
+    line.run(learn_templates, methods=["soft"])
+    line.run(learn_keyframes, **QUICK)
+
+    def searched(**params: object) -> dict[str, float]:
+        line.run(annotate, **params)
+        curves = open_store(store).result("distance_curves")
+        return dict(zip(curves.column("subclass").to_pylist(), curves.column("preselected").to_pylist(), strict=True))
+
+    learned = searched()
+    assert max(learned.values()) < 1
+    assert "queries of files and learned ones" not in line.said.getvalue()
+    own = tmp_path / "own.yaml"
+    own.write_text('kick: {keyframes: [{set: upper, pattern: "**************"}]}\n')  # any pose
+    assert searched(queries=str(own)) == {**learned, "kick": 1.0}
+    assert "preselected for by queries of files and learned ones, within the hits of either: kick" in (
+        line.said.getvalue()
+    )
 
 
 def test_no_query_is_named_as_another_class(store: Path) -> None:

@@ -221,6 +221,16 @@ def test_the_same_method_twice_is_compared_once(line: Comparing) -> None:
     assert found["remarks"] == ["the same as a method before it, left out: again"]
 
 
+def test_thresholds_make_no_other_method_of_one_without(line: Comparing) -> None:
+    methods = [{**BEST, "name": "own τ", "tau_by_class": {"walk": 0.1}}, {**BEST, "tau": "calibrated"}]
+    found = line.compare(methods, [{"name": "eve"}])
+    assert list(found["splits"][0]["methods"]) == ["own τ"]
+    assert found["remarks"] == [
+        "the same as a method before it, left out: best",
+        "own τ: `tau_by_class` has no effect with `method: best`, in which τ does not matter",
+    ]
+
+
 def test_labels_without_a_template_are_told(line: Comparing, tmp_path: Path) -> None:
     with open(tmp_path / "ground_truth.csv", "a", encoding="utf-8") as file:
         file.write("eve_1,dance,20,40\n")

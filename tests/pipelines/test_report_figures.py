@@ -13,6 +13,7 @@ from pipelines.report.choice import choose_takes, median_take, worst_middle_best
 from pipelines.report.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
 from pipelines.report.data import (
     Curve,
+    Score,
     Segment,
     TakeRow,
 )
@@ -47,6 +48,9 @@ def test_segments_that_only_touch_do_not_confirm_each_other() -> None:
 def test_without_ground_truth_no_segment_is_wrong() -> None:
     drawn = timeline(TakeRow("t", 30, 30.0), [Segment("t", "a", 0, 10)], [], {"a": 0})
     assert drawn.lanes[0].automatic[0].agrees is None
+    empty = Score("annotate", "take", "t", f1=0.0)  # somebody found nothing in it, so all that is found is wrong
+    drawn = timeline(TakeRow("t", 30, 30.0), [Segment("t", "a", 0, 10)], [], {"a": 0}, empty)
+    assert drawn.lanes[0].automatic[0].agrees is False
 
 
 def test_few_takes_are_all_shown_the_worst_first() -> None:

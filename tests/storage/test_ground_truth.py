@@ -18,8 +18,15 @@ def written(folder: Path, text: str | bytes) -> Path:
 
 def test_segments_are_read_with_their_lines_whatever_wrote_the_file(tmp_path: Path):
     path = written(tmp_path, "\ufefftake, class ,start,stop,remark\r\nt1,walk,0,12,\r\n\r\nt2, kick ,5,6,clear\r\n")
-    segments = [(s.take, s.label, s.start, s.stop, s.line) for s in read_ground_truth(path)]
+    segments = [(s.take, s.label, s.start, s.stop, s.line) for s in read_ground_truth(path).segments]
     assert segments == [("t1", "walk", 0, 12, 2), ("t2", "kick", 5, 6, 4)]
+
+
+def test_a_row_of_a_take_alone_says_that_nothing_is_in_it(tmp_path: Path):
+    path = written(tmp_path, "take,class,start,stop,remark\nt1,walk,0,12,\nt2,,,,looked at\nt1,,,,\n")
+    found = read_ground_truth(path)
+    assert found.takes == ("t1", "t2")
+    assert [segment.take for segment in found.segments] == ["t1"]
 
 
 @pytest.mark.parametrize(
@@ -33,6 +40,8 @@ def test_segments_are_read_with_their_lines_whatever_wrote_the_file(tmp_path: Pa
         (f"take,class,start,stop\nt,walk,0,{'9' * 5000}\n", r"csv:2: stop must be.*got '9{40}… \(5000 characters\)'"),
         ("take,class,start,stop\nt,walk,12,12\n", r"csv:2: start 12 must be before stop 12"),
         ("take,class,start,stop\nt,,0,12\n", r"csv:2: class is empty"),
+        ("take,class,start,stop\nt,walk,,\n", r"csv:2: start must be.*got ''"),
+        ("take,class,start,stop\n,walk,0,12\n", r"csv:2: take is empty"),
         (b"take,class,start,stop\nt,\xff,0,12\n", r"csv: is not UTF-8 text"),
     ],
 )

@@ -44,8 +44,9 @@ def test_what_is_written_is_read_back_to_the_frame(tmp_path_factory, labels: Tak
     write_labels([labels], form, path)
     found = read_labels(path)
     expected = [(one.label, one.start, one.stop) for one in labels.labels]
-    assert by_time([(one.label, *one.source_frames(labels.rate_hz)) for one in found]) == by_time(expected)
-    assert {one.take for one in found} <= {labels.take if form != "txt" else "some"}
+    assert by_time([(one.label, *one.source_frames(labels.rate_hz)) for one in found.segments]) == by_time(expected)
+    assert found.takes == (labels.take if form != "txt" else "some",)  # one without labels, too
+    assert {one.take for one in found.segments} <= set(found.takes)
 
 
 TWO = TakeLabels(
@@ -110,7 +111,68 @@ def test_nothing_is_overwritten_unless_asked_for_and_nothing_half_written(tmp_pa
 def read(folder: Path, ending: str, text: str) -> list[ManualSegment]:
     path = folder / f"mine.{ending}"
     path.write_text(text, encoding="utf-8", newline="")
-    return read_labels(path)
+    return list(read_labels(path).segments)
+
+
+def test_what_is_a_folder_and_which_format_is_meant(tmp_path: Path):
+    takes = [TakeLabels(name, 30.0, 9, ()) for name in ("one", "two")]
+    year = tmp_path / "lab.2024"
+    with pytest.raises(
+        KinedexError, match=r"2024: its ending, '\.2024', is no format of labels.*folder.*--format.*a / at"
+    ):
+        write_labels(takes, None, year)
+    with pytest.raises(KinedexError, match=r"labels\.cvs: .* '\.cvs', is no .*; did you mean 'csv'"):
+        write_labels(takes, None, tmp_path / "labels.cvs")
+    assert list(tmp_path.iterdir()) == []
+    assert write_labels(takes, None, f"{year}/") == [year / "one.csv", year / "two.csv"]
+    assert write_labels(takes, None, year, force=True) == [year / "one.csv", year / "two.csv"]  # it is a folder now
+    assert write_labels(takes, "VTT", year) == [year / "one.vtt", year / "two.vtt"]
+    assert write_labels(takes, None, f"{tmp_path}/in.csv/") == [
+        tmp_path / "in.csv" / f"{n}.csv" for n in ("one", "two")
+    ]
+    assert write_labels(takes, None, tmp_path / "plain") == [tmp_path / "plain" / f"{n}.csv" for n in ("one", "two")]
+    assert write_labels(takes, None, tmp_path / "all.JSON") == [tmp_path / "all.JSON"]
+
+
+def test_where_nothing_can_be_written_the_target_is_named(tmp_path: Path):
+    (tmp_path / "p.yaml").touch()
+    for output, form in (
+        (tmp_path / "p.yaml" / "x.csv", None),
+        (tmp_path / "p.yaml", "csv"),
+        (f"{tmp_path}/p.yaml/", None),
+    ):
+        with pytest.raises(KinedexError, match=r"p\.yaml: is no folder, so .* cannot be written into it"):
+            write_labels([TWO], form, output)
+    assert (tmp_path / "p.yaml").read_text() == ""
+    long = TakeLabels("x" * 300, 30.0, 9, ())
+    with pytest.raises(KinedexError, match=r"x\.csv: cannot be written: File name too long"):
+        write_labels([long], "csv", tmp_path / "new")
+    (tmp_path / "taken.csv" / "a take.csv").mkdir(parents=True)
+    with pytest.raises(KinedexError, match=r"a take\.csv: cannot be written: Is a directory"):
+        write_labels([TWO], "csv", tmp_path / "taken.csv", force=True)
+    assert not list(tmp_path.rglob(".tmp-*"))
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody may write into")
+def test_a_folder_that_nobody_may_write_into_is_not_blamed_on_a_temporary_file():
+    with pytest.raises(KinedexError, match=r"^/proc/labels\.csv: cannot be written: "):
+        write_labels([TWO], None, "/proc/labels.csv")
+
+
+def test_takes_without_a_label_are_takes_of_their_file(tmp_path: Path):
+    takes = [TWO, TakeLabels("found empty", 30.0, 9, ())]
+    for form in ("csv", "json"):
+        (path,) = write_labels(takes, form, tmp_path / f"all.{form}")
+        found = read_labels(path)
+        assert found.takes == ("a take", "found empty")
+        assert {one.take for one in found.segments} == {"a take"}
+    assert (tmp_path / "all.csv").read_text().splitlines()[-1] == "found empty,,,,,,,,"
+    (tmp_path / "mine.txt").touch()
+    (tmp_path / "theirs.vtt").write_text("WEBVTT\n")
+    assert read_labels(tmp_path / "mine.txt").takes == ("mine",)
+    assert read_labels(tmp_path / "theirs.vtt").takes == ("theirs",)
+    (tmp_path / "none.json").write_text('{"takes": []}')
+    assert read_labels(tmp_path / "none.json").takes == ()
 
 
 def eaf(tiers: str, slots: str = "", head: str = "") -> str:

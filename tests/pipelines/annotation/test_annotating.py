@@ -138,6 +138,29 @@ def test_a_query_for_a_class_serves_the_subclasses_that_have_none_of_their_own()
     assert made.class_index.tolist() == [0, 0, 1]
 
 
+def test_learned_queries_preselect_besides_those_of_files_for_a_subclass_or_its_class():
+    classes = Classes((MotionClass("legs", "", ("kick", "walk")), MotionClass("arms", "", ("wave",))))
+    for_legs = KeyframeQuery("legs", "legs", (Keyframe("upper", 1, 1),), ())
+    written, for_wave = replace(KICK, name="kick"), KeyframeQuery("wave", "wave", for_legs.keyframes, ())
+    learned = replace(KICK, name="kick", margins=(3, 3))
+    templates = [template("kick"), template("walk"), template("wave")]
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (for_legs,), learned=(learned, for_wave))
+    assert made.queries == ((for_legs, learned), (for_legs,), (for_wave,))
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, (written, for_legs), learned=(learned,))
+    assert made.queries == ((written, learned), (for_legs,), ())
+
+
+def test_two_queries_of_one_name_both_preselect():
+    nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
+    words = laid_out([np.concatenate([motion(name) for name in ("walk", "rest", "kick", "walk")])])
+    (expected,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, keep_curves=True)
+    assert 0 < expected.preselected[0] < 1
+    for queries in ((KICK, nowhere), (nowhere, KICK)):
+        (found,) = annotate_words(annotator("kick", "walk", queries=queries), words, keep_curves=True)
+        assert found.segments == expected.segments
+        assert found.preselected.tolist() == expected.preselected.tolist()
+
+
 def test_queries_that_fit_no_class_are_named_and_all_of_them_an_error():
     classes = load_classes("own", ["kick", "walk"])
     other = KeyframeQuery("x", "kik", KICK.keyframes, KICK.gaps)
@@ -189,6 +212,22 @@ def test_frames_within_ranges_are_counted_take_by_take(lengths: list[int], steps
     inside = [sum(start <= frame < stop for start, stop in edges) for frame in range(offsets[-1])]
     expected = [sum(inside[start:stop]) for start, stop in pairwise(offsets)]
     assert annotating._frames_within(edges, offsets).tolist() == expected
+
+
+@settings(max_examples=30)
+@given(words_of_takes, st.sampled_from(["nowhere", "somewhere", "two"]))
+def test_takes_do_not_influence_each_other_where_they_are_explained_within_keyframe_hits(
+    takes: list[np.ndarray], where: str
+):
+    start = replace(KICK, name="its start", keyframes=KICK.keyframes[:1], gaps=())
+    nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
+    queries = {"nowhere": (nowhere,), "somewhere": (KICK,), "two": (start, replace(start, target="walk"))}[where]
+    templates = [template("kick", 3), template("walk", 3)]
+    usual = background([motion("walk"), motion("rest")], 40)
+    one = make_annotator(BODY, templates, load_classes("own", ["kick", "walk"]), 0.05, 0.13, queries, usual)
+    for found, take in zip(annotate_words(one, laid_out(takes)), takes, strict=True):
+        (alone,) = annotate_words(one, laid_out([take]))
+        assert found.segments == alone.segments
 
 
 @settings(max_examples=40)

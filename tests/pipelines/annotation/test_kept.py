@@ -180,6 +180,13 @@ def test_what_has_changed_is_annotated_again(tmp_path: Path):
     assert line.run(annotate)["kept_takes"] == 0
 
 
+def test_thresholds_do_not_matter_to_rows_of_templates(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD, method="best")
+    for params in ({"tau": 0.1}, {"tau_by_class": {"walk": 0.05}}, {"tau": "calibrated"}):
+        assert line.run(annotate, method="best", **params)["kept_takes"] == 2
+    assert line.run(annotate, method="best", min_seconds=0.2)["kept_takes"] == 0
+
+
 def test_takes_that_are_asked_for_no_longer_go(tmp_path: Path):
     line = annotated(tmp_path / "store", *OLD, *NEW)
     assert line.run(annotate, where="name < 'cat_2' AND class IS NULL")["kept_takes"] == 2

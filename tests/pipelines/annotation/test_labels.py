@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from ops.errors import KinedexError
 from pipelines.annotation.labels import annotate_stage, labels_of, source_frame
 from pipelines.cli import app
-from pipelines.evaluation.evaluating import analysis_frame
+from pipelines.evaluation.groundtruth import analysis_frame
 from pipelines.stages import annotate, evaluate, learn_templates
 from storage.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, write_store
@@ -56,6 +56,43 @@ def test_exported_annotations_are_ground_truth_that_they_equal(line: Line, tmp_p
         app, ["labels", "read", str(tmp_path / "archive" / "sub" / f"cat_1.{form}"), "--format", "csv"]
     )
     assert shown.stdout.splitlines()[0] == "take,class,start,stop,unit,where"
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "eaf", "vtt", "txt"])
+def test_a_take_that_was_exported_without_a_segment_is_evaluated(line: Line, tmp_path: Path, form: str):
+    line.run(annotate, min_seconds=99)
+    target = tmp_path / "archive" / (f"both.{form}" if form in ("csv", "json") else "each")
+    exported = CliRunner().invoke(app, ["labels", "export", str(line.store), "--format", form, "-o", str(target)])
+    assert exported.exit_code == 0, exported.stderr
+    shown = CliRunner().invoke(app, ["labels", "read", str(min((tmp_path / "archive").rglob(f"*.{form}")))])
+    assert "cat_1" in shown.stdout
+    line.run(annotate)
+    summary = line.run(evaluate, ground_truth=f"**/*.{form}")
+    assert (summary["evaluated_takes"], summary["p1"], summary["r1"]) == (2, 0, None)
+    assert "in which nothing is to be found: cat_1, cat_2" in line.said.getvalue()
+
+
+def test_the_same_labels_in_two_files_count_once(line: Line, tmp_path: Path):
+    for form in ("csv", "json"):
+        given = ["labels", "export", str(line.store), "-o", str(tmp_path / "archive" / f"gt.{form}")]
+        assert CliRunner().invoke(app, given).exit_code == 0
+    segments = open_store(line.store).result("annotations").num_rows
+    summary = line.run(evaluate, ground_truth="gt.[cj]*")
+    assert (summary["segments"], summary["f1"]) == (segments, 1)
+    archive = tmp_path / "archive"
+    said = line.said.getvalue()
+    assert f"counted once: {segments} in {archive / 'gt.json'} that {archive / 'gt.csv'} has as well" in said
+    assert "differently" not in said
+
+
+def test_a_folder_with_a_dot_in_its_name_needs_a_format_or_a_slash(line: Line, tmp_path: Path):
+    given = ["labels", "export", str(line.store), "-o", str(tmp_path / "lab.2024")]
+    refused = CliRunner().invoke(app, given)
+    assert refused.exit_code == 1
+    assert "its ending, '.2024', is no format of labels" in refused.stderr
+    for right in ([*given, "--format", "VTT"], [*given[:-1], f"{given[-1]}/"]):
+        assert CliRunner().invoke(app, right).exit_code == 0
+    assert len(list((tmp_path / "lab.2024").iterdir())) == 4
 
 
 def test_stages_and_takes_are_chosen_by_name(line: Line):

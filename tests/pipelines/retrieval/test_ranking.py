@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from catalog.queries import Keyframe, KeyframeQuery
+from catalog.queryfiles import read_query_files
 from ops.distances.ranking import rank
 from ops.errors import KinedexError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import TakeWords
 from pipelines.cli import app
-from pipelines.evaluation.evaluating import Manual
+from pipelines.evaluation.groundtruth import Manual
 from pipelines.retrieval import ranking
 from pipelines.retrieval.ranking import Hit, Searched, rank_store, ranking_table
 from pipelines.retrieval.retrieval import Judged, judge_clips, judge_hits, mean_average_precision, recall_at_tau
@@ -282,3 +285,20 @@ def test_all_rows_of_the_stiffness_table_are_about_the_same_classes():
     trials = [trial(EVERYWHERE, "kick", (True,)), trial(EVERYWHERE, "walk", (False, False)), trial(WRITTEN, "kick", ())]
     assert list(vary_stiffness._shown(trials).columns[1].cells) == ["1", "1"]
     assert list(vary_stiffness._shown(trials[:2]).columns[1].cells) == ["2"]
+
+
+def test_two_queries_of_one_name_both_say_where_to_look(store: Store, tmp_path: Path):
+    """Of two files, a query each: the hits of either count."""
+    word_set, count = next((name, one.count) for name, one in store.feature_set.sets.items())
+    anywhere = KeyframeQuery("c", "c", (Keyframe(word_set, 0, 0),), ())
+    first = int(store.words([store.take_id("x_c")]).words[10]) & 1
+    some = replace(anywhere, keyframes=(Keyframe(word_set, 1, first),))
+    template = example(store, "x_c", 10, 40)
+    for queries in ((anywhere, some), (some, anywhere)):
+        (found,) = rank_store(store, [Searched("c", template, queries)], 0.4, workers=1)
+        assert found.kept == 1
+    files = [tmp_path / "one.yaml", tmp_path / "two.yaml"]
+    for file in files:
+        file.write_text(f'c: {{keyframes: [{{set: {word_set}, pattern: "{"*" * count}"}}]}}\n')
+    with pytest.raises(KinedexError, match=r"two .* named 'c' \(the second one in .*two.yaml\); give one.*`class: c`"):
+        read_query_files(files, store.feature_set)

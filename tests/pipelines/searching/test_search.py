@@ -271,10 +271,10 @@ def test_several_threads_share_resident_words(store: Store) -> None:
 def test_preselection_in_the_index_is_that_in_words(tmp_path: Path) -> None:
     store = make_store(tmp_path / "store", TAKES, indexed=False)
     chosen = store.words([1, 3])
-    expected = {name: ranges_of(found) for name, found in preselect(chosen, BODY, QUERIES).items()}
+    expected = {query: ranges_of(found) for query, found in preselect(chosen, BODY, QUERIES).items()}
     for _ in ("without an index", "with one"):
         found = preselect_stored(store, chosen, QUERIES)
-        assert {name: ranges_of(one) for name, one in found.items()} == expected
+        assert {query: ranges_of(one) for query, one in found.items()} == expected
         index.build(store, threads=1)
     with_filter = parse_queries("q: {takes: \"name <> 'zoe'\", keyframes: [{on: [body_low]}]}", BODY)
     with pytest.raises(KinedexError, match="'q' has a filter over takes"):
@@ -355,7 +355,7 @@ def test_the_authors_queries_agree_with_brute_force_on_hdm05(shared: Path) -> No
                 take = (words.take(i) >> np.uint64(word_set.first - 1)) & np.uint64(keyframe.mask)
                 matches.append((take == np.uint64(keyframe.value)).tolist())
             expected = ranges_by_sets(matches, query.bounds) if all(map(any, matches)) else []
-            found = [part.tolist() for part in hits[query.name].take(i)]
+            found = [part.tolist() for part in hits[query].take(i)]
             assert list(zip(*found, strict=True)) == expected, (query.name, names[i])
     assert sum(len(found.starts) for found in hits.values()) > 100
 
@@ -380,5 +380,5 @@ def test_the_shipped_queries_find_the_clips_they_are_about(
 ) -> None:
     names, words = real_words(shared)
     queries = choose_queries(read_queries("example", BODY), [query])
-    counts = np.diff(preselect(words, BODY, queries)[query].offsets)
+    counts = np.diff(preselect(words, BODY, queries)[queries[0]].offsets)
     assert sum(count > 0 for name, count in zip(names, counts, strict=True) if f"_{motion_class}_" in name) >= least
