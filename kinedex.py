@@ -4,7 +4,7 @@ import kinedex
 store = kinedex.open_store("my-store")
 store.takes("actor = 'bk'")                            # polars data frame
 store.sql("SELECT * FROM runs_where('lknee_bent', 1)") # Arrow table
-store.words()                                          # numpy arrays
+store.words().take(0)                                  # numpy array: the words of the first take
 kinedex.run_pipeline("annotate", Path("my-store"), assignments={"source": "/my/archive"})
 """
 

@@ -2,7 +2,7 @@
 
 Queries are learned without the clips of one actor and searched in these, joined to takes in random order; for every
 actor in turn, and for every variant of the learning. Takes with ground truth, if the store has some, are searched with
-queries learned from all clips: they choose nothing. Tables are Markdown, as in docs/keyframe-learning.md.
+queries learned from all clips: they choose nothing. Tables are Markdown, as in docs/keyframe-study.md.
 
 Intervals hold 95 %. Those of shares draw people within each class, and segments (or takes) of each person; of one
 person alone, takes. Those of counts are Wilson's.

@@ -8,8 +8,9 @@ from benchmarks.harness import Figure, seconds
 from ops.learning.fitness import training_frames
 from ops.learning.genetics import evolve
 from ops.learning.lessons import Evolution, Material, make_material
-from ops.search import keyframes as k
+from ops.search.keyframes import keyframe_list
 from ops.search.runs import word_runs
+from ops.search.segments import to_axis
 from ops.templates.templates import learn_soft, quantise
 from ops.words import U64, TakeWords
 from storage.store import Store
@@ -53,11 +54,11 @@ def _searches(clips: list[U64], material: Material, queries: int) -> float:
     drawn = [evolve(material, Evolution(population=1, generations=0), seed).query for seed in range(200)]
     offsets = np.arange(len(clips) + 1, dtype=np.int64) * len(clips[0])
     runs = word_runs(np.concatenate(clips), offsets)
-    starts, stops = k.to_axis(runs.take, runs.start), k.to_axis(runs.take, runs.stop)
+    starts, stops = to_axis(runs.take, runs.start), to_axis(runs.take, runs.stop)
 
     def search() -> None:
         for query in drawn:
             pairs = zip(query.masks.tolist(), query.values.tolist(), strict=True)
-            k.search([k.keyframe_list(starts, stops, runs.word, *pair) for pair in pairs], query.gaps)
+            search([keyframe_list(starts, stops, runs.word, *pair) for pair in pairs], query.gaps)
 
     return seconds(search, 5) * queries / len(drawn)

@@ -128,8 +128,8 @@ origin    VARCHAR    the file that says so"""),
         "Precision, recall and F1 by frames (1) and by segments (2).",
         columns(f"""{_RUN}
 evaluation    VARCHAR    the stage that evaluated
-scope    VARCHAR    pooled, class, take or fold
-name    VARCHAR    of which class, take or fold
+scope    VARCHAR    pooled, class, take, fold, or group: takes with the same value of divide_by
+name    VARCHAR    of which class, take, fold or group
 p1    DOUBLE    precision by frames
 r1    DOUBLE    recall by frames
 f1    DOUBLE    F measure by frames

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import types
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -27,14 +28,17 @@ INTRODUCTION = """\
 
 Made from the code by `python -m pipelines.reference`, and tested to be what the code says. Do not edit it.
 
-- [Commands](#commands) and their options
-- [Stages](#stages) and their parameters, the same in a pipeline file and by `--set STAGE.PARAMETER=VALUE`
-- [Pipelines](#pipelines) that come along, and their settings, by `--set SETTING=VALUE`
-- [Configuration files](#configuration-files): the keys of each kind
-
 Views and macros of SQL are in [sql.md](sql.md), formats of motion files in [formats.md](formats.md), label files in
 [labels.md](labels.md).
 """
+
+SECTIONS = {
+    "Commands": "and their options",
+    "Stages": "and their parameters, the same in a pipeline file and by `--set STAGE.PARAMETER=VALUE`",
+    "Pipelines": "that come along, and their settings, by `--set SETTING=VALUE`",
+    "Configuration files": "and the keys of each kind",
+}
+"""Sections of the page, and what is in them."""
 
 MODELS = (("Combination", Combination), ("Method", Method), ("Split", Split), ("Fold", Fold))
 """What stands inside of parameters."""
@@ -73,13 +77,31 @@ WHERE = {
 
 def reference() -> str:
     """The whole page as Markdown."""
-    parts = [INTRODUCTION, "## Commands\n", _exit_codes(), *_commands()]
+    parts = ["## Commands\n", _exit_codes(), *_commands()]
     parts += ["## Stages\n", "A bound that a value must keep to stands behind its type.\n"]
     parts += [_stage(name) for name in STAGES]
     parts += [f"### Inside of parameters: {name}\n\n{_summary(model)}\n\n{_fields(model)}" for name, model in MODELS]
     parts += ["## Pipelines\n", *(_pipeline(name) for name in config_names("pipelines"))]
     parts += ["## Configuration files\n", *(_kind(kind) for kind in KINDS)]
-    return "\n".join(parts)
+    body = "\n".join(parts)
+    return "\n".join([INTRODUCTION, _contents(body), body])
+
+
+def _contents(body: str) -> str:
+    """A list of the sections, each with links to all that is in it."""
+    seen: Counter[str] = Counter()
+    lines: list[str] = []
+    for level, title in re.findall(r"^(##+) (.*)$", body, re.MULTILINE):
+        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        link = f"#{anchor}-{seen[anchor]}" if seen[anchor] else f"#{anchor}"
+        seen[anchor] += 1
+        if level == "##":
+            lines.append(f"- [{title}]({link}) {SECTIONS[title]}:")
+        else:
+            # of a command its name without arguments
+            name = re.sub(r" [^a-z].*", "", title.split(": ")[-1].removeprefix("kinedex "))
+            lines[-1] += f"{'' if lines[-1].endswith(':') else ','} [`{name}`]({link})"
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _exit_codes() -> str:

@@ -27,7 +27,14 @@ from tests.pipelines.labelled import Line
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = {str(page.relative_to(DOCS)): page.read_text(encoding="utf-8") for page in PAGES}
-GUIDES = ("tutorial.md", "accuracy.md", *(name for name in TEXTS if name.startswith("howto/")))
+GUIDES = (
+    "tutorial.md",
+    "accuracy.md",
+    "keyframe-learning.md",
+    "labels.md",
+    "formats.md",
+    *(name for name in TEXTS if name.startswith("howto/")),
+)
 LINES = [
     (name, line.strip()) for name in GUIDES for line in re.findall(r"^ {4}(kinedex .*)$", TEXTS[name], re.MULTILINE)
 ]
@@ -53,8 +60,13 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return open_store(folder / "store")
 
 
-def _anchor(title: str) -> str:
-    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+def _anchors(text: str) -> set[str]:
+    """What links to the titles of a page are called; of titles that are alike, the later ones are numbered."""
+    names = [
+        re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        for title in re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    ]
+    return {f"{name}-{names[:i].count(name)}" if name in names[:i] else name for i, name in enumerate(names)}
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -65,9 +77,7 @@ def test_links_lead_somewhere(name: str) -> None:
         path = (DOCS / name).parent / target if target else DOCS / name
         assert path.is_file(), f"{name}: {target}"
         if anchor:
-            assert anchor in {
-                _anchor(title) for title in re.findall(r"^#+ (.*)$", path.read_text("utf-8"), re.MULTILINE)
-            }
+            assert anchor in _anchors(path.read_text("utf-8")), f"{name}: {target}#{anchor}"
 
 
 def test_the_page_of_formats_names_every_kind_of_result() -> None:

@@ -39,3 +39,9 @@ def test_every_kind_of_configuration_file_has_its_keys_and_names() -> None:
     for kind in KINDS:
         for name in config_names(kind):
             assert f"[`{name}`](../configs/{kind}/{name}.yaml)" in PAGE
+
+
+def test_the_contents_lead_to_every_part() -> None:
+    contents, body = PAGE.split("\n## Commands\n")
+    titles = re.findall(r"^##+ .*$", body, re.MULTILINE)
+    assert len(re.findall(r"\]\(#", contents)) == len(titles) + 1

@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 import yaml
 
+from benchmarks import few_clips
 from benchmarks.bandai import NONE, confusions, draw, summary, winner
 from benchmarks.cross_studio import begin_of, contributions
 from benchmarks.long_archive import METHODS, stages
@@ -86,3 +87,23 @@ def test_every_method_of_the_long_archive_is_a_pipeline(method: str | None, tmp_
     assert "learn_templates" in names
     assert ("learn_keyframes" in names) == (method is not None and "queries" in method)
     assert (names[-1] == "evaluate") == (method is not None)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_few_clips_are_of_two_people_where_the_class_has_two(count: int) -> None:
+    people = {"walk": "aaaaaaab", "run": "aaaaaa", "bow": "ab"}
+    rows = [
+        {"name": f"{label}{index}", "class": label, "actor": actor}
+        for label, actors in people.items()
+        for index, actor in enumerate(actors)
+    ]
+    clips = pl.DataFrame(rows)
+    for seed in range(20):
+        names = few_clips.draw(clips, count, seed)
+        chosen = clips.filter(pl.col("name").is_in(names))
+        assert len(names) == len(set(names)) == chosen.height == 2 * count + 2
+        of_class = {key[0]: group["actor"].n_unique() for key, group in chosen.group_by("class")}
+        assert of_class == {"walk": 2, "run": 1, "bow": 2}
+        assert few_clips.draw(clips, count, seed) == names
+    assert sorted(few_clips.draw(clips, None, 0)) == sorted(clips["name"])
+    assert len(few_clips.draw(clips, 1, 0)) == 3

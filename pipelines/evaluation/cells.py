@@ -17,10 +17,11 @@ from ops.words import TakeWords
 from pipelines.annotation.annotating import BATCH_FRAMES, annotate_words
 from pipelines.annotation.annotators import Annotator
 from pipelines.annotation.kept import setting_digest
-from pipelines.evaluation.exams import Exam, Fold
+from pipelines.evaluation.exams import WHOLE, Exam, Fold
 from pipelines.evaluation.scheme import Method
 from pipelines.executors import Executor
 from pipelines.plan import code_digest
+from pipelines.wording import few
 from storage.schemas import result_schema
 from storage.store import Store, open_store
 
@@ -43,12 +44,14 @@ class Segment:
 
 @dataclass(frozen=True)
 class Cell:
-    """One method in one fold. key: a hash of all that its outcome follows from."""
+    """One method in one fold. key: a hash of all that its outcome follows from. remarks: what is to be known of its
+    templates and thresholds, in words."""
 
     key: str
     fold: Fold
     method: Method
     annotator: Annotator
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,11 @@ def _pieces(exams: Sequence[Exam]) -> Iterator[tuple[Exam, ...]]:
 
 
 def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> pa.Table:
-    """Lay finished cells out as results of the kind `method_cells`: a row for each take of each."""
+    """Lay finished cells out as results of the kind `method_cells`: a row for each take of each.
+
+    Cells of one key have the same outcome under several names (a threshold of a sweep that is a method's own, splits
+    that share a fold); there are rows for every name.
+    """
     rows = [
         {
             "run": run,
@@ -164,6 +171,20 @@ def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> 
         for exam in cell.fold.exams
     ]
     return pa.Table.from_pylist(rows, schema=result_schema("method_cells"))
+
+
+def remarks_of(cells: Sequence[Cell]) -> list[str]:
+    """What is to be known of cells, each remark once a fold, with the methods that it is true of unless it is of
+    all."""
+    methods: dict[str, None] = dict.fromkeys(cell.method.name for cell in cells)
+    said: dict[tuple[str, str], list[str]] = {}
+    for cell in cells:
+        for remark in cell.remarks:
+            said.setdefault((cell.fold.name, remark), []).append(cell.method.name)
+    return [
+        (f"{fold}: " if fold != WHOLE else "") + remark + ("" if len(own) == len(methods) else f" ({few(own)})")
+        for (fold, remark), own in said.items()
+    ]
 
 
 def known_cells(table: pa.Table) -> dict[str, Found]:

@@ -19,35 +19,52 @@ DRAWS = 1000
 NAMES = ("name", "title")
 """Settings that only name a method."""
 
+ROW_DOES_WITHOUT = ("tau", "tau_by_class")
+"""Settings that do not matter where all frames are labelled together (method `best`)."""
+
+Pair = tuple[float | None, float | None]
+
 
 @dataclass(frozen=True)
 class Change:
-    """One thing in both evaluations: F1 and F2 in A and in B; None where a measure is undefined."""
+    """One thing in both evaluations: F1 and F2 in A and in B; None where a measure is undefined: nothing was to be
+    found, and nothing was labelled."""
 
     name: str
-    f1: tuple[float | None, float | None]
-    f2: tuple[float | None, float | None]
+    f1: Pair
+    f2: Pair
 
     @property
-    def by(self) -> tuple[float, float]:
-        """The differences B − A of F1 and F2; 0 where one is undefined."""
+    def by(self) -> Pair:
+        """The differences B − A of F1 and F2; 0 where both are undefined, None where one is."""
         return _difference(self.f1), _difference(self.f2)
 
     @property
     def verdict(self) -> str:
-        """better, worse, mixed or same."""
-        up = any(one >= LEAST for one in self.by)
-        down = any(one <= -LEAST for one in self.by)
-        return "mixed" if up and down else "better" if up else "worse" if down else "same"
+        """better, worse, mixed or same; incomparable where something was to be found in one of them only."""
+        ways = [direction(self.f1), direction(self.f2)]
+        if None in ways:
+            return "incomparable"
+        return "mixed" if {1, -1} <= set(ways) else "better" if 1 in ways else "worse" if -1 in ways else "same"
+
+
+@dataclass(frozen=True)
+class Alone:
+    """What one of two evaluations has and the other has not: takes, and classes that it labels or was to find."""
+
+    takes: tuple[str, ...] = ()
+    classes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Two evaluations, B against A.
 
-    overall: over the takes that both have. intervals: of the differences of F1 and F2, 95 % over takes. only_a,
-    only_b: takes that one of them has, left out of `overall`. settings: the parameters of the annotation that are
-    not the same: name, in A, in B; None where one has no such parameter.
+    overall: over the takes that both have; of each over its own where they have none in common. intervals: of the
+    differences of F1 and F2, 95 % over takes. common: how many takes both have; None: neither says of which takes it
+    is. only_a, only_b: what is left out. other_truth: takes and classes whose manual labels are not the same in both.
+    settings: the parameters of the annotation that are not the same: name, in A, in B; None where one has no such
+    parameter.
     """
 
     a: str
@@ -56,29 +73,38 @@ class Comparison:
     intervals: dict[str, tuple[float, float]]
     classes: tuple[Change, ...]
     takes: tuple[Change, ...]
-    only_a: tuple[str, ...]
-    only_b: tuple[str, ...]
+    common: int | None
+    only_a: Alone
+    only_b: Alone
+    other_truth: Alone = Alone()
     settings: tuple[tuple[str, object, object], ...] = ()
 
     @property
     def verdict(self) -> str:
         """What it comes to, in a sentence."""
-        said = []
-        for name, difference in zip(("F1", "F2"), self.overall.by, strict=True):
-            low, high = self.intervals[name.lower()]
-            sure = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f}, 95 % over takes)"
-            if abs(difference) < LEAST:
-                said.append(f"{name} is the same{sure}")
-                continue
-            certain = not math.isnan(low) and (low > 0 or high < 0)
-            how = "better" if difference > 0 else "worse"
-            said.append(f"{name} is {how} by {abs(difference):.3f}{sure}{'' if certain else ', which may be chance'}")
+        if self.common == 0:
+            return "no take in common, so neither is better or worse"
+        said = [_said(*one) for one in zip(("F1", "F2"), (self.overall.f1, self.overall.f2), self._ends, strict=True)]
+        if self.other_truth != Alone():
+            said.append("but A and B were judged against different ground truth")
         return "; ".join(said)
+
+    @property
+    def _ends(self) -> list[tuple[float, float]]:
+        return [self.intervals[level] for level in LEVELS]
+
+    @property
+    def scope(self) -> str:
+        """Which takes `overall` is of."""
+        if self.common is None:
+            return "all of each"
+        return f"all takes that both have: {self.common}" if self.common else "each over its own takes"
 
     def changed(self, what: Sequence[Change], verdict: str) -> list[Change]:
         """The changes of one verdict, the greatest first."""
         return sorted(
-            (one for one in what if one.verdict == verdict), key=lambda one: (-sum(map(abs, one.by)), one.name)
+            (one for one in what if one.verdict == verdict),
+            key=lambda one: (-sum(1.0 if by is None else abs(by) for by in one.by), one.name),
         )
 
 
@@ -90,27 +116,88 @@ def compared(a: Scored, b: Scored, names: tuple[str, str]) -> Comparison:
     names: what A and B are called.
     """
     both = [name for name in a.takes if name in b.takes]
-    overall = _change("all", pooled(a.takes[name] for name in both), pooled(b.takes[name] for name in both))
-    if not both:
-        overall = _change("all", a.pooled, b.pooled)
+    ours, theirs = ([one.takes[name] for name in both] for one in (a, b))
+    apart = not both and bool(a.takes or b.takes)
     return Comparison(
         *names,
-        overall,
-        {
-            level: difference_interval(
-                [a.takes[name] for name in both], [b.takes[name] for name in both], _measure(level)
-            )
-            for level in LEVELS
-        },
-        tuple(_changes(a.classes, b.classes)),
+        _change("all", *((pooled(ours), pooled(theirs)) if both else (a.pooled, b.pooled))),
+        {level: difference_interval(ours, theirs, _measure(level)) for level in LEVELS},
+        () if apart else tuple(_changes(a.classes, b.classes)),
         tuple(_changes(a.takes, b.takes)),
-        tuple(sorted(set(a.takes) - set(b.takes))) if both else (),
-        tuple(sorted(set(b.takes) - set(a.takes))) if both else (),
+        len(both) if a.takes or b.takes else None,
+        _alone(a, b),
+        _alone(b, a),
+        Alone() if apart else _other_truth(a, b),
+        _settings(a, b),
+    )
+
+
+def direction(pair: Pair) -> int | None:
+    """Whether a measure goes up (1), down (−1) or stays (0) from A to B.
+
+    Where it is undefined in one of them, nothing was to be found and nothing labelled there; 0 in the other one then
+    says that something was labelled in vain, which is worse. None: something was to be found in one of them only.
+    """
+    a, b = pair
+    if a is not None and b is not None:
+        return 1 if b - a >= LEAST else -1 if b - a <= -LEAST else 0
+    if a is None and b is None:
+        return 0
+    if (b if a is None else a) != 0:
+        return None
+    return -1 if a is None else 1
+
+
+def _said(name: str, pair: Pair, ends: tuple[float, float]) -> str:
+    """One measure of the verdict in words."""
+    way, by, (low, high) = direction(pair), _difference(pair), ends
+    sure = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f}, 95 % over takes)"
+    if pair == (None, None):
+        return f"{name} is undefined in both"
+    if way is None:
+        return f"{name} is undefined in {'A' if pair[0] is None else 'B'}"
+    if way == 0:
+        return f"{name} is the same{sure}"
+    how = "better" if way > 0 else "worse"
+    if by is None:
+        return f"{name} is {how}: {'A' if way > 0 else 'B'} labels what is not there, the other one nothing"
+    certain = not math.isnan(low) and (low > 0 or high < 0)
+    return f"{name} is {how} by {abs(by):.3f}{sure}{'' if certain else ', which may be chance'}"
+
+
+def _alone(one: Scored, other: Scored) -> Alone:
+    return Alone(
+        tuple(sorted(set(one.takes) - set(other.takes))),
         tuple(
-            (name, a.settings.get(name), b.settings.get(name))
-            for name in dict.fromkeys((*a.settings, *b.settings))
-            if name not in NAMES and a.settings.get(name) != b.settings.get(name)
+            name
+            for name, counts in one.classes.items()
+            if name not in other.classes and counts.frames_automatic + counts.frames_manual
         ),
+    )
+
+
+def _other_truth(a: Scored, b: Scored) -> Alone:
+    """Takes and classes that both have, and whose manual frames or segments differ in number; classes only where both
+    are of the same takes."""
+
+    def differ(ours: Mapping[str, Counts], theirs: Mapping[str, Counts]) -> tuple[str, ...]:
+        return tuple(name for name in ours if name in theirs and _manual(ours[name]) != _manual(theirs[name]))
+
+    same_takes = set(a.takes) == set(b.takes)
+    return Alone(differ(a.takes, b.takes), differ(a.classes, b.classes) if same_takes else ())
+
+
+def _manual(counts: Counts) -> tuple[int, int]:
+    return counts.frames_manual, counts.segments_manual
+
+
+def _settings(a: Scored, b: Scored) -> tuple[tuple[str, object, object], ...]:
+    """The settings that are not the same, those left out that do not matter to A or B."""
+    idle = {*NAMES, *(ROW_DOES_WITHOUT if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
+    return tuple(
+        (name, a.settings.get(name), b.settings.get(name))
+        for name in dict.fromkeys((*a.settings, *b.settings))
+        if name not in idle and a.settings.get(name) != b.settings.get(name)
     )
 
 
@@ -161,14 +248,18 @@ def content(comparisons: Sequence[Comparison]) -> dict[str, object]:
                 "b": one.b,
                 "verdict": one.verdict,
                 "settings": [{"name": name, "a": ours, "b": theirs} for name, ours, theirs in one.settings],
+                "common_takes": one.common,
                 "overall": _row(one.overall),
                 "intervals": {
                     name: [None if math.isnan(end) else end for end in ends] for name, ends in one.intervals.items()
                 },
                 "classes": [_row(change) for change in one.classes],
                 "takes": [_row(change) for change in one.takes],
-                "only_a": list(one.only_a),
-                "only_b": list(one.only_b),
+                "only_a": list(one.only_a.takes),
+                "only_b": list(one.only_b.takes),
+                "classes_only_a": list(one.only_a.classes),
+                "classes_only_b": list(one.only_b.classes),
+                "other_truth": {name: list(texts) for name, texts in asdict(one.other_truth).items()},
             }
             for one in comparisons
         ],
@@ -196,9 +287,11 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _difference(values: tuple[float | None, float | None]) -> float:
-    a, b = values
-    return 0.0 if a is None or b is None else b - a
+def _difference(pair: Pair) -> float | None:
+    a, b = pair
+    if a is None or b is None:
+        return 0.0 if a is b else None
+    return b - a
 
 
 def _measure(name: str) -> Callable[[Counts], float]:

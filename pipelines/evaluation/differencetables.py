@@ -12,15 +12,16 @@ from rich.table import Table
 from rich.text import Text
 
 from pipelines.evaluation.differences import Change, Comparison
-from pipelines.evaluation.tables import digits, grid
+from pipelines.evaluation.marked import grid, plain
+from pipelines.evaluation.tables import digits
 from pipelines.wording import few
 
-VERDICTS = ("worse", "mixed", "better")
+VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = ("F1 of A", "of B", "by", "F2 of A", "of B", "by")
 MOST_SHOWN = 20
 """Changes of a kind that the terminal shows; a file has all."""
 
-_STYLES = {"better": "green", "worse": "red", "mixed": "yellow", "same": ""}
+_STYLES = {"better": "green", "worse": "red", "mixed": "yellow", "incomparable": "yellow", "same": ""}
 
 
 def values(change: Change) -> list[str]:
@@ -31,9 +32,9 @@ def values(change: Change) -> list[str]:
     return cells
 
 
-def signed(value: float) -> str:
-    """A difference with its sign; a dot where it is nothing."""
-    return "·" if abs(value) < 0.0005 else f"{value:+.3f}"
+def signed(value: float | None) -> str:
+    """A difference with its sign; a dot where it is nothing, a dash where one side has no value."""
+    return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
 
 
 def rich_comparison(one: Comparison) -> Group:
@@ -41,7 +42,7 @@ def rich_comparison(one: Comparison) -> Group:
     parts: list[RenderableType] = [
         Text("\n".join([f"A  {one.a}", f"B  {one.b}", *settings(one)])),
         Text(f"{one.verdict}.", style="bold"),
-        _table("", [one.overall]),
+        _table(one.scope, [one.overall], plain=not one.common),
     ]
     for what, changes in (("classes", one.classes), ("takes", one.takes)):
         for verdict in VERDICTS:
@@ -65,19 +66,24 @@ def _setting(value: object) -> str:
 def remarks(one: Comparison) -> list[str]:
     """What did not change, and what could not be compared."""
     said = []
+    for what, other in (("takes", one.other_truth.takes), ("classes", one.other_truth.classes)):
+        if other:
+            said.append(f"{what} whose manual labels are not the same in A and B: {few(other)}")
     for what, changes in (("classes", one.classes), ("takes", one.takes)):
         same = len(one.changed(changes, "same"))
         if same:
             said.append(f"{same} of {len(changes)} {what} are the same")
-    for name, takes in (("A", one.only_a), ("B", one.only_b)):
-        if takes:
-            said.append(f"takes of {name} alone, left out: {few(takes)}")
-    if (one.only_a or one.only_b) and one.classes:
+    for name, alone in (("A", one.only_a), ("B", one.only_b)):
+        if alone.takes:
+            said.append(f"takes of {name} alone, left out: {few(alone.takes)}")
+        if alone.classes:
+            said.append(f"classes of {name} alone, not compared: {few(alone.classes)}")
+    if (one.only_a.takes or one.only_b.takes) and one.classes:
         said.append("classes are over all takes of each")
     return said
 
 
-def _table(title: str, changes: Sequence[Change]) -> Table:
+def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Table:
     table = Table(
         title=title or None, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
         header_style="bold",
@@ -86,7 +92,7 @@ def _table(title: str, changes: Sequence[Change]) -> Table:
     for name in HEADER:
         table.add_column(name, justify="right", no_wrap=True)
     for change in changes:
-        table.add_row(Text(change.name), *values(change), style=_STYLES[change.verdict] or None)
+        table.add_row(Text(change.name), *values(change), style=None if plain else _STYLES[change.verdict] or None)
     return table
 
 
@@ -94,16 +100,16 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
     """Comparisons as Markdown."""
     lines = ["# Two evaluations compared", ""]
     for one in comparisons:
-        lines += [f"## {one.b} against {one.a}", "", f"{one.verdict}.", ""]
-        lines += [*(f"- {text}" for text in settings(one)), ""] if one.settings else []
-        lines += grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])
+        lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
+        lines += [*(f"- {plain(text)}" for text in settings(one)), ""] if one.settings else []
+        lines += [f"{one.scope.capitalize()}", "", *grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])]
         for what, changes in (("classes", one.classes), ("takes", one.takes)):
             for verdict in VERDICTS:
                 changed = one.changed(changes, verdict)
                 if changed:
                     lines += [f"### {verdict.capitalize()}: {len(changed)} of {len(changes)} {what}", ""]
                     lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
-        lines += [f"- {text}" for text in remarks(one)] + [""]
+        lines += [f"- {plain(text)}" for text in remarks(one)] + [""]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

@@ -25,7 +25,7 @@ SCOPES = ("pooled", "fold", "class", "take")
 
 @dataclass(frozen=True)
 class Row:
-    """One line of an evaluation: scope 'pooled', 'class', 'take' or 'fold'."""
+    """One line of an evaluation: scope 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
 
     scope: str
     name: str

@@ -1,11 +1,10 @@
-"""How good a method is in a split: counts, confusion of classes, average precision, boundaries, and how sure it all
-is."""
+"""How good a method is in a split: counts, average precision, boundaries, and how sure it all is."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,29 +12,15 @@ import numpy.typing as npt
 from ops.measures.detection import THRESHOLDS, Found, Known, average_precision, bootstrap, boundary_errors, overlap
 from ops.measures.metrics import Counts, compare, pooled
 from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.confusion import Confusion, confusion
 from pipelines.evaluation.exams import Exam
 
 I64 = npt.NDArray[np.int64]
-
-NOTHING = "none"
-"""What a frame without a label is called in the confusion of classes."""
 
 INTERVAL_OF = ("p1", "r1", "f1", "p2", "r2", "f2")
 
 Outcome = Mapping[str, Sequence[Segment]]
 """What a method has found in all folds of a split, by the name of the take."""
-
-
-@dataclass(frozen=True)
-class Confusion:
-    """Frames by what they are (rows) and what they were labelled (columns).
-
-    labels: of rows and columns, the last is `NOTHING`. A frame that is in several classes, or has several labels,
-    counts as right where one is the other; what then is left is counted in equal parts.
-    """
-
-    labels: tuple[str, ...]
-    frames: npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -62,6 +47,7 @@ class Judgement:
 
     by_class, by_group, by_take: counts. intervals: 95 % over takes, by measure. precision: mean average precision by
     threshold; class_precision: by class, then threshold. boundaries: int64 (M, 2), see `boundary_errors`.
+    joined_precision, joined_boundaries: the same where touching segments of one class are one (`joined`).
     """
 
     pooled: Counts
@@ -73,6 +59,8 @@ class Judgement:
     class_precision: dict[str, dict[float, float]]
     confusion: Confusion
     boundaries: I64
+    joined_precision: dict[float, float]
+    joined_boundaries: I64
 
 
 def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -> dict[tuple[str, str], Counts]:
@@ -106,6 +94,8 @@ def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws
     every = list(by_take.values())
     measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in INTERVAL_OF}
     class_precision = {label: _precision(outcome, exams, label) for label in labels}
+    one_piece = joined(outcome, exams)
+    joined_class_precision = [_precision(*one_piece, label) for label in labels]
     return Judgement(
         pooled(every),
         {label: pooled(counts[exam.name, label] for exam in exams) for label in labels},
@@ -116,7 +106,42 @@ def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws
         class_precision,
         confusion(outcome, exams, labels),
         _boundaries(outcome, exams, labels),
+        {threshold: _mean([one[threshold] for one in joined_class_precision]) for threshold in THRESHOLDS},
+        _boundaries(*one_piece, labels),
     )
+
+
+def joined(outcome: Outcome, exams: Sequence[Exam]) -> tuple[Outcome, list[Exam]]:
+    """Make one of segments of a class that touch or overlap, automatic and manual ones alike.
+
+    Repetitions in a row are one manual segment where a person saw one motion, and several where he counted them; what
+    is joined does not depend on that. What is joined is as sure as its parts are on average, by frames.
+    """
+    mine = {exam.name: _joined(outcome[exam.name]) for exam in exams}
+    true = [_joined([Segment(*one, 1.0) for one in exam.truth]) for exam in exams]
+    return mine, [
+        replace(exam, truth=tuple((one.label, one.start, one.stop) for one in own))
+        for exam, own in zip(exams, true, strict=True)
+    ]
+
+
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    runs: list[list[Segment]] = []
+    for one in sorted(segments, key=lambda one: (one.label, one.start, one.stop)):
+        if runs and runs[-1][0].label == one.label and one.start <= max(part.stop for part in runs[-1]):
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    found = [
+        Segment(
+            run[0].label,
+            run[0].start,
+            max(one.stop for one in run),
+            float(np.average([one.sure for one in run], weights=[one.stop - one.start for one in run])),
+        )
+        for run in runs
+    ]
+    return sorted(found, key=lambda one: (one.start, one.stop))
 
 
 def _measure(name: str) -> Callable[[Counts], float]:
@@ -153,36 +178,6 @@ def _boundaries(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) 
         if any(name == label for name, _, _ in exam.truth)
     ]
     return np.concatenate([np.empty((0, 2), np.int64), *errors])
-
-
-def confusion(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) -> Confusion:
-    """Count the frames of all takes by what they are and what they were labelled."""
-    names = (*labels, NOTHING)
-    frames = np.zeros((len(names), len(names)))
-    for exam in exams:
-        truth = _marked([(names.index(label), start, stop) for label, start, stop in exam.truth], exam, len(labels))
-        mine = _marked([(names.index(one.label), one.start, one.stop) for one in outcome[exam.name]], exam, len(labels))
-        both = truth & mine
-        np.fill_diagonal(frames[:-1, :-1], frames.diagonal()[:-1] + both.sum(axis=1))
-        rest_true, rest_mine = truth & ~both, mine & ~both
-        without_true = ~truth.any(axis=0)
-        without_mine = ~mine.any(axis=0)
-        frames[-1, -1] += float((without_true & without_mine).sum())
-        # what is wrong of a frame is shared out among the other side's labels that are wrong there, or `none`
-        wrong_mine, wrong_true = rest_mine.sum(axis=0), rest_true.sum(axis=0)
-        share = np.where(wrong_mine > 0, 1.0 / np.maximum(wrong_mine, 1), 0.0)
-        frames[:-1, :-1] += (rest_true * share) @ rest_mine.T.astype(float)
-        frames[:-1, -1] += (rest_true & (wrong_mine == 0)).sum(axis=1)
-        frames[-1, :-1] += (rest_mine & (wrong_true == 0)).sum(axis=1)
-    return Confusion(names, frames)
-
-
-def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -> npt.NDArray[np.bool_]:
-    """Which frames are in which class, bool (labels, L)."""
-    marked = np.zeros((labels, exam.frames), np.bool_)
-    for label, start, stop in segments:
-        marked[label, start:stop] = True
-    return marked
 
 
 def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:

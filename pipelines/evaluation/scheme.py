@@ -11,8 +11,8 @@ from ops.templates.templates import Kind
 LEARNED = "learned"
 """In place of query files: the queries are learned in each fold, from the fold's own training clips."""
 
-Metric = Literal["frames", "segments", "overlap", "boundaries"]
-METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries")
+Metric = Literal["frames", "segments", "overlap", "boundaries", "joined"]
+METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries", "joined")
 Filter = Annotated[str, Field(min_length=1)]
 
 
@@ -86,7 +86,10 @@ class Split(BaseModel):
     )
     clips_a_take: int = Field(9, ge=1, description="so many clips make a take")
     most_clips: int = Field(
-        4, ge=1, description="so many clips of a class at most in each order, so that none fills it"
+        4,
+        ge=1,
+        description="so many clips of a class at most in each order, so that none fills it; of every value of "
+        "`divide_by` (such as actor) on its own, as a take has clips of one value",
     )
     orders: int = Field(3, ge=1, description="how often clips are drawn and laid out")
     seed: int = Field(0, ge=0, description="what drawn orders, and folds by take, follow from")

@@ -85,12 +85,32 @@ class Study:
     remarks: tuple[str, ...] = ()
 
 
-def boundary_summary(judgement: Judgement, rate_hz: float) -> dict[str, dict[str, float | int | None]]:
+def take_title(study: Study, result: SplitResult, exam: Exam) -> str:
+    """What a take is called among the takes of all splits: its name, after its split's where two splits mean two."""
+    same = [other for split in study.splits for other in split.exams if other.name == exam.name]
+    alike = all(other.take_ids == exam.take_ids for other in same)
+    return exam.name if alike else f"{result.split.name}: {exam.name}"
+
+
+def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
+    """The takes whose timelines are shown: title → the takes of the store that each is laid out of."""
+    parts = {}
+    for result in study.splits:
+        exams = {exam.name: exam for exam in result.exams}
+        for name in result.shown().values():
+            parts[take_title(study, result, exams[name])] = exams[name].take_ids
+    return parts
+
+
+def boundary_summary(
+    judgement: Judgement, rate_hz: float, *, joined: bool = False
+) -> dict[str, dict[str, float | int | None]]:
     """Boundary errors in seconds at start and stop: how many, the median (positive: too late), and how large they are
-    in the middle, and in the worst tenth."""
+    in the middle, and in the worst tenth; joined: where touching segments of one class are one."""
     summary: dict[str, dict[str, float | int | None]] = {}
+    frames = judgement.joined_boundaries if joined else judgement.boundaries
     for column, end in enumerate(("start", "stop")):
-        errors = judgement.boundaries[:, column] / rate_hz
+        errors = frames[:, column] / rate_hz
         sizes = np.abs(errors)
         summary[end] = {
             "segments": len(errors),
@@ -157,7 +177,11 @@ def _judgement(one: Judgement, study: Study) -> dict[str, object]:
         "groups": {name: scores(counts) for name, counts in one.by_group.items()},
         "classes": {name: scores(counts) for name, counts in one.by_class.items()},
         "takes": {name: scores(counts) for name, counts in one.by_take.items()},
-        "confusion": {"labels": list(one.confusion.labels), "frames": one.confusion.frames.round(3).tolist()},
+        "confusion": {
+            "rows": list(one.confusion.rows),
+            "columns": list(one.confusion.columns),
+            "frames": one.confusion.frames.round(3).tolist(),
+        },
     }
     if "overlap" in study.metrics:
         result["map"] = {f"{threshold:g}": _number(value) for threshold, value in one.precision.items()}
@@ -167,6 +191,11 @@ def _judgement(one: Judgement, study: Study) -> dict[str, object]:
         }
     if "boundaries" in study.metrics:
         result["boundaries"] = boundary_summary(one, study.rate_hz)
+    if "joined" in study.metrics:
+        result["joined"] = {
+            "map": {f"{threshold:g}": _number(value) for threshold, value in one.joined_precision.items()},
+            "boundaries": boundary_summary(one, study.rate_hz, joined=True),
+        }
     return result
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 from rich import box
 from rich.console import Group
@@ -12,36 +10,38 @@ from rich.table import Table
 from rich.text import Text
 
 from ops.measures.metrics import Counts
-from pipelines.evaluation.judging import NOTHING, Fate, Judgement
+from pipelines.evaluation.confusion import EXTRA, LACKING, confusions
+from pipelines.evaluation.judging import Fate, Judgement
+from pipelines.evaluation.marked import grid, plain
 from pipelines.evaluation.study import SplitResult, Study, boundary_summary
+from pipelines.wording import counted
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
 MOST_CONFUSIONS = 8
+REPETITIONS = (
+    "a person may have labelled repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
+    "and boundaries then say little of either, though frames and segments (F1, F2) agree"
+)
+"""What is to be known of overlap and boundaries."""
+
+JOINED = "joined: the same where touching segments of one class are one, on both sides"
 MOST_LISTED = 60
 """Manual segments that Markdown lists; the page folds them, the JSON has all."""
-
-
-@dataclass(frozen=True)
-class Confused:
-    """Frames of one class that were labelled as another (or nothing), and the share of the class that they are."""
-
-    label: str
-    taken_for: str
-    frames: float
-    share: float
 
 
 def headings(study: Study) -> list[str]:
     """The columns of the table of methods, after the method's name."""
     columns = []
     if "frames" in study.metrics:
-        columns += ["F1", "95 %", "P1", "R1"]
+        columns += ["F1", "95\N{NO-BREAK SPACE}%", "P1", "R1"]
     if "segments" in study.metrics:
-        columns += ["F2", "95 %", "P2", "R2"]
+        columns += ["F2", "95\N{NO-BREAK SPACE}%", "P2", "R2"]
     if "overlap" in study.metrics:
         columns += ["mAP .1", "mAP .5", "mAP .7"]
     if "boundaries" in study.metrics:
         columns += ["start ±s", "stop ±s"]
+    if "joined" in study.metrics:
+        columns += ["mAP .5 joined"]
     return columns
 
 
@@ -58,6 +58,8 @@ def row(judgement: Judgement, study: Study) -> list[str]:
     if "boundaries" in study.metrics:
         ends = boundary_summary(judgement, study.rate_hz)
         values += [digits(ends[end]["median_size"]) for end in ("start", "stop")]
+    if "joined" in study.metrics:
+        values += [digits(judgement.joined_precision[0.5])]
     return values
 
 
@@ -76,18 +78,6 @@ def six(counts: Counts) -> list[str]:
     return [digits(float(getattr(counts, name.lower()))) for name in MEASURE_NAMES]
 
 
-def confusions(judgement: Judgement, most: int = MOST_CONFUSIONS) -> list[Confused]:
-    """The greatest confusions of one class with another, or with nothing, by frames; none below half a percent."""
-    labels, frames = judgement.confusion.labels, judgement.confusion.frames
-    found = []
-    for i, label in enumerate(labels):
-        total = float(frames[i].sum())
-        for j, other in enumerate(labels):
-            if i != j and total and frames[i, j] >= 0.005 * total:
-                found.append(Confused(label, other, float(frames[i, j]), float(frames[i, j]) / total))
-    return sorted(found, key=lambda one: (-one.frames, one.label, one.taken_for))[:most]
-
-
 def described(result: SplitResult) -> str:
     """A split in one sentence."""
     takes = len(result.exams)
@@ -96,7 +86,13 @@ def described(result: SplitResult) -> str:
         f", {len(result.folds)} folds: {', '.join(one.name for one in result.folds)}" if len(result.folds) > 1 else ""
     )
     segments = sum(len(exam.truth) for exam in result.exams)
-    return f"{result.split.kind}; {parts}{takes} takes with {segments} manual segments{folds}"
+    return f"{result.split.kind}; {parts}{counted(takes, 'take')} with {counted(segments, 'manual segment')}{folds}"
+
+
+def overlap_notes(study: Study) -> list[str]:
+    """What is to be known of what is measured by overlap, where it is."""
+    notes = [REPETITIONS] if {"overlap", "boundaries"} & {*study.metrics} else []
+    return notes + ([JOINED] if "joined" in study.metrics else [])
 
 
 def sentence(text: str) -> str:
@@ -105,37 +101,47 @@ def sentence(text: str) -> str:
 
 
 def overview(study: Study) -> Group:
-    """A table of methods for each split, for the terminal."""
+    """Tables of methods for each split, for the terminal: frames and segments, then what is measured by overlap."""
+    thesis = 4 * len({"frames", "segments"} & {*study.metrics})
     tables = []
     for result in study.splits:
-        table = Table(
-            title=f"{result.split.name} ({described(result)})",
-            title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
-        )  # fmt: skip
-        table.add_column("", overflow="fold")
-        for name in headings(study):
-            table.add_column(name, justify="right", no_wrap=True)
-        for name, judgement in result.judgements.items():
-            leads = name == result.leading and len(result.judgements) > 1
-            table.add_row(Text(name), *row(judgement, study), style="bold" if leads else None)
-        table.caption = f"{len(result.missed)} manual segments are found by no method"
-        table.caption_justify = "left"
-        tables.append(table)
-    return Group(*tables)
+        title = f"{result.split.name} ({described(result)})"
+        parts = [part for part in (slice(thesis), slice(thesis, None)) if headings(study)[part]] or [slice(None)]
+        for part in parts:
+            tables.append(_overview(result, study, part))
+            tables[-1].caption_justify = "left"
+        tables[-len(parts)].title = title
+        tables[-1].caption = f"{counted(len(result.missed), 'manual segment')} found by no method"
+    return Group(*tables, *(Text(f"{sentence(text)}.") for text in overlap_notes(study)))
+
+
+def _overview(result: SplitResult, study: Study, part: slice) -> Table:
+    """Some columns of the table of methods."""
+    table = Table(
+        title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold"
+    )  # fmt: skip
+    table.add_column("", overflow="fold", min_width=12)
+    for name in headings(study)[part]:
+        table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
+    for name, judgement in result.judgements.items():
+        leads = name == result.leading and len(result.judgements) > 1
+        table.add_row(Text(name), *row(judgement, study)[part], style="bold" if leads else None)
+    return table
 
 
 def markdown(study: Study) -> str:
     """The study as a Markdown summary."""
-    lines = [f"# {study.title}", ""]
+    lines = [f"# {plain(study.title)}", ""]
     lines += [f"Frames (1) and segments (2) as in the thesis, 5.4; {study.rate_hz:g} frames a second; intervals: 95 % "
               "over takes, by bootstrap; mAP at thresholds of intersection over union; start and stop: how far off "
               "boundaries are in the middle.", ""]  # fmt: skip
-    lines += [f"- {remark}" for remark in study.remarks] + ([""] if study.remarks else [])
+    lines += [*(f"{sentence(text)}." for text in overlap_notes(study)), ""] if overlap_notes(study) else []
+    lines += [f"- {plain(remark)}" for remark in study.remarks] + ([""] if study.remarks else [])
     for result in study.splits:
-        lines += [f"## {result.split.name}", "", sentence(described(result)) + ".", ""]
-        lines += [f"- {remark}" for remark in result.remarks] + ([""] if result.remarks else [])
+        lines += [f"## {plain(result.split.name)}", "", plain(sentence(described(result))) + ".", ""]
+        lines += [f"- {plain(remark)}" for remark in result.remarks] + ([""] if result.remarks else [])
         lines += grid(["method", *headings(study)], [[name, *row(j, study)] for name, j in result.judgements.items()])
-        lines += ["### By " + study.group, ""]
+        lines += ["### By " + plain(study.group), ""]
         lines += grid(
             ["", "method", *MEASURE_NAMES],
             [
@@ -157,13 +163,15 @@ def _by_class(result: SplitResult) -> list[str]:
         if any(one.frames_automatic + one.frames_manual for one in counts):
             rows.append([label, *(f"{digits(one.f1)} / {digits(one.f2)}" for one in counts)])
     lines = ["### By class, F1 / F2", "", *grid(["class", *names], rows)]
-    worst = confusions(result.judgements[result.leading])
+    worst = confusions(result.judgements[result.leading].confusion, MOST_CONFUSIONS)
     if worst:
         said = [
             f"{one.label} → {one.taken_for} ({one.frames:.0f} frames, {one.share:.0%})"
             for one in worst
         ]  # fmt: skip
-        lines += [f"Confused most by {result.leading}: {'; '.join(said)}. ({NOTHING}: no label.)", ""]
+        lines += [plain(f"Confused most by {result.leading}: {'; '.join(said)}."), ""]
+        if any(one.label == EXTRA or one.taken_for == LACKING for one in worst):
+            lines += [f"{sentence(EXTRA)}, {LACKING}: beyond as many as the other side gave the frame.", ""]
     return lines
 
 
@@ -171,7 +179,8 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
     lines = [f"### Found by no method: {len(result.missed)}", ""]
     for one in result.missed[:MOST_LISTED]:
         labels = "; ".join(f"{method}: {', '.join(names) or 'nothing'}" for method, names in one.labels.items())
-        lines.append(f"- {one.take}, {one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s, {one.label} ({labels})")
+        seconds = f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s"
+        lines.append(f"- {plain(f'{one.take}, {seconds}, {one.label} ({labels})')}")
     if len(result.missed) > MOST_LISTED:
         lines.append(f"- and {len(result.missed) - MOST_LISTED} more, in the JSON")
     lines += [""] if result.missed else []
@@ -189,14 +198,3 @@ def fate(one: Fate, method: str) -> str:
     """What a method made of a manual segment: the overlap, or what it put there instead."""
     share = one.overlaps[method]
     return f"{share:.0%}" if share else f"missed ({', '.join(one.labels[method]) or 'nothing'})"
-
-
-def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table, and an empty line."""
-    cells = [[text.replace("|", "\\|") for text in line] for line in (header, *rows)]
-    return [
-        "| " + " | ".join(cells[0]) + " |",
-        "|" + "|".join(["---", *["--:"] * (len(header) - 1)]) + "|",
-        *("| " + " | ".join(line) + " |" for line in cells[1:]),
-        "",
-    ]

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ops.measures.metrics import Counts
+from pipelines.evaluation.confusion import Confusion
 from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import NOTHING, Confusion, Outcome
+from pipelines.evaluation.judging import Outcome
 from pipelines.evaluation.study import Threshold
 from pipelines.report.axes import Axis, percent, time_axis
 
@@ -21,16 +22,19 @@ WIDTH, HEIGHT = 320.0, 150.0
 BINS, FURTHEST = 20, 1.0
 """Of the histogram of boundary errors: bars, and seconds at its ends."""
 
-LEAST_PERCENT = 1.6
-"""A block narrower than this has no room for its class's number."""
+ROOMS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
+"""Widths of a strip, in pixels, at which more blocks have room for their class's number."""
+
+_DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and around a number
 
 
 @dataclass(frozen=True)
 class Line:
-    """One curve of a plot: what it is, and its path."""
+    """One curve of a plot: what it is, and its path; a point where it has one value alone."""
 
     name: str
     path: str
+    point: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -54,15 +58,23 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Block:
-    """A segment on a strip: its place in percent, its class by number, whether it is wrong, and what a pointer is
-    told."""
+    """A segment on a strip: its place in percent, its class by number, whether it is wrong, what a pointer is told,
+    its frames, and what the player calls it.
+
+    middle: of the longest part that no later block covers, in percent, where the number stands. room: how wide a strip
+    must be, in pixels, so that the number has room there; one of `ROOMS`, None: no strip is.
+    """
 
     left: float
     width: float
     number: int
-    roomy: bool
+    middle: float
+    room: int | None
     wrong: bool
     tip: str
+    start: int
+    stop: int
+    called: str
 
 
 @dataclass(frozen=True)
@@ -76,8 +88,9 @@ class Strip:
 
 @dataclass(frozen=True)
 class Strips:
-    """A take with what every method labels."""
+    """A take with what every method labels. title: its name among the takes of all splits."""
 
+    title: str
     what: str
     exam: Exam
     strips: tuple[Strip, ...]
@@ -97,12 +110,20 @@ class Shade:
 
 @dataclass(frozen=True)
 class ConfusionRow:
-    """One row of a confusion: the class by name and number, its frames, and its entries."""
+    """One row of a confusion: what it is, with its number (empty where it is no class), its frames, and its entries."""
 
     label: str
-    number: int
+    number: str
     frames: float
     shades: tuple[Shade, ...]
+
+
+@dataclass(frozen=True)
+class ConfusionTable:
+    """A confusion as it is drawn. heads: of the columns, as (what they say, what a pointer is told)."""
+
+    heads: tuple[tuple[str, str], ...]
+    rows: tuple[ConfusionRow, ...]
 
 
 @dataclass(frozen=True)
@@ -132,17 +153,20 @@ def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
     for letter, name in (("p", "precision"), ("r", "recall"), ("f", "F-measure")):
         values = [float(getattr(point.counts, f"{letter}{level}")) for point in points]
         known = [(x, value) for x, value in zip(across, values, strict=True) if not math.isnan(value)]
-        lines.append(
-            Line(name, "M" + "L".join(f"{x:.1f} {HEIGHT * (1 - value):.1f}" for x, value in known) if known else "")
-        )
-        if known:
+        path = "M" + "L".join(f"{x:.1f} {HEIGHT * (1 - value):.1f}" for x, value in known) if len(known) > 1 else ""
+        lines.append(Line(name, path, (known[0][0], HEIGHT * (1 - known[0][1])) if len(known) == 1 else None))
+        if path:
             said.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
+        elif known:
+            said.append(f"{name} {known[0][1]:.2f}")
     places = {0, len(points) // 2, len(points) - 1}
     ticks = tuple((across[i], f"{points[i].tau:g}") for i in sorted(places))
-    return Plot(title, tuple(lines), ticks, f"{title}, τ from {low:g} to {high:g}: {', '.join(said)}")
+    span = f"τ from {low:g} to {high:g}" if high > low else f"τ = {low:g}"
+    return Plot(title, tuple(lines), ticks, f"{title}, {span}: {', '.join(said)}")
 
 
 def strips(
+    title: str,
     what: str,
     exam: Exam,
     outcomes: Mapping[str, Outcome],
@@ -162,7 +186,7 @@ def strips(
     for name, outcome in outcomes.items():
         own = [(one.start, one.stop, one.label) for one in outcome[exam.name]]
         rows.append(_strip(name, own, manual, exam, numbers, rate_hz))
-    return Strips(what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
+    return Strips(title, what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
 
 
 def _strip(
@@ -174,32 +198,65 @@ def _strip(
     rate_hz: float,
 ) -> Strip:
     blocks, words = [], []
-    for start, stop, label in segments:
+    for place, (start, stop, label) in enumerate(segments):
         wrong = not any(label == other and start < end and begin < stop for begin, end, other in others)
         said = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
-        width = percent(stop - start, exam.frames)
         tip = f"{name}: {said}" + ("; " + ("not found" if name == "manual" else "not so by hand") if wrong else "")
-        blocks.append(Block(percent(start, exam.frames), width, numbers[label], width >= LEAST_PERCENT, wrong, tip))
+        left, right = bare_part((start, stop), [(begin, end) for begin, end, _ in segments[place + 1 :]])
+        blocks.append(
+            Block(
+                left=percent(start, exam.frames),
+                width=percent(stop - start, exam.frames),
+                number=numbers[label],
+                middle=percent((left + right) / 2, exam.frames),
+                room=room_for(numbers[label], (right - left) / exam.frames),
+                wrong=wrong,
+                tip=tip,
+                start=start,
+                stop=stop,
+                called=f"{name}: {label}",
+            )
+        )
         words.append(said)
     return Strip(name, tuple(blocks), f"{name}: {'; '.join(words) or 'nothing'}")
 
 
-def confusion_rows(confusion: Confusion) -> list[ConfusionRow]:
-    """Lay a confusion out; classes that are neither there nor labelled are left out of the rows."""
+def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The longest part of a block that no later one covers, the first of equal ones; (start, start) where none is
+    left."""
+    at, stop = block
+    best = (at, at)
+    for begin, end in [*sorted(one for one in later if one[0] < stop), (stop, stop)]:
+        if begin - at > best[1] - best[0]:
+            best = (at, begin)
+        at = max(at, end)
+    return best
+
+
+def room_for(number: int, share: float) -> int | None:
+    """How wide a strip must be, in pixels, so that a number has room in this share of it."""
+    wanted = _DIGIT * len(str(number)) + _ROUND
+    return next((width for width in ROOMS if width * share >= wanted), None)
+
+
+def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> ConfusionTable:
+    """Lay a confusion out; rows without a frame, and the column of labels too few without one, are left out."""
+    given = [str(numbers[label]) for label in confusion.classes]
+    few = confusion.frames[:, -1].any()
+    heads = [*zip([*given, "–", "+"], confusion.columns, strict=True)][: None if few else -1]
     rows = []
-    for index, label in enumerate(confusion.labels):
+    for index, (label, number) in enumerate(zip(confusion.rows, [*given, "", ""], strict=True)):
         frames = confusion.frames[index]
         total = float(frames.sum())
         if not total:
             continue
-        shares = frames / total
-        right = label if label != NOTHING else NOTHING
+        shares = (frames / total).tolist()
         shades = tuple(
-            Shade(float(count), float(share), round(60 * float(share) ** 0.5), confusion.labels[column] == right)
-            for column, (count, share) in enumerate(zip(frames.tolist(), shares.tolist(), strict=True))
+            Shade(count, share, round(60 * share**0.5), column == index)
+            for column, (count, share) in enumerate(zip(frames.tolist(), shares, strict=True))
         )
-        rows.append(ConfusionRow(label, index + 1, total, shades))
-    return rows
+        rows.append(ConfusionRow(label, number, total, shades[: len(heads)]))
+    return ConfusionTable(tuple(heads), tuple(rows))
 
 
 def histogram(frames: npt.NDArray[np.int64], rate_hz: float) -> list[Bar]:

@@ -9,22 +9,24 @@ from dataclasses import dataclass
 from jinja2 import Environment
 
 from ops.measures.detection import THRESHOLDS
-from pipelines.evaluation.study import SplitResult, Study, boundary_summary
-from pipelines.evaluation.tables import between, confusions, described, digits, fate, headings, row, sentence, six
+from pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
+from pipelines.evaluation.tables import between, described, digits, fate, headings, overlap_notes, row, sentence, six
 from pipelines.report.environment import page_environment
 from pipelines.report.methodfigures import (
     FURTHEST,
     HEIGHT,
+    ROOMS,
     WIDTH,
     Bar,
-    ConfusionRow,
+    ConfusionTable,
     Strips,
     Sweep,
-    confusion_rows,
+    confusion_table,
     histogram,
     strips,
     sweeps,
 )
+from pipelines.report.motions import Motions, motions_json
 from pipelines.report.palette import colour_rules, colour_slot
 
 MOST_ROWS = 300
@@ -39,12 +41,16 @@ class Section:
     labels: tuple[str, ...]
     takes: tuple[Strips, ...]
     sweeps: tuple[Sweep, ...]
-    confusion: dict[str, list[ConfusionRow]]
+    confusion: dict[str, ConfusionTable]
     bars: dict[str, list[Bar]]
 
 
-def methods_page(study: Study) -> str:
+def methods_page(study: Study, motions: Motions | None = None) -> str:
     """Render a comparison of methods.
+
+    Parameters
+    ----------
+    motions: what the player plays, by the titles of takes; None: there is no player.
 
     Returns
     -------
@@ -62,11 +68,15 @@ def methods_page(study: Study) -> str:
             slots={label: colour_slot(index) for index, label in enumerate(labels)},
             numbers={label: index + 1 for index, label in enumerate(labels)},
             headings=headings(study),
+            overlap_notes=overlap_notes(study),
             thresholds=THRESHOLDS,
             width=WIDTH,
+            rooms=ROOMS,
             height=HEIGHT,
             furthest=FURTHEST,
             most=MOST_ROWS,
+            motions=motions,
+            motions_json=motions_json(motions),
             light=light,
             dark=dark,
         )
@@ -98,6 +108,7 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
     )
     takes = [
         strips(
+            take_title(study, result, exams[name]),
             what,
             exams[name],
             ordered,
@@ -110,7 +121,7 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
     bars = {
         end: histogram(judgement.boundaries[:, column], study.rate_hz) for column, end in enumerate(("start", "stop"))
     }
-    confusion = {name: confusion_rows(result.judgements[name].confusion) for name in ordered}
+    confusion = {name: confusion_table(result.judgements[name].confusion, numbers) for name in ordered}
     return Section(result, used, tuple(takes), tuple(sweeps(result.sweep)), confusion, bars)
 
 
@@ -123,7 +134,6 @@ def _environment() -> Environment:
         "row": row,
         "fate": fate,
         "six": six,
-        "confusions": confusions,
         "boundaries": boundary_summary,
         "sortable": lambda value: "" if value is None or math.isnan(value) else value,
     }

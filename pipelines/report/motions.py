@@ -4,15 +4,18 @@ frame."""
 from __future__ import annotations
 
 import base64
+import json
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 
 from ops.errors import KinedexError, did_you_mean
+from pipelines.wording import few
 from storage.export import TREE
 from storage.parts import joint_positions
 from storage.store import Store
@@ -62,18 +65,25 @@ class Motions:
         return frozenset(motion.take for motion in self.motions)
 
 
-def embed(store: Store, takes: Sequence[str], wanted: Embed = "auto") -> Motions:
+def embed(
+    store: Store,
+    takes: Sequence[str] | Mapping[str, Sequence[str]],
+    wanted: Embed = "auto",
+    stage: str = "report",
+) -> Motions:
     """Pack the motions of takes.
 
     Parameters
     ----------
-    takes: those with a timeline, in their order on the page. wanted: "auto": as many of them, from the first, as fit
-        into `MOST_BYTES`; "all" of them, "none", or these by name.
+    takes: those with a timeline, in their order on the page; or by name the takes of the store that one is laid out of,
+        end to end. wanted: "auto": as many of them, from the first, as fit into `MOST_BYTES`; "all" of them, "none", or
+        these by name. stage: whose parameter `wanted` is.
 
     Raises
     ------
     KinedexError: a take is asked for that has no timeline.
     """
+    parts = takes if isinstance(takes, Mapping) else {name: (name,) for name in takes}
     if isinstance(wanted, list):
         unknown = [name for name in wanted if name not in takes]
         if unknown:
@@ -84,12 +94,13 @@ def embed(store: Store, takes: Sequence[str], wanted: Embed = "auto") -> Motions
     packed: list[Motion] = []
     size = 0
     for name in chosen:
-        motion = pack(name, joint_positions(store.frames(name), joints), store.rate_hz)
+        positions = [joint_positions(store.frames(part), joints) for part in parts[name]]
+        motion = pack(name, np.concatenate(positions, axis=2), store.rate_hz)
         if wanted == "auto" and size + len(motion.data) > MOST_BYTES:
             break
         packed.append(motion)
         size += len(motion.data)
-    return Motions(tuple(packed), joints, parents, _remark(len(packed), len(takes), wanted, size))
+    return Motions(tuple(packed), joints, parents, _remark(packed, len(takes), wanted, size, f"{stage}.embed"))
 
 
 def pack(take: str, positions: npt.NDArray[np.floating], rate_hz: float) -> Motion:
@@ -105,14 +116,23 @@ def pack(take: str, positions: npt.NDArray[np.floating], rate_hz: float) -> Moti
     return Motion(take, positions.shape[2], _STEP, rate_hz / _STEP, unit_m, data)
 
 
-def _remark(carried: int, shown: int, wanted: Embed, size: int) -> str:
+def motions_json(motions: Motions | None) -> Markup:
+    """The motions as JSON that may stand inside a script element: no tag can begin in it."""
+    if motions is None:
+        return Markup("")
+    text = json.dumps(asdict(motions), ensure_ascii=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c"))
+
+
+def _remark(carried: Sequence[Motion], shown: int, wanted: Embed, size: int, key: str) -> str:
     if not carried:
-        return "No motion is embedded; `--set report.embed=all` embeds all that have a timeline."
+        return f"No motion is embedded; `--set {key}=all` embeds all that have a timeline."
     megabytes = f"{size / 1e6:.1f} MB"
-    if carried == shown:
+    if len(carried) == shown:
         return f"Click a segment to see the motion. It is embedded for every take with a timeline ({megabytes})."
     why = "as asked for" if wanted != "auto" else "the first ones, as many as fit into the page"
     return (
-        f"Click a segment to see the motion. It is embedded for {carried} of the {shown} takes with a timeline, {why} "
-        f"({megabytes}); `--set report.embed=all`, or a list of names, changes that."
+        f"Click a segment to see the motion. It is embedded for {len(carried)} of the {shown} takes with a timeline "
+        f"({few([one.take for one in carried])}), {why} ({megabytes}); `--set {key}=all`, or a list of names, changes "
+        "that."
     )

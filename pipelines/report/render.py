@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import resources
 
 from jinja2 import Environment
@@ -17,7 +17,7 @@ from pipelines.report.choice import Choice, choose_takes
 from pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from pipelines.report.data import ReportData, Score, Segment
 from pipelines.report.environment import page_environment
-from pipelines.report.motions import Motions
+from pipelines.report.motions import Motions, motions_json
 from pipelines.report.palette import colour_rules, colour_slot
 from pipelines.report.timelines import Timeline, timeline
 from pipelines.wording import counted
@@ -93,7 +93,7 @@ def render(
             weakest=weakest(data),
             choice=choice,
             motions=motions,
-            motions_json=_motions_json(motions),
+            motions_json=motions_json(motions),
             timelines=timelines_of(data, choice.shown, slots),
             delta=delta,
             cards=cards_of(data, delta),
@@ -107,14 +107,6 @@ def render(
             dark=dark,
         )
     )
-
-
-def _motions_json(motions: Motions | None) -> Markup:
-    """The motions as JSON that may stand inside a script element: no tag can begin in it."""
-    if motions is None:
-        return Markup("")
-    text = json.dumps(asdict(motions), ensure_ascii=False, separators=(",", ":"))
-    return Markup(text.replace("<", "\\u003c"))
 
 
 def timelines_of(data: ReportData, names: Sequence[str], slots: Mapping[str, int]) -> list[Timeline]:

@@ -31,14 +31,16 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
     Parameters
     ----------
     query: a query with positions; one without gets those at which its keyframes fit the template best. Where it says
-        its margins itself, they count.
+        its margins itself, they count, and its positions may be those of another template, as when somebody's clips
+        are left out.
     template: float64 (N, f), the template's columns; entry i − 1 of a column belongs to F_i. A quantised template has
         0 and 1, and one half for wildcards.
     feature_set: the features of the query's sets.
 
     Raises
     ------
-    KinedexError: the query's positions lie outside the template, or it asks for features the template does not have.
+    KinedexError: the positions of a query without margins lie outside the template, or it asks for features the
+        template does not have.
     """
     columns, features = template.shape
     fit = None
@@ -55,7 +57,7 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
                     values[k, number - 1] = keyframe.value >> bit & 1
         fit = fit_keyframes(template, masks, values, query.bounds)
         positions = fit.positions
-    elif positions[-1] >= columns:
+    elif positions[-1] >= columns and query.margins is None:
         raise KinedexError(
             f"query '{query.name}' puts a keyframe in template column {positions[-1]}, but the template has {columns}"
             " columns, counted from 0; leave `positions` out to have them found"

@@ -177,7 +177,6 @@ def calibrated(
         return Calibration({}, {}, ())
     learned = context.params[context.inputs["templates"]]
     assert isinstance(learned, learning.Params)
-    takes = learning.takes_to_learn_from(store, learned)
     counts = feature_weights(learned.weights, store.feature_set)
 
     def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
@@ -185,9 +184,10 @@ def calibrated(
         found = [one for task in learn_templates(some, kinds, features, context.executor, counts) for one in task]
         return learning.completed(found, learned, store.feature_set, kinds, where_possible=True)
 
-    known = learning.clips_to_learn_from(store, learned, takes) if clips is None else clips
-    actors = dict(takes.select("name", "actor").iter_rows())
-    return calibrate(known, actors, classes, params.delta, learn, context.executor)
+    if clips is None:
+        clips = learning.clips_to_learn_from(store, learned, learning.takes_to_learn_from(store, learned))
+    actors = dict(store.takes().select("name", "actor").iter_rows())  # a split's clips need not be the stage's
+    return calibrate(clips, actors, classes, params.delta, learn, context.executor)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import polars as pl
 import pyarrow as pa
@@ -13,30 +12,26 @@ from pydantic import ConfigDict, Field, model_validator
 
 from catalog.classes import OWN, Classes, load_classes
 from catalog.configs import config_path
-from catalog.queries import KeyframeQuery
-from ops.distances.decoding import background
 from ops.errors import KinedexError
 from ops.measures.metrics import pooled
-from ops.templates.templates import Kind
-from pipelines.annotation.annotators import make_annotator, targets_unknown
 from pipelines.context import StageContext
 from pipelines.digests import files_digest
-from pipelines.evaluation.cells import Cell, Found, cell_key, cells_table, known_cells, run_cells
+from pipelines.evaluation.cells import Cell, Found, cells_table, known_cells, remarks_of, run_cells
 from pipelines.evaluation.evaluating import Evaluation, Row, measures, metrics_rows
-from pipelines.evaluation.exams import Fold, Material, make_folds
+from pipelines.evaluation.exams import Fold
+from pipelines.evaluation.folds import Material, make_folds
 from pipelines.evaluation.groundtruth import GroundTruth
 from pipelines.evaluation.judging import Judgement, counts_of, fates, judge
+from pipelines.evaluation.preparing import Known, make_cell, said_of, with_templates
 from pipelines.evaluation.queries import QueryLearner
 from pipelines.evaluation.scheme import METRICS, Method, Metric, Split
-from pipelines.evaluation.study import SplitResult, Study, Threshold, content
+from pipelines.evaluation.study import SplitResult, Study, Threshold, content, shown_parts
 from pipelines.evaluation.tables import markdown, overview
 from pipelines.report.methods import methods_page
+from pipelines.report.motions import embed
 from pipelines.report.write import write_page
-from pipelines.stages import annotate
 from pipelines.stages import evaluate as evaluating
 from pipelines.stages import learn_templates as learning
-from pipelines.templates.learning import SubclassTemplate, learn_templates
-from pipelines.templates.recipes import feature_weights
 from pipelines.wording import few
 from storage.manifest import now
 from storage.store import Store
@@ -51,16 +46,27 @@ class Params(evaluating.Params):
     methods: list[Method] = Field(min_length=1, description="ways to annotate, each with a name")
     splits: list[Split] = Field(min_length=1, description="what is learned from, and what is annotated")
     classes: str = Field(OWN, description="'own': every subclass is a class; or a class file")
-    divide_by: str = Field("actor", description="the column of takes that Table 5.2 is divided by")
+    divide_by: str = Field(
+        "actor",
+        description="the column of takes that Table 5.2 is divided by (in the metrics, scope 'group'); of clips laid "
+        "end to end, those of one take have the same value",
+    )
     taus: list[float] = Field(
         [],
         description="thresholds of the sweep (thesis, Figure 5.6), for all methods but those that τ does not matter to",
     )
     metrics: list[Metric] = Field(
         list(METRICS),
-        description="what is reported: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), boundaries",
+        description="what is reported: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), boundaries, "
+        "and joined: overlap and boundaries once more where touching segments of one class are one",
     )
     draws: int = Field(1000, ge=1, description="how often takes are drawn for the 95 % intervals")
+
+    embed: Literal["auto", "all", "none"] | list[str] = Field(
+        "auto",
+        description="takes whose motion the page carries, so that a click on a segment shows it: auto (as many as keep "
+        "the page below 20 MB), all that have a timeline, none, or a list of names",
+    )
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -80,17 +86,6 @@ class Params(evaluating.Params):
     def query_files(self) -> list[str]:
         """The query files of all methods, each once."""
         return list(dict.fromkeys(name for method in self.methods for name in method.query_files))
-
-
-@dataclass(frozen=True)
-class Known:
-    """What folds share. templates: by subclass, clips and kind. queries: by fold, those that are learned."""
-
-    store: Store
-    classes: Classes
-    learned_with: learning.Params
-    templates: dict[tuple[str, tuple[str, ...], Kind], SubclassTemplate]
-    learned_queries: QueryLearner | None
 
 
 def _setting(method: Method) -> dict[str, object]:
@@ -116,12 +111,12 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     params = params.model_copy(update={"methods": params.distinct})
     known = _known(context, params, store)
     folds = {split.name: _folds(params, split, known) for split in params.splits}
-    known = _with_templates(context, params, known, [fold for some in folds.values() for fold in some])
+    known = with_templates(context, params.methods, known, [fold for some in folds.values() for fold in some])
     remarks = [f"the same as a method before it, left out: {few(same)}"] if same else []
-    remarks += _remarks(params, known)
+    remarks += said_of(params.methods, known)
     variants = [*params.methods, *_swept(params)]
     cells = {
-        (fold.split, fold.name, method.name): _cell(context, known, fold, method)
+        (fold.split, fold.name, method.name): make_cell(context, known, fold, method)
         for some in folds.values()
         for fold in some
         for method in variants
@@ -129,9 +124,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     found = _run(context, list(cells.values()))
     splits = [_result(params, split, folds[split.name], cells, found, known.classes) for split in params.splits]
     study = _study(context, params, store, known.classes, splits, remarks)
-    files = _write(context, study)
+    files = _write(context, params, study)
     context.terminal.show(overview(study))
-    for remark in [*remarks, *(remark for split in study.splits for remark in split.remarks)]:
+    for remark in [*remarks, *_remarks(study)]:
         context.say(remark)
     context.say(f"report: {(context.store_path / files[0]).resolve()}")
     leading = study.splits[0].judgements[study.splits[0].leading].pooled
@@ -143,6 +138,16 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         **measures(leading),
         "files": files,
     }
+
+
+def _remarks(study: Study) -> list[str]:
+    """The remarks of all splits, each once, with the splits that it is of where there are several."""
+    found: dict[str, list[str]] = {}
+    for result in study.splits:
+        for remark in result.remarks:
+            found.setdefault(remark, []).append(result.split.name)
+    several = len(study.splits) > 1
+    return [(f"{few(splits)}: " if several else "") + remark for remark, splits in found.items()]
 
 
 def _known(context: StageContext, params: Params, store: Store) -> Known:
@@ -182,64 +187,10 @@ def _folds(params: Params, split: Split, known: Known) -> list[Fold]:
     return make_folds(split, material)
 
 
-def _with_templates(context: StageContext, params: Params, known: Known, folds: Sequence[Fold]) -> Known:
-    """Learn each template that any fold needs once; and the queries, where they are learned."""
-    kinds = list(dict.fromkeys(method.templates for method in params.methods))
-    wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
-    features = len(context.feature_set.features)
-    counts = feature_weights(known.learned_with.weights, context.feature_set)
-    templates = dict(known.templates)
-    with context.progress("templates", len(wanted) * len(kinds)) as progress:
-        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, counts):
-            templates |= {(one.subclass, one.clips, one.kind): one for one in some}
-            progress.advance(len(some))
-    if known.learned_queries is not None:
-        known.learned_queries.learn(folds)
-    return Known(known.store, known.classes, known.learned_with, templates, known.learned_queries)
-
-
 def _swept(params: Params) -> list[Method]:
     """A method for each threshold and each kind of method that has one, the same kind once."""
     curves = {method.curve_name: method for method in params.methods if method.method == "thesis"}
     return [method.at(tau) for method in curves.values() for tau in params.taus]
-
-
-def _remarks(params: Params, known: Known) -> list[str]:
-    remarks = []
-    for method in params.methods:
-        unknown = targets_unknown(_queries(known.store, method), known.classes)
-        if unknown:
-            remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
-        remarks += [f"{method.name}: {remark}" for remark in annotate.without_effect(_params(method))]
-    return remarks
-
-
-def _queries(store: Store, method: Method) -> list[KeyframeQuery]:
-    return annotate.queries_of(store, _params(method))
-
-
-def _params(method: Method) -> annotate.Params:
-    """The parameters of the stage `annotate` that mean the same method."""
-    return annotate.Params.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
-
-
-def _cell(context: StageContext, known: Known, fold: Fold, method: Method) -> Cell:
-    own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
-    feature_set = known.store.feature_set
-    templates = learning.completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
-    if method.learned_queries:
-        assert known.learned_queries is not None
-        queries: Sequence[KeyframeQuery] = known.learned_queries.queries(fold)
-    else:
-        queries = _queries(known.store, method)
-    usual = None
-    if method.method == "best":
-        usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
-    params = _params(method)
-    annotator = make_annotator(feature_set, templates, known.classes, method.delta, params.common_tau, queries, usual)
-    calibration = annotate.calibrated(context, known.store, params, known.classes, fold.clips)
-    annotator = annotate.refined(annotator, params, known.store.rate_hz, calibration.taus)
-    return Cell(cell_key(fold, annotator, known.store), fold, method, annotator)
 
 
 def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
@@ -248,7 +199,7 @@ def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
 
     def save(found: Mapping[str, Found]) -> None:
         with context.writer() as writer:
-            table = cells_table(distinct, found, context.run)
+            table = cells_table(cells, found, context.run)
             writer.put_results("method_cells", table, stage=context.key(), run=context.run)
             writer.commit()
 
@@ -284,10 +235,11 @@ def _result(
         )
         for method in _swept(params)
     ]
-    used = [cells[split.name, fold.name, method.name].annotator for fold in folds for method in params.methods]
-    labelled = {one.classes[index] for one in used for index in one.class_index.tolist()}
+    used = [cells[split.name, fold.name, method.name] for fold in folds for method in params.methods]
+    labelled = {one.annotator.classes[index] for one in used for index in one.annotator.class_index.tolist()}
     lacking = sorted({label for exam in exams for label, _, _ in exam.truth} - labelled)
     notes = [f"without a template, so their segments cannot be found: {few(lacking)}"] if lacking else []
+    notes += remarks_of(used)
     met = tuple(fates(outcomes, exams))
     return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), met, tuple(notes))
 
@@ -318,18 +270,22 @@ def _study(
     )
 
 
-def _write(context: StageContext, study: Study) -> list[str]:
+def _write(context: StageContext, params: Params, study: Study) -> list[str]:
     """Keep the metrics, write page, summary and JSON; their paths within the store, the page first."""
     with context.writer() as writer:
         tables = [
-            metrics_rows(Evaluation(f"{result.split.name}: {name}", rows_of(judged)), context.run)
+            metrics_rows(Evaluation(f"{result.split.name}: {name}", rows_of(judged, result.folds)), context.run)
             for result in study.splits
             for name, judged in result.judgements.items()
         ]
         writer.put_results("metrics", pa.concat_tables(tables), stage=context.key(), run=context.run)
         writer.commit()
+    store = context.open()
+    named = dict(store.takes().select("take_id", "name").iter_rows())
+    shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
+    motions = embed(store, shown, params.embed, context.stage)
     texts = {
-        "methods.html": methods_page(study),
+        "methods.html": methods_page(study, motions),
         "methods.md": markdown(study),
         "methods.json": json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
     }
@@ -341,11 +297,13 @@ def _write(context: StageContext, study: Study) -> list[str]:
     return files
 
 
-def rows_of(judged: Judgement) -> tuple[Row, ...]:
-    """A judgement as lines of an evaluation; a fold is a group of takes."""
+def rows_of(judged: Judgement, folds: Sequence[Fold]) -> tuple[Row, ...]:
+    """A judgement as lines of an evaluation; a group is of the takes that have the same value of `divide_by`."""
+    by_fold = {fold.name: pooled(judged.by_take[exam.name] for exam in fold.exams) for fold in folds}
     return (
         Row("pooled", "all", judged.pooled),
-        *(Row("fold", name, counts) for name, counts in judged.by_group.items()),
+        *(Row("fold", name, counts) for name, counts in by_fold.items() if len(by_fold) > 1),
+        *(Row("group", name, counts) for name, counts in judged.by_group.items()),
         *(Row("class", name, counts) for name, counts in judged.by_class.items()),
         *(Row("take", name, counts) for name, counts in judged.by_take.items()),
     )

@@ -58,8 +58,53 @@ def test_takes_are_sorted_into_better_worse_and_same() -> None:
 def test_only_takes_that_both_have_count() -> None:
     one = compared(scored(x=5, y=0), scored(x=7, z=10), ("A", "B"))
     assert one.overall.by == pytest.approx((0.2, 0.2))
-    assert (one.only_a, one.only_b) == (("y",), ("z",))
+    assert (one.only_a.takes, one.only_b.takes, one.common) == (("y",), ("z",), 1)
     assert "takes of A alone, left out: y" in markdown([one])
+
+
+def test_labels_in_vain_are_worse_than_none() -> None:
+    silent, vain = Counts(), Counts(0, 30, 0, 0, 3, 0, 0)
+    a = Scored("e", "", counts(5) + silent, {"walk": counts(5), "hop": silent}, {"x": counts(5), "y": silent})
+    b = Scored("e", "", counts(5) + vain, {"walk": counts(5), "hop": vain}, {"x": counts(5), "y": vain})
+    one = compared(a, b, ("A", "B"))
+    assert {change.name: change.verdict for change in one.takes} == {"x": "same", "y": "worse"}
+    assert {change.name: change.verdict for change in one.classes} == {"walk": "same", "hop": "worse"}
+    assert one.takes[1].by == (None, None)
+    assert {change.name: change.verdict for change in compared(b, a, ("B", "A")).takes}["y"] == "better"
+    for text in (markdown([one]), Reading(page([one])).text):
+        assert "Worse: 1 of 2 takes" in text
+    alone = compared(*(Scored("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B"))
+    assert alone.verdict.startswith("F1 is worse: B labels what is not there, the other one nothing; F2 is worse")
+    assert json.loads(json.dumps(content([alone]), allow_nan=False))["comparisons"][0]["overall"]["by"] == [None, None]
+
+
+def test_runs_without_a_common_take_are_not_compared() -> None:
+    one = compared(scored(x=5, y=4), scored(z=9), ("A", "B"))
+    assert one.verdict == "no take in common, so neither is better or worse"
+    assert (one.classes, one.takes, one.only_a.takes, one.only_b.takes) == ((), (), ("x", "y"), ("z",))
+    for text in (markdown([one]), Reading(page([one])).text):
+        assert "no take in common" in text
+        assert "ach over its own takes" in text
+        assert "better:" not in text.lower()
+    assert content([one])["comparisons"][0]["common_takes"] == 0
+
+
+def test_other_ground_truth_is_noticed() -> None:
+    a, b = scored(x=5, y=5), scored(x=5, y=5)
+    more = b.takes["y"] + Counts(0, 0, 4, 0, 0, 0, 1)
+    b = replace(b, takes={**b.takes, "y": more}, classes={"walk": b.classes["walk"] + Counts(0, 0, 4, 0, 0, 0, 1)})
+    one = compared(a, b, ("A", "B"))
+    assert (one.other_truth.takes, one.other_truth.classes) == (("y",), ("walk",))
+    assert one.verdict.endswith("but A and B were judged against different ground truth")
+    assert "takes whose manual labels are not the same in A and B: y" in markdown([one])
+    assert compared(a, a, ("A", "A")).other_truth.takes == ()
+
+
+def test_what_is_to_be_found_on_one_side_only_cannot_be_compared() -> None:
+    one = compared(*(Scored("e", "", each, {}, {"x": each}) for each in (Counts(), counts(5))), ("A", "B"))
+    assert one.takes[0].verdict == "incomparable"
+    assert one.verdict.startswith("F1 is undefined in A; F2 is undefined in A; but A and B")
+    assert "Incomparable: 1 of 1 takes" in markdown([one])
 
 
 def test_what_is_better_on_every_take_is_no_chance() -> None:
@@ -80,6 +125,15 @@ def test_settings_that_differ_are_said() -> None:
     assert one.settings == (("method", "thesis", "best"), ("queries", None, ["mine.yaml"]))
     assert "- method: thesis in A, best in B" in markdown([one])
     assert 'queries: not set in A, ["mine.yaml"] in B' in Reading(page([one])).text
+    assert 'queries: not set in A, \\["mine.yaml"\\] in B' in markdown([one])
+
+
+def test_thresholds_that_do_not_matter_are_not_said() -> None:
+    ours, theirs = (
+        replace(scored(x=5), settings={"method": "best", "tau": tau, "tau_by_class": {}, "delta": tau})
+        for tau in (0.13, 0.06)
+    )
+    assert compared(ours, theirs, ("A", "B")).settings == (("delta", 0.13, 0.06),)
 
 
 def test_the_same_comparison_is_shown_once() -> None:
@@ -106,6 +160,8 @@ def test_a_class_that_goes_up_in_frames_and_down_in_segments_is_mixed() -> None:
     one = compared(a, b, ("A", "B"))
     assert [(change.name, change.verdict) for change in one.classes] == [("walk", "mixed")]
     assert one.overall.f1 == (None, None)
+    assert one.only_b.classes == ("jump",)
+    assert "classes of B alone, not compared: jump" in markdown([one])
     assert json.loads(json.dumps(content([one]), allow_nan=False))["comparisons"][0]["intervals"]["f1"] == [None, None]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -16,9 +17,11 @@ from ops.measures.metrics import Counts
 from pipelines.config import load_pipeline
 from pipelines.evaluation import cells as grid
 from pipelines.evaluation.cells import Segment
-from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import NOTHING, chosen_takes, confusion, fates, judge
-from pipelines.evaluation.scheme import Method, Split
+from pipelines.evaluation.exams import Exam, Fold
+from pipelines.evaluation.judging import chosen_takes, fates, joined, judge
+from pipelines.evaluation.scheme import METRICS, Method, Split
+from pipelines.evaluation.study import SplitResult, Study
+from pipelines.evaluation.tables import overview
 from pipelines.keyframes import runs as keyframe_runs
 from pipelines.runner import run_pipeline
 from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
@@ -91,6 +94,8 @@ def test_every_method_is_judged_in_every_split(line: Comparing) -> None:
     assert set(left_out["methods"]["best"]["groups"]) == {"ann", "bob"}
     assert left_out["methods"]["best"]["pooled"]["f1"] == pytest.approx(1.0)
     metrics = open_store(line.store).result("metrics").to_pylist()
+    scopes = {row["scope"]: row["name"] for row in metrics if row["evaluation"] == "left out: best"}
+    assert (set(scopes), scopes["group"]) == ({"pooled", "fold", "group", "class", "take"}, "bob")
     assert {row["evaluation"] for row in metrics} >= {"eve: best", "left out: thesis"}
 
 
@@ -221,6 +226,27 @@ def test_the_same_method_twice_is_compared_once(line: Comparing) -> None:
     assert found["remarks"] == ["the same as a method before it, left out: again"]
 
 
+def test_what_a_method_found_stands_under_its_own_name(line: Comparing) -> None:
+    line.compare([{**THESIS, "name": "mine"}, BEST], [{"name": "eve"}, {"name": "again"}], taus=[0.05, 0.13])
+    rows = open_store(line.store).result("method_cells").to_pylist()
+    mine = [row for row in rows if row["method"] == "mine"]
+    assert [(row["split"], row["take"]) for row in mine] == [
+        (split, take) for split in ("eve", "again") for take in ("eve_1", "eve_2")
+    ]
+    swept = [row for row in rows if row["method"].endswith("τ = 0.13")]
+    assert [row["starts"] for row in swept] == [row["starts"] for row in mine]
+
+
+def test_what_is_to_be_known_of_thresholds_is_told_once(line: Comparing) -> None:
+    training = "class IS NOT NULL AND (actor = 'ann' OR class = 'walk')"
+    method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
+    found = line.compare([method, BEST], [{"name": "eve", "train": training}])["splits"][0]
+    (said,) = [one for one in found["remarks"] if "τ of all classes together" in one]
+    assert said.endswith("their clips are of one actor: kick, wave (calibrated)")
+    for text in (line.file("html"), line.file("md"), line.said.getvalue()):
+        assert "their clips are of one actor: kick, wave" in text
+
+
 def test_thresholds_make_no_other_method_of_one_without(line: Comparing) -> None:
     methods = [{**BEST, "name": "own τ", "tau_by_class": {"walk": 0.1}}, {**BEST, "tau": "calibrated"}]
     found = line.compare(methods, [{"name": "eve"}])
@@ -249,10 +275,70 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     assert "Walks & kicks" in reading.text
     assert "Table 5.2" in reading.text
     assert "Figure 5.6" in reading.text
-    assert page.count('role="img"') == page.count("aria-label") - page.count('role="group"') - 1 - 2  # nav, legends
+    others = 1 + 2 + 3  # the splits, their legends, the player with its time and speed
+    assert page.count('role="img"') == page.count("aria-label") - page.count('role="group"') - others
     summary = line.file("md")
     assert "| best | 1.00 |" in summary
     assert "### Found by no method: 0" in summary
+    for text in (reading.text, summary):
+        assert "repetitions in a row as one segment" in text
+        assert "where touching segments of one class are one" in text
+    left_out = json.loads(line.file("json"))["splits"][1]["methods"]["best"]
+    assert left_out["joined"]["map"]["0.7"] == pytest.approx(1.0)
+    assert left_out["joined"]["boundaries"]["start"]["median_size"] == 0.0
+
+
+def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
+    line.compare([{**BEST, "name": "best of all, with a long name"}, THESIS], [{"name": "eve"}])
+    said = line.said.getvalue()
+    assert "2 takes with 4 manual segments" in said
+    result = line.compare([{**BEST, "name": "best of all, with a long name"}, THESIS], [{"name": "eve"}], metrics=[])
+    assert set(result["splits"][0]["methods"]) == {"best of all, with a long name", "thesis"}
+    study = Study("", "", "", "", "", "", 30.0, ("a",), {}, "actor", METRICS, (), (small_split(),))
+    narrow = Console(file=io.StringIO(), width=80)
+    narrow.print(overview(study))
+    assert isinstance(narrow.file, io.StringIO)
+    assert "…" not in narrow.file.getvalue()
+    assert narrow.file.getvalue().count("0.86–0.86") == 2
+    assert "repetitions in a row" in narrow.file.getvalue()
+
+
+def small_split() -> SplitResult:
+    take = exam(("a", 0, 4))
+    found = {"t": (Segment("a", 0, 3, 1.0),)}
+    judged = {name: judge(found, [take], ["a"], draws=5) for name in ("thesis, τ = 0.13, learned queries", "best")}
+    return SplitResult(Split(name="x"), (Fold("x", "all", (), (take,)),), {}, judged, (), ())
+
+
+def test_names_with_signs_stand_in_the_summary_as_they_are(line: Comparing) -> None:
+    line.compare(
+        [{**BEST, "name": "<i>x</i> | *y*"}], [{"name": "eve & `co`"}], title="Walks <i>& kicks", metrics=["frames"]
+    )
+    summary = line.file("md")
+    assert summary.startswith("# Walks \\<i\\>\\& kicks\n")
+    assert "## eve \\& \\`co\\`\n" in summary
+    assert "| \\<i\\>x\\</i\\> \\| \\*y\\* | 1.00 |" in summary
+    assert "eve_1" in summary
+
+
+def test_a_click_on_a_segment_of_the_page_shows_the_motion(line: Comparing) -> None:
+    elsewhere = {**LEFT_OUT, "name": "elsewhere", "seed": 5}
+    found = line.compare([BEST], [{"name": "eve"}, LEFT_OUT, elsewhere])
+    page = line.file("html")
+    carried = json.loads(re.search(r'id="motions">(.*?)</script>', page).group(1))
+    lengths = {motion["take"]: motion["frames"] for motion in carried["motions"]}
+    shown = [(split["name"], one) for split in found["splits"] for one in split["shown"].values()]
+    for split, one in shown:
+        title = one["take"] if one["take"] in lengths else f"{split}: {one['take']}"
+        assert lengths[title] == one["frames"]
+        assert f'data-take="{title}"' in page
+    assert "elsewhere: ann: order 1, take 1" in lengths or "left out: ann: order 1, take 1" in lengths
+    assert re.search(r'data-start="0" data-stop="20" data-what="best: w', page)
+    line.compare([BEST], [{"name": "eve"}], embed="none")
+    assert 'id="motions"' not in line.file("html")
+    assert "--set compare_methods.embed=all" in line.file("html")
+    line.compare([BEST], [{"name": "eve"}], embed=["eve_2"])
+    assert "1 of the 2 takes with a timeline (eve_2), as asked for" in Reading(line.file("html")).text
 
 
 @pytest.mark.parametrize(
@@ -292,6 +378,13 @@ def test_thresholds_are_calibrated_on_the_clips_of_the_fold(line: Comparing) -> 
         line.compare([method], [LEFT_OUT])
 
 
+def test_actors_of_clips_that_the_stage_does_not_learn_from_are_known(line: Comparing) -> None:
+    line.run(learn_templates, where="class IS NOT NULL AND actor = 'ann'")
+    method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
+    with pytest.raises(KinedexError, match="all training clips are of bob"):
+        line.compare([method], [{"name": "eve", "train": "class IS NOT NULL AND actor = 'bob'"}])
+
+
 def test_methods_and_splits_have_names_of_their_own(line: Comparing) -> None:
     with pytest.raises(ValueError, match="methods: two are named 'best'"):
         line.compare([BEST, BEST], [{"name": "eve"}])
@@ -307,29 +400,26 @@ def exam(*truth: tuple[str, int, int], frames: int = 10) -> Exam:
     return Exam("t", "g", (1,), frames, truth)
 
 
-def test_frames_are_confused_as_they_are_labelled() -> None:
-    #       0 1 2 3 4 5 6 7 8 9
-    # true  a a a a b b b . . .
-    # mine  a a b b b . . . c c
-    found = {"t": (Segment("a", 0, 2, 1.0), Segment("b", 2, 5, 1.0), Segment("c", 8, 10, 1.0))}
-    result = confusion(found, [exam(("a", 0, 4), ("b", 4, 7))], ["a", "b", "c"])
-    assert result.labels == ("a", "b", "c", NOTHING)
-    assert result.frames.tolist() == [[2, 2, 0, 0], [0, 1, 0, 2], [0, 0, 0, 0], [0, 0, 2, 1]]
-
-
-def test_a_frame_of_two_classes_is_confused_in_parts() -> None:
-    found = {"t": (Segment("b", 0, 4, 1.0), Segment("c", 2, 4, 1.0))}
-    result = confusion(found, [exam(("a", 0, 4), frames=4)], ["a", "b", "c"])
-    assert result.frames[0].tolist() == [0, 3, 1, 0]
-    both = confusion({"t": (Segment("a", 0, 4, 1.0),)}, [exam(("a", 0, 4), ("b", 0, 4), frames=4)], ["a", "b"])
-    assert both.frames.tolist() == [[4, 0, 0], [0, 0, 4], [0, 0, 0]]
-
-
 def test_a_segment_that_one_method_finds_is_found() -> None:
     truth = exam(("a", 0, 4), ("b", 5, 9))
     found, missed = fates({"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
     assert (found.label, found.overlaps, found.missed) == ("a", {"one": pytest.approx(1 / 6), "two": 0.0}, False)
     assert (missed.label, missed.labels, missed.missed) == ("b", {"one": ("a",), "two": ()}, True)
+
+
+def test_touching_segments_of_one_class_are_one_where_they_are_joined() -> None:
+    truth = exam(("a", 0, 6), ("a", 8, 10), ("b", 2, 4))
+    found = {"t": (Segment("a", 3, 6, 0.2), Segment("b", 2, 4, 1.0), Segment("a", 0, 3, 0.8), Segment("a", 7, 10, 0.5))}
+    mine, (one,) = joined(found, [truth])
+    assert [(each.label, each.start, each.stop, each.sure) for each in mine["t"]] == [
+        ("a", 0, 6, pytest.approx(0.5)), ("b", 2, 4, 1.0), ("a", 7, 10, 0.5),
+    ]  # fmt: skip
+    assert sorted(one.truth) == sorted(truth.truth)
+    assert joined({"t": ()}, [exam(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))])[1][0].truth == (("a", 0, 6),)
+    result = judge(found, [truth], ["a", "b"], draws=10)
+    assert result.precision[0.7] < result.joined_precision[0.6] == 1.0
+    assert result.boundaries.tolist() == [[3, 0], [-1, 0], [0, 0]]
+    assert result.joined_boundaries.tolist() == [[0, 0], [-1, 0], [0, 0]]
 
 
 def test_the_takes_shown_are_the_best_the_middle_and_the_worst() -> None:

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from ops.errors import KinedexError
 from pipelines.report import motions
-from pipelines.report.motions import UNSEEN, Motion, embed, pack
-from pipelines.report.render import _motions_json, render
+from pipelines.report.motions import UNSEEN, Motion, embed, motions_json, pack
+from pipelines.report.render import render
 from pipelines.runner import run_pipeline
 from storage.parts import joint_positions
 from storage.store import Store, open_store
@@ -63,10 +63,22 @@ def test_as_many_takes_are_carried_as_fit_and_the_rest_is_named(store: Store, mo
     monkeypatch.setattr(motions, "MOST_BYTES", room)
     some = embed(store, names)
     assert [motion.take for motion in some.motions] == names[:2]
-    assert "2 of the 4 takes" in some.remark
+    assert f"2 of the 4 takes with a timeline ({names[0]}, {names[1]})" in some.remark
     assert len(embed(store, names, "all").motions) == 4
     assert not embed(store, names, "none").motions
     assert [motion.take for motion in embed(store, names, [names[3]]).motions] == [names[3]]
+
+
+def test_takes_laid_end_to_end_move_one_after_the_other(store: Store) -> None:
+    one, two = store.takes()["name"].to_list()[:2]
+    (laid_out,) = embed(store, {"both": (one, two)}, stage="compare_methods").motions
+    found = unpacked(laid_out)
+    parts = np.concatenate(
+        [joint_positions(store.frames(name), embed(store, [one]).joints) for name in (one, two)], axis=2
+    )
+    assert (laid_out.take, laid_out.frames) == ("both", parts.shape[2])
+    np.testing.assert_allclose(found, parts[:, :, ::2], atol=0.00051)
+    assert "--set compare_methods.embed=all" in embed(store, {"both": (one,)}, "none", "compare_methods").remark
 
 
 def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
@@ -76,7 +88,7 @@ def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
 
 def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
     carried = motions.Motions((Motion("</script><b>", 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), "")
-    text = str(_motions_json(carried))
+    text = str(motions_json(carried))
     assert "<" not in text
     assert json.loads(text)["motions"][0]["take"] == "</script><b>"
     assert not re.search(r"[\u2028\u2029]", text)

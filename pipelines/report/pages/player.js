@@ -96,7 +96,7 @@
     shown = await unpack(takes.get(block.closest("[data-take]").dataset.take));
     const rate = shown.rate_hz * shown.step;
     [from, to] = [block.dataset.start / rate, block.dataset.stop / rate];
-    chosen = block.querySelector("title").textContent.split(":")[0];
+    chosen = block.dataset.what ?? block.querySelector("title").textContent.split(":")[0];
     time.max = shown.length / shown.rate_hz;
     at = from;
     player.hidden = false;

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from ops.errors import ParameterError
 from ops.learning.fitness import RESIDENT, find_bitmaps, retrieved, room_for, score, training_frames
 from ops.learning.queries import Query
-from ops.search import keyframes as k
+from ops.search.gaps import UNBOUNDED
+from ops.search.keyframes import keyframe_list, search
 from ops.search.runs import word_runs
+from ops.search.segments import from_axis, to_axis
 from ops.words import NO_WORD
 from tests.oracles import learning as naive
 
@@ -29,7 +31,7 @@ def queries(draw: st.DrawFn) -> Query:
     masks = np.array(draw(st.lists(st.integers(0, 15), min_size=count, max_size=count)), np.uint64)
     values = np.array(draw(st.lists(st.integers(0, 15), min_size=count, max_size=count)), np.uint64) & masks
     lows = draw(st.lists(st.integers(0, 90), min_size=count - 1, max_size=count - 1))
-    spans = draw(st.lists(st.sampled_from([0, 1, 3, 20, 64, 150, k.UNBOUNDED]), min_size=count - 1, max_size=count - 1))
+    spans = draw(st.lists(st.sampled_from([0, 1, 3, 20, 64, 150, UNBOUNDED]), min_size=count - 1, max_size=count - 1))
     highs = [low + span for low, span in zip(lows, spans, strict=True)]
     positions = np.arange(count, dtype=np.int64)
     return Query(masks, values, positions, np.array(lows, np.int64), np.array(highs, np.int64))
@@ -40,12 +42,12 @@ def by_search(clips: list[np.ndarray], query: Query) -> list[bool]:
     offsets = np.concatenate([[0], np.cumsum([len(clip) for clip in clips])]).astype(np.int64)
     runs = word_runs(np.concatenate(clips), offsets)
     known = runs.word != NO_WORD
-    starts, stops = k.to_axis(runs.take[known], runs.start[known]), k.to_axis(runs.take[known], runs.stop[known])
+    starts, stops = to_axis(runs.take[known], runs.start[known]), to_axis(runs.take[known], runs.stop[known])
     lists = [
-        k.keyframe_list(starts, stops, runs.word[known], int(mask), int(value))
+        keyframe_list(starts, stops, runs.word[known], int(mask), int(value))
         for mask, value in zip(query.masks, query.values, strict=True)
     ]
-    takes = set(k.from_axis(k.search(lists, query.gaps))[0].tolist())
+    takes = set(from_axis(search(lists, query.gaps))[0].tolist())
     return [index in takes for index in range(len(clips))]
 
 

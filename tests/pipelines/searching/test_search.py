@@ -329,6 +329,9 @@ def test_a_query_that_does_not_fit_the_template_is_told() -> None:
     query = KeyframeQuery("q", "q", QUERIES[1].keyframes, (), (5,))
     with pytest.raises(KinedexError, match="template column 5, but the template has 5"):
         template_window(query, np.zeros((5, 40)), BODY)
+    # margins of its own: learned with another template, as where an actor is left out
+    window = template_window(replace(query, margins=(3, 4)), np.zeros((5, 40)), BODY)
+    assert (window.left, window.right) == (3, 4)
     (turn,) = parse_queries("turn: {keyframes: [{on: [root_turning]}]}", BODY)
     with pytest.raises(KinedexError, match="F40, the template has 39"):
         template_window(turn, np.zeros((5, 39)), BODY)

@@ -1,0 +1,139 @@
+"""`python -m benchmarks.few_clips STORE`: how good labels are that were learned from few example clips.
+
+The store is that of `kinedex run annotate` with ground truth. So many clips are drawn of every class, of two people at
+least (one clip is of one; a class that has fewer gives all), and all takes with ground truth are labelled by templates
+of them alone. That is repeated with other draws. Parameters are those of the pipeline `annotate`; nothing is chosen by
+the results.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from catalog.classes import load_classes
+from ops.distances.background import background
+from ops.measures.metrics import Counts, compare, pooled
+from ops.words import TakeWords
+from pipelines.annotation.annotating import annotate_words
+from pipelines.annotation.annotators import Annotator, make_annotator
+from pipelines.executors import Executor, make_executor
+from pipelines.templates.learning import learn_templates, training_clips
+from storage.store import Store, open_store
+
+METHODS = ("thesis", "best")
+DELTA, TAU = 0.05, 0.13
+
+Truth = Mapping[tuple[int, str], list[tuple[int, int]]]
+"""Manual segments, frames [start, stop), of a take and a class."""
+
+
+def draw(clips: pl.DataFrame, count: int | None, seed: int) -> list[str]:
+    """Draw example clips of every class, of two people at least where the class has two.
+
+    Parameters
+    ----------
+    clips: with the columns name, class, actor. count: of a class; a class with fewer gives all. None: all.
+
+    Returns
+    -------
+    Their names, class by class.
+    """
+    generator = np.random.default_rng(seed)
+    chosen: list[str] = []
+    for _, group in clips.sort("class", "name").group_by("class", maintain_order=True):
+        order = generator.permutation(group.height)
+        people = group["actor"].to_numpy()[order]
+        if count and 1 < count < len(order) and len(set(people[:count])) == 1 < len(set(people)):
+            # all are of one person: the first of somebody else stands in for the last of them
+            order[count - 1] = order[int(np.argmax(people != people[0]))]
+        chosen += group["name"].gather(order[:count]).to_list()
+    return chosen
+
+
+def annotators(store: Store, names: Sequence[str], classes: str, executor: Executor) -> dict[str, Annotator]:
+    """An annotator of each method, with the templates of the clips of these names; classes: a file, or `own`."""
+    takes = store.takes().filter(pl.col("name").is_in(names))
+    features = len(store.feature_set.features)
+    clips = training_clips(store, takes)
+    templates = [one for task in learn_templates(clips, ["soft"], features, executor) for one in task]
+    known = load_classes(classes, {one.subclass for one in templates})
+    usual = background([store.words(takes["take_id"].to_list()).words], features)
+    return {
+        method: make_annotator(
+            store.feature_set, templates, known, DELTA, TAU, usual=usual if method == "best" else None
+        )
+        for method in METHODS
+    }
+
+
+def truth_of(store: Store) -> Truth:
+    """The manual segments that the store's evaluation was made with.
+
+    Raises
+    ------
+    SystemExit: it has none.
+    """
+    rows = pl.DataFrame(store.result("ground_truth")).select("take_id", "class", "start", "stop").unique()
+    if not rows.height:
+        raise SystemExit(f"{store.path} has no ground truth: kinedex run annotate --store {store.path} --set source=…")
+    found: dict[tuple[int, str], list[tuple[int, int]]] = {}
+    for take_id, label, start, stop in rows.sort("take_id", "start").iter_rows():
+        found.setdefault((take_id, label), []).append((start, stop))
+    return found
+
+
+def counts(annotator: Annotator, words: TakeWords, truth: Truth) -> Counts:
+    """What the labels of these takes and the manual segments have in common, over all takes and classes."""
+    automatic: dict[tuple[int, str], list[tuple[int, int]]] = {}
+    for one in annotate_words(annotator, words):
+        for segment in one.segments:
+            label = annotator.classes[segment.class_index]
+            automatic.setdefault((one.take_id, label), []).append((segment.start, segment.stop))
+    return pooled(compare(automatic.get(key, []), truth.get(key, [])) for key in sorted({*automatic, *truth}))
+
+
+def line(name: str, clips: Sequence[int], found: Mapping[str, Sequence[Counts]]) -> str:
+    """A row of the Markdown table: clips drawn, then mean ± standard deviation over the draws."""
+    cells = []
+    for method in METHODS:
+        for values in ([one.f1 for one in found[method]], [one.f2 for one in found[method]]):
+            spread = f" ± {np.std(values, ddof=1):.2f}" if len(values) > 1 else ""
+            cells.append(f"{np.mean(values):.2f}{spread}")
+    return f"| {name} | {np.mean(clips):.0f} | {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Draw, learn, label and print the table as Markdown."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.few_clips", description=__doc__)
+    parser.add_argument("store", type=Path, help="store of `kinedex run annotate` with ground truth")
+    parser.add_argument("--counts", type=int, nargs="+", default=[1, 2, 3, 5, 10], help="clips of each class")
+    parser.add_argument("--draws", type=int, default=10, help="draws for each count")
+    parser.add_argument("--classes", default="own", help="the classes that the ground truth speaks of")
+    given = parser.parse_args()
+    store = open_store(given.store)
+    clips = store.takes("class IS NOT NULL")
+    truth = truth_of(store)
+    words = store.words(sorted({take_id for take_id, _ in truth}))
+    executor = make_executor("serial", None)
+    people = clips["actor"].n_unique()
+    print(f"{clips['class'].n_unique()} classes; {clips.height} clips of {people} people; {given.draws} draws")
+    print("\n| clips of a class | in all | thesis: F1 | F2 | best: F1 | F2 |\n|---|--:|---|---|---|---|")
+    for count in (*given.counts, None):
+        sizes: list[int] = []
+        found: dict[str, list[Counts]] = {method: [] for method in METHODS}
+        for seed in range(given.draws if count is not None else 1):
+            names = draw(clips, count, seed)
+            sizes.append(len(names))
+            for method, annotator in annotators(store, names, given.classes, executor).items():
+                found[method].append(counts(annotator, words, truth))
+        print(line("all" if count is None else str(count), sizes, found), flush=True)
+    executor.close()
+
+
+if __name__ == "__main__":
+    main()

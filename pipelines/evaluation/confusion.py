@@ -1,0 +1,116 @@
+"""What is taken for what: the frames of classes by the labels that a method gave them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pipelines.evaluation.cells import Segment
+from pipelines.evaluation.exams import Exam
+
+Bool = npt.NDArray[np.bool_]
+
+NOTHING = "no label"
+"""The row of what a person did not label, and the column of what the method did not."""
+
+EXTRA = "label too many"
+"""The row of automatic labels beyond as many as a person gave the frame."""
+
+LACKING = "label too few"
+"""The column of manual labels beyond as many as the method gave the frame."""
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """Frames by what they are (rows) and what they were labelled (columns).
+
+    classes: the first C rows and columns. frames: float64 (C + 2, C + 2); row and column C are `NOTHING`, row C + 1 is
+    `EXTRA`, column C + 1 `LACKING`.
+
+    A class's row sums to the frames that a person gave it, its column to the frames that the method gave it. Of a frame
+    what is the same on both sides is right; each of what then is left on the shorter side is shared out equally among
+    what is left on the longer one. Where a side has no label at all, the other's labels stand at `NOTHING`, one each
+    (and 1 where neither has one); where it has some, but fewer, what is too many stands at `EXTRA` or `LACKING`.
+    """
+
+    classes: tuple[str, ...]
+    frames: npt.NDArray[np.float64]
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """The names of the rows."""
+        return (*self.classes, NOTHING, EXTRA)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The names of the columns."""
+        return (*self.classes, NOTHING, LACKING)
+
+
+@dataclass(frozen=True)
+class Confused:
+    """Frames of one class that were labelled as another (or nothing), and the share of the class that they are."""
+
+    label: str
+    taken_for: str
+    frames: float
+    share: float
+
+
+def confusion(outcome: Mapping[str, Sequence[Segment]], exams: Sequence[Exam], classes: Sequence[str]) -> Confusion:
+    """Count the frames of all takes by what they are and what they were labelled.
+
+    Parameters
+    ----------
+    outcome: what a method has found, by the name of the take. classes: all labels of either side.
+    """
+    place = {label: index for index, label in enumerate(classes)}
+    size = len(classes)
+    frames = np.zeros((size + 2, size + 2))
+    for exam in exams:
+        true = _marked([(place[label], start, stop) for label, start, stop in exam.truth], exam, size)
+        mine = _marked([(place[one.label], one.start, one.stop) for one in outcome[exam.name]], exam, size)
+        frames += _of_take(true, mine)
+    return Confusion(tuple(classes), frames)
+
+
+def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
+    """The confusion of a take: bool (C, L) twice to float64 (C + 2, C + 2)."""
+    size = len(true)
+    frames = np.zeros((size + 2, size + 2))
+    both = true & mine
+    left_true, left_mine = true & ~both, mine & ~both
+    many_true, many_mine = left_true.sum(axis=0), left_mine.sum(axis=0)
+    longer = np.maximum(np.maximum(many_true, many_mine), 1)
+    frames[:size, :size] = (left_true / longer) @ left_mine.T.astype(float)
+    frames[np.arange(size), np.arange(size)] += both.sum(axis=1)
+    bare_true, bare_mine = ~true.any(axis=0), ~mine.any(axis=0)
+    frames[size, size] = np.count_nonzero(bare_true & bare_mine)
+    lacking = left_true * (np.maximum(many_true - many_mine, 0) / longer)
+    frames[:size, size], frames[:size, size + 1] = lacking @ bare_mine, lacking @ ~bare_mine
+    extra = left_mine * (np.maximum(many_mine - many_true, 0) / longer)
+    frames[size, :size], frames[size + 1, :size] = extra @ bare_true, extra @ ~bare_true
+    return frames
+
+
+def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -> Bool:
+    """Which frames are in which class, bool (labels, L)."""
+    marked = np.zeros((labels, exam.frames), np.bool_)
+    for label, start, stop in segments:
+        marked[label, start:stop] = True
+    return marked
+
+
+def confusions(found: Confusion, most: int) -> list[Confused]:
+    """The greatest confusions of one class with another, or with nothing, by frames; none below half a percent of its
+    row."""
+    greatest = []
+    for i, label in enumerate(found.rows):
+        total = float(found.frames[i].sum())
+        for j, other in enumerate(found.columns):
+            if i != j and total and found.frames[i, j] >= 0.005 * total:
+                greatest.append(Confused(label, other, float(found.frames[i, j]), float(found.frames[i, j]) / total))
+    return sorted(greatest, key=lambda one: (-one.frames, one.label, one.taken_for))[:most]

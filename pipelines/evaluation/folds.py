@@ -1,0 +1,165 @@
+"""Folds: how the takes of a split are divided into those that are learned from and those that are annotated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import polars as pl
+
+from catalog.classes import Classes
+from ops.errors import KinedexError, did_you_mean
+from pipelines.evaluation.exams import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out
+from pipelines.evaluation.groundtruth import GroundTruth
+from pipelines.evaluation.scheme import Split
+from pipelines.stages.leave_one_out import without
+from pipelines.templates.learning import TrainingClips
+from pipelines.wording import counted, few
+
+PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a split is made of: takes to learn from with their clips, takes to annotate, and what places their truth.
+
+    group: the column of takes that results are divided by.
+    """
+
+    training: pl.DataFrame
+    clips: tuple[TrainingClips, ...]
+    tested: pl.DataFrame
+    classes: Classes
+    place: PlaceTruth
+    group: str
+
+
+def make_folds(split: Split, material: Material) -> list[Fold]:
+    """Divide the takes of a split into folds.
+
+    Returns
+    -------
+    At least one fold; no take is annotated with templates that it was learned from. The folds' remarks name the takes
+    that are in no fold, and the folds that are not there as nothing is left to learn from.
+
+    Raises
+    ------
+    KinedexError: nothing to annotate or to learn from, a column that takes do not have, or a fixed split in which
+        takes to annotate are takes to learn from as well.
+    """
+    tested = material.tested
+    if not tested.height:
+        raise KinedexError(f"split '{split.name}': no take to annotate, the filter `{split.test}` selects none")
+    remarks: tuple[str, ...] = ()
+    if split.clips_as_takes:
+        known = [name is not None and material.classes.class_of(name) is not None for name in tested["class"]]
+        if not any(known):
+            raise KinedexError(
+                f"split '{split.name}': none of the {tested.height} takes that `{split.test}` selects has a class of "
+                "this evaluation; with clips_as_takes they are clips, such as `test: class IS NOT NULL`"
+            )
+        remarks = _of_no_class(tested.filter(~pl.Series(known)))
+        tested = tested.filter(pl.Series(known))
+    else:
+        truth = material.place(tested)
+        remarks = truth.remarks
+        tested = tested.filter(pl.col("name").is_in(truth.takes))
+    parts = _parts(split, tested.sort("name"))
+    folds = [_fold(split, name, takes, material) for name, takes in parts]
+    usable = [fold for fold in folds if fold.clips and fold.exams]
+    if not usable:
+        raise KinedexError(f"split '{split.name}': no fold has both clips to learn from and takes to annotate")
+    remarks = (*remarks, *_in_no_fold(split, tested, parts), *_not_there(split, folds))
+    if split.clips_as_takes:
+        there = {fold.name for fold in usable}
+        clips = sum(takes.height for name, takes in parts if name in there)
+        remarks += (how_clips_are_used(split, clips, [exam for fold in usable for exam in fold.exams]),)
+    return [replace(fold, remarks=(*remarks, *fold.remarks)) for fold in usable]
+
+
+def _of_no_class(clips: pl.DataFrame) -> tuple[str, ...]:
+    """The clips whose subclass is in no class, or that have none."""
+    if not clips.height:
+        return ()
+    subclasses = clips["class"].drop_nulls().unique().sort().to_list()
+    bare = clips["class"].null_count()
+    parts = [f"of {few(subclasses)}"] * bool(subclasses) + [f"{bare} without a subclass"] * bool(bare)
+    return (f"{counted(clips.height, 'clip')} of no class, left out: {'; '.join(parts)}",)
+
+
+def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, pl.DataFrame]]) -> list[str]:
+    """The takes without a value of the column that is left out."""
+    within = {name for _, takes in parts for name in takes["name"]}
+    names = [name for name in tested["name"].sort() if name not in within]
+    if not names:
+        return []
+    return [f"{counted(len(names), 'take')} without {split.leave_out}, in no fold and not annotated: {few(names)}"]
+
+
+def _not_there(split: Split, folds: Sequence[Fold]) -> list[str]:
+    """The folds without a clip to learn from, with their takes."""
+    remarks = []
+    for fold in folds:
+        if not fold.clips:
+            why = f"of {split.leave_out} {fold.name}" if split.leave_out is not None else "takes of this fold"
+            remarks.append(
+                f"{fold.name}: all training clips are {why}, so there is no such fold; not annotated: "
+                f"{counted(len(fold.exams), 'take')} ({few([exam.name for exam in fold.exams])})"
+            )
+    return remarks
+
+
+def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]:
+    """The takes to annotate of each fold."""
+    if split.leave_out is not None:
+        column = split.leave_out
+        if column not in tested.columns:
+            raise KinedexError(
+                f"split '{split.name}': takes have no column '{column}'{did_you_mean(column, tested.columns)}"
+            )
+        values = tested[column].drop_nulls().unique().sort().to_list()
+        if not values:
+            raise KinedexError(f"split '{split.name}': none of the takes to annotate has a value of '{column}'")
+        return [(str(value), tested.filter(pl.col(column) == value)) for value in values]
+    if split.folds is None:
+        return [(WHOLE, tested)]
+    if split.folds > tested.height:
+        raise KinedexError(f"split '{split.name}': {split.folds} folds of {tested.height} takes; set fewer")
+    drawn = tested[np.random.default_rng(split.seed).permutation(tested.height).tolist()]
+    if split.clips_as_takes:  # the clips of each class are dealt to all folds
+        drawn = drawn.sort("class", maintain_order=True)
+    tested, dealt = drawn, np.arange(tested.height) % split.folds
+    return [(f"fold {index + 1}", tested.filter(pl.Series(dealt == index))) for index in range(split.folds)]
+
+
+def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> Fold:
+    names = set(tested["name"].to_list())
+    left_out = set(names)
+    if split.leave_out is not None and split.leave_out in material.training.columns:
+        value = tested[split.leave_out][0]
+        left_out |= set(material.training.filter(pl.col(split.leave_out) == value)["name"].to_list())
+    trained = {clip for one in material.clips for clip in one.names}
+    both = sorted(names & trained)
+    if both and split.leave_out is None and split.folds is None:
+        raise KinedexError(
+            f"split '{split.name}': takes to annotate are learned from as well: {few(both)}; make `train` and `test` "
+            "exclude each other, or use `leave_out` or `folds`"
+        )
+    clips = tuple(rest for one in material.clips if (rest := without(one, left_out)).names)
+    said = []
+    gone = sorted({one.subclass for one in material.clips} - {one.subclass for one in clips})
+    if gone:
+        said.append(f"{name}: no clips of others, so no template: {few(gone)}")
+    if split.leave_out is not None and not trained & left_out:
+        said.append(f"{name}: no training clip is of {split.leave_out} {name}, so nothing is left out")
+    if split.clips_as_takes:
+        exams = laid_out(split, name, tested, material.classes, material.group)
+        if split.orders > 1:
+            said.append(
+                f"clips are laid out in {split.orders} orders, so takes share clips: intervals are narrower than those "
+                "of as many takes of their own"
+            )
+    else:
+        exams = as_they_are(tested, material.place(tested), material.group)
+    return Fold(split.name, name, clips, tuple(exams), tuple(said))
