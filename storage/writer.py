@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,28 +13,24 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from catalog.features import FeatureSet
-from ops.errors import NewStoreError, ParameterError, StoreError
+from ops.errors import ParameterError, StoreError
+from storage.admission import FOLDERS, refuse_foreign, refuse_other_words, remove_leftovers
 from storage.disk import writing
 from storage.lock import Lock
 from storage.manifest import (
-    FOLDER,
-    TEMPORARY,
     Manifest,
     Part,
     ResultPart,
     StageRecord,
     changed_content,
-    named_files,
     now,
     publish,
     read_newest,
     versions,
 )
 from storage.parts import FramesWriter, part_file, write_part, write_pieces
-from storage.schemas import FORMAT_VERSION, RESULT_KINDS, conform, frames_schema, result_schema, takes_schema
+from storage.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
 from storage.store import Store
-
-_FOLDERS = (FOLDER, "frames", "takes", "index", "results")
 
 
 class StoreWriter:
@@ -75,17 +70,17 @@ class StoreWriter:
             things; the store has another format version, feature set or rate.
         """
         root = Path(path)
-        _refuse_foreign(root)
+        refuse_foreign(root)
         with writing(root):
-            for folder in _FOLDERS:
+            for folder in FOLDERS:
                 (root / folder).mkdir(parents=True, exist_ok=True)
         lock = Lock(root / "lock", "this one", wait_seconds)
         try:
             if not versions(root):
                 publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
             manifest = read_newest(root)
-            _refuse_other_words(root, manifest, feature_set, rate_hz)
-            _remove_leftovers(root, manifest)
+            refuse_other_words(root, manifest, feature_set, rate_hz)
+            remove_leftovers(root, manifest)
             return cls(root, manifest, lock)
         except BaseException:
             lock.release()
@@ -359,55 +354,3 @@ def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, 
         if part.live:
             result.append(part)
     return tuple(result)
-
-
-def _refuse_foreign(root: Path) -> None:
-    if root.exists() and not root.is_dir():
-        raise StoreError(f"{root} is a file; a store is a directory")
-    if not root.exists() or versions(root):
-        return
-    foreign = sorted(set(os.listdir(root)) - {*_FOLDERS, "lock"})
-    if foreign:
-        raise StoreError(
-            f"{root} holds other things ({', '.join(foreign[:3])}) and is no kinedex store; "
-            "name a new or an empty directory"
-        )
-
-
-def _refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, rate_hz: float) -> None:
-    has = manifest.feature_set
-    if has.digest != feature_set.digest:
-        raise NewStoreError(
-            f"{root} was made with the feature set {has.name} version {has.version} ({has.digest}), not with "
-            f"{feature_set.name} version {feature_set.version} ({feature_set.digest}); ingest into a new store"
-        )
-    if manifest.rate_hz != rate_hz:
-        raise NewStoreError(
-            f"{root} holds frames at {manifest.rate_hz:g} Hz, not {rate_hz:g} Hz; ingest into a new store"
-        )
-
-
-def _remove_leftovers(root: Path, newest: Manifest) -> None:
-    """Remove what killed runs have left: unfinished files, and parts that no manifest names.
-
-    Only the holder of the lock may do this: no live writer can be about to commit such a part.
-    """
-    candidates = set()
-    for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
-        for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
-            if name.startswith(TEMPORARY):
-                (root / folder / name).unlink(missing_ok=True)
-            elif name.startswith("part-"):
-                candidates.add(f"{folder}/{name}")
-    candidates -= {part.path for part in newest.parts}
-    for version in reversed(versions(root)[:-1]):
-        # readers of an older version may still be at work
-        if not candidates:
-            break
-        try:
-            candidates -= named_files(root, version)
-        except StoreError:
-            # what a damaged manifest names is not known, so nothing is garbage; `kinedex verify` reports the manifest
-            return
-    for path in candidates:
-        (root / path).unlink(missing_ok=True)
