@@ -73,7 +73,8 @@ def run_pipeline(
     KinedexError: the pipeline file or the store is not usable; nothing was changed.
     """
     terminal = terminal or Terminal()
-    store_path = Path(store_path)
+    # the workers of a cluster may have been started in another folder
+    store_path = Path(store_path).resolve() if executor == "dask" else Path(store_path)
     pipeline = load_pipeline(name_or_path, assignments)
     planner = Planner(pipeline, store_path, force)
     make_plan(pipeline, store_path, force)  # what is wrong with files is said before any work is done

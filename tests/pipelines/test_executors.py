@@ -16,6 +16,9 @@ import pytest
 from ops.errors import KinedexError, ParameterError
 from pipelines import executors
 from pipelines.executors import DaskExecutor, ProcessExecutor, SerialExecutor, make_executor
+from pipelines.runner import run_pipeline
+from storage.store import open_store
+from tests.pipelines.archives import write_archive
 
 
 def square(number: int) -> int:
@@ -187,6 +190,22 @@ def die_if_told(task: tuple[str, int]) -> int:
     """Kill this very process at one task, once."""
     time.sleep(0.05)
     return die_once(task)
+
+
+@pytest.mark.slow
+def test_workers_that_were_started_elsewhere_find_a_store_by_its_relative_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_archive(tmp_path / "archive", {"x_bd_1.amc": 40})
+    (tmp_path / "only.yaml").write_text("name: only\nstages: {ingest: {params: {source: archive}}}\n")
+    cluster = Cluster(tmp_path)
+    try:
+        cluster.add_worker()
+        monkeypatch.chdir(tmp_path)
+        run_pipeline("only.yaml", "store", executor="dask", scheduler=cluster.address)
+    finally:
+        cluster.close()
+    assert open_store(tmp_path / "store").takes()["name"].to_list() == ["x_bd_1"]
 
 
 @pytest.mark.slow
