@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from pipelines.commands.shell import Format, Output, StorePath, Where, app, guard, show_table
+from pipelines.wording import counted
 
 labels = typer.Typer(
     name="labels", help="Annotations as label files for other tools, and label files as tables.", no_args_is_help=True
@@ -48,7 +49,7 @@ def export(
     paths = write_labels(found, form, output, force=force)
     count = sum(len(one.labels) for one in found)
     where_to = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
-    print(f"{count} segments of {len(found)} takes, annotated by {chosen}: {where_to}")
+    print(f"{counted(count, 'segment')} of {counted(len(found), 'take')}, annotated by {chosen}: {where_to}")
 
 
 def read(

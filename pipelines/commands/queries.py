@@ -10,6 +10,7 @@ import typer
 from ops.errors import KinedexError
 from pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
 from pipelines.terminal import make_console
+from pipelines.wording import counted
 
 query = typer.Typer(no_args_is_help=True, help="Make keyframe queries.")
 app.add_typer(query, name="query", rich_help_panel="Search for motion")
@@ -62,7 +63,7 @@ def search(
         if plain:
             takes = len(set(hits.column("take_id").to_pylist()))
             hint = "" if hits.num_rows else "; --explain shows at which keyframe it ends"
-            make_console().print(f"{hits.num_rows} ranges in {takes} takes{hint}", markup=False)
+            make_console().print(f"{counted(hits.num_rows, 'range')} in {counted(takes, 'take')}{hint}", markup=False)
         return
     from pipelines.runner import new_run_id
 
@@ -73,7 +74,7 @@ def search(
     if output is not None or form != "table":
         show_table(hits, form, output)
     else:
-        make_console().print(f"{hits.num_rows} hits kept as '{save}' (run {run})", markup=False)
+        make_console().print(f"{counted(hits.num_rows, 'hit')} kept as '{save}' (run {run})", markup=False)
 
 
 @query.command()

@@ -11,6 +11,7 @@ import typer
 from ops.errors import KinedexError
 from pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
 from pipelines.terminal import make_console
+from pipelines.wording import counted, few
 
 if TYPE_CHECKING:
     from catalog.queries import KeyframeQuery
@@ -88,7 +89,7 @@ def rank(
         kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
         shares = [one.skipped for one in rankings if one.skipped is not None]
         make_console().print(
-            f"{table.num_rows} hits below {tau:g}"
+            f"{counted(table.num_rows, 'hit')} below {tau:g}"
             + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
             + f"; {rankings[0].frames:,} frames"
             + (f", {kept:.1%} of them within keyframe hits" if queries is not None else "")
@@ -130,7 +131,6 @@ def _searched(
     from catalog.queryfiles import read_queries
     from ops.templates.templates import quantise
     from pipelines.retrieval.ranking import Searched
-    from pipelines.wording import few
 
     loaded = [] if queries is None else read_queries(queries, store.feature_set, store.rate_hz)
     searched: list[Searched] = []

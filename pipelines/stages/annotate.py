@@ -33,7 +33,7 @@ from pipelines.keyframes.runs import outcomes_of
 from pipelines.stages import learn_templates as learning
 from pipelines.templates.learning import Kind, SubclassTemplate, TrainingClips, learn_templates, read_templates, run_of
 from pipelines.templates.recipes import feature_weights
-from pipelines.wording import few
+from pipelines.wording import counted, few
 from storage.store import Store
 from storage.writer import StoreWriter
 
@@ -119,9 +119,13 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         writer.commit()
     share = _share_searched(done.searched, takes)
     context.say(
-        f"{done.segments} segments in {takes.height} takes"
+        f"{counted(done.segments, 'segment')} in {counted(takes.height, 'take')}"
         + (f"; templates were matched in {share:.1%} of the frames" if any(annotator.queries) else "")
-        + (f"; {done.kept} takes kept as they were, {takes.height - done.kept} annotated" if done.kept else "")
+        + (
+            f"; {counted(done.kept, 'take')} kept as they were, {takes.height - done.kept} annotated"
+            if done.kept
+            else ""
+        )
     )
     return {
         "takes": takes.height,

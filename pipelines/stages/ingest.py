@@ -128,7 +128,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
         if plan.renamed and not params.prune:
             raise _named_otherwise(plan)
         context.say(
-            f"{len(found.motions)} motion files below {params.source}: "
+            f"{counted(len(found.motions), 'motion file')} below {params.source}: "
             f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
             + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
         )
@@ -136,7 +136,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
             context.say(line)
         if plan.gone:
             what = "dropped" if params.prune else "kept; `prune: true` drops them"
-            context.say(f"{len(plan.gone)} takes whose file is gone: {what}")
+            context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
         if plan.renamed:
             context.say(
                 f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were"

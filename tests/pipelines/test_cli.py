@@ -204,7 +204,7 @@ def test_an_ingest_may_be_strict_and_drop_what_is_gone(tmp_path: Path) -> None:
     (source / "x_2.amc").write_text(whole)
     (source / "x_1.amc").unlink()
     assert kinedex(*words, "--strict").returncode == 0
-    assert "1 takes whose file is gone: dropped" in kinedex(*words, "--prune").stdout
+    assert "1 take whose file is gone: dropped" in kinedex(*words, "--prune").stdout
     assert kinedex("takes", tmp_path / "store", "--columns", "name", "--format", "csv").stdout == "name\nx_2\nx_3\n"
 
 
