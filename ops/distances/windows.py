@@ -84,7 +84,7 @@ def add_row(grid: F64, frame: int, first: int, last: int, own: F64) -> None:
     """
     whole = grid[frame + 2]
     whole[max(0, first - 1) : first + 2] = np.inf
-    whole[last + 3 : last + 7] = np.inf
+    whole[last + 3 : last + 6] = np.inf
     whole[len(whole) - 1] = np.inf
     # All of these begin at the first column, so that the loop over columns need not ask where they are.
     behind, here = grid[frame + 1, first:], whole[first + 2 : last + 3]
