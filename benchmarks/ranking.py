@@ -156,8 +156,9 @@ def _archive(store: Store) -> tuple[str, list[str], list[QuantisedTemplate], Tak
 def _rankings(store: Store) -> list[Figure]:
     """The best hits of all classes below τ together and one by one, and all hits; cells are those of the whole curves.
 
-    Skipped are frames that no sum in 16 bits was computed for. What could be skipped at most, by whatever bound, are
-    all but blocks of 8 frames with a distance below τ and the 2(N − 1) frames that lead in to them.
+    Skipped are frames for which no more than the coarse bound was computed. What could be skipped at
+    most, by whatever bound, are all but blocks of 8 frames with a distance below τ and the 2(N − 1) frames that lead in
+    to them.
     """
     archive, names, templates, words = _archive(store)
     coded, thresholds = encode(words.words), np.full(len(templates), TAU)

@@ -9,7 +9,8 @@ from functools import reduce
 import numpy as np
 
 from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I64, CodedWords, encode, lay_out
+from ops.distances.blockwise import gather_blocks, take_from_blocks
+from ops.distances.costs import F64, I64, CodedWords, Layout, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
 from ops.distances.stripes import BLOCK
@@ -31,8 +32,9 @@ class Hits:
 
     takes: int64 (H,), which of the takes. starts, stops: int64 (H,), frames of the take, half-open. costs: float64
     (H,), the distance at the last frame. frames: how many frames the takes (or ranges) have; computed: in how many of
-    them a bound was computed column by column in 16 bits (see `ops.distances.pruning.Bounds`), twice if
-    twice. bounded: whether the coarse bound was tried, without which nothing is skipped.
+    them more than the coarse bound was computed column by column, a bound in 16 bits (see
+    `ops.distances.pruning.Bounds`) or sums for the best hits, those that lead in to others included; twice if twice.
+    bounded: whether the coarse bound was tried, without which nothing is skipped.
     """
 
     takes: I64
@@ -45,6 +47,24 @@ class Hits:
 
     def __len__(self) -> int:
         return len(self.costs)
+
+
+@dataclass(frozen=True)
+class _Archive:
+    """Words to rank, checked. stretches: int64 (R, 2), that paths must not leave; homes: int64 (R,), the take of each.
+
+    order: int64 (T,), the places of takes among equal hits.
+    """
+
+    words: TakeWords
+    coded: CodedWords
+    stretches: I64
+    homes: I64
+    order: I64
+
+    @property
+    def frames(self) -> int:
+        return int((self.stretches[:, 1] - self.stretches[:, 0]).sum())
 
 
 def rank(
@@ -68,8 +88,9 @@ def rank(
     true cost; when it comes up again, nothing better is left. Those that a taken hit rules out are never computed.
 
     Where only the best hits are asked for, they are looked for below a lower threshold first, which the coarse bound
-    suggests. Hits below it are the first ones below τ: they come in the order of their costs, and only a better one
-    rules one out. If they are enough, they are the answer; if not, the threshold rises.
+    suggests, and in the order of that bound alone (`ops.distances.blockwise`). Hits below the lower threshold are the
+    first ones below τ: they come in the order of their costs, and only a better one rules one out. If they are enough,
+    they are the answer; if not, the threshold rises.
 
     Parameters
     ----------
@@ -89,11 +110,10 @@ def rank(
         raise ParameterError("most", "at least 1, or None", most)
     if not threshold > 0:
         raise ParameterError("threshold", "above 0", threshold)
-    stretches = _stretches(words, ranges)
-    coded = encode(words.words) if coded is None else coded
+    archive = _archive(words, ranges, coded, order)
     if coarse is None:
-        coarse = coarse_bound(template, coded, threshold, stretches)
-    return _rank(template, words, threshold, most, stretches, coded, coarse, _order(words, order))
+        coarse = coarse_bound(template, archive.coded, threshold, archive.stretches)
+    return _rank(template, archive, threshold, most, coarse)
 
 
 def rank_together(
@@ -115,96 +135,100 @@ def rank_together(
         ]
     if most is not None and most < 1:
         raise ParameterError("most", "at least 1, or None", most)
-    coded = encode(words.words) if coded is None else coded
-    stretches = _stretches(words, None)
+    archive = _archive(words, None, coded, order)
+    bounds = coarse_bounds(templates, archive.coded, thresholds, archive.stretches)
     return [
-        _rank(template, words, float(tau), most, stretches, coded, coarse, _order(words, order))
-        for template, tau, coarse in zip(
-            templates, thresholds, coarse_bounds(templates, coded, thresholds, stretches), strict=True
-        )
+        _rank(template, archive, float(tau), most, coarse)
+        for template, tau, coarse in zip(templates, thresholds, bounds, strict=True)
     ]
 
 
 def _rank(
-    template: QuantisedTemplate,
-    words: TakeWords,
-    threshold: float,
-    most: int | None,
-    stretches: I64,
-    coded: CodedWords,
-    coarse: Coarse | None,
-    order: I64,
+    template: QuantisedTemplate, archive: _Archive, threshold: float, most: int | None, coarse: Coarse | None
 ) -> Hits:
-    """The hits below a threshold, or the best of them, of checked input; below lower thresholds first."""
-    computed = 0
-    for tau in [threshold] if coarse is None else _rising(coarse, threshold, most, len(template)):
-        hits = _rank_below(template, words, tau, most, stretches, coded, coarse, order)
-        computed += hits.computed
-        # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
-        if most is not None and len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
-            break
-    return replace(hits, computed=computed)
+    """The hits below a threshold, or the best of them; below lower thresholds first."""
+    layout, computed = lay_out([template]), 0
+    if coarse is not None and most is not None:
+        for tau in _rising(coarse, threshold, most, len(template)):
+            hits = _first_below(layout, archive, tau, most, coarse)
+            computed += hits.computed
+            # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
+            if len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
+                return replace(hits, computed=computed)
+    hits = _all_below(template, layout, archive, threshold, most, coarse)
+    return replace(hits, computed=computed + hits.computed)
 
 
-def _order(words: TakeWords, order: I64 | None) -> I64:
-    """The places of takes among equal hits, checked."""
-    if order is not None and len(order) != len(words):
-        raise ParameterError("order", f"one place for each of {len(words)} takes", len(order))
-    return np.arange(len(words), dtype=np.int64) if order is None else np.ascontiguousarray(order, np.int64)
-
-
-def _stretches(words: TakeWords, ranges: I64 | None) -> I64:
-    """The stretches that paths must not leave: the takes, or ranges, which are checked."""
+def _archive(words: TakeWords, ranges: I64 | None, coded: CodedWords | None, order: I64 | None) -> _Archive:
+    """Check the stretches that paths must not leave, the takes or ranges, and the places of takes among equal hits."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     stretches = check_ranges(whole if ranges is None else ranges, len(words.words))
     homes = np.searchsorted(words.offsets, stretches[:, 0], side="right") - 1
     if len(stretches) and np.any(stretches[:, 1] > words.offsets[homes + 1]):
         raise ParameterError("ranges", "each within a take", stretches[stretches[:, 1] > words.offsets[homes + 1]][:4])
-    return stretches
+    if order is not None and len(order) != len(words):
+        raise ParameterError("order", f"one place for each of {len(words)} takes", len(order))
+    places = np.arange(len(words), dtype=np.int64) if order is None else np.ascontiguousarray(order, np.int64)
+    return _Archive(words, encode(words.words) if coded is None else coded, stretches, homes, places)
 
 
-def _rising(coarse: Coarse, threshold: float, most: int | None, columns: int) -> list[float]:
-    """Thresholds below which to look, one after the other: the first is likely to be enough, the last is τ.
+def _rising(coarse: Coarse, threshold: float, most: int, columns: int) -> list[float]:
+    """Thresholds below τ to look below before, one after the other: the first is likely to be enough.
 
     A stretch of as many frames as the template has columns holds a hit or two, the best of which its least bound tells.
     """
     width = max(columns // BLOCK, 1)
     blocks = coarse.sums[: len(coarse.sums) // width * width].reshape(-1, width)
-    if most is None or most >= len(blocks) // 4:
-        return [threshold]
+    if most >= len(blocks) // 4:
+        return []
     least = reduce(np.minimum, blocks.T)  # block by block of all stretches, which is faster than stretch by stretch
     first = (int(np.partition(least, most)[most]) + 1) * coarse.unit + _MARGIN * threshold
-    return [*(tau for tau in (first, first + 2 * _MARGIN * threshold) if tau < 0.9 * threshold), threshold]
+    return [tau for tau in (first, first + 2 * _MARGIN * threshold) if tau < 0.9 * threshold]
 
 
-def _rank_below(
+def _first_below(layout: Layout, archive: _Archive, threshold: float, most: int, coarse: Coarse) -> Hits:
+    """The best hits below a threshold, looked for in the order of the coarse bounds."""
+    columns = int(layout.lengths[0])
+    blocks = np.flatnonzero(coarse.below(threshold))
+    groups = gather_blocks(blocks, coarse.sums, archive.stretches, archive.homes, columns)
+    starts, ends, costs = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    found, computed = take_from_blocks(
+        archive.coded.vocabulary, archive.coded.codes, layout.values[:columns], layout.parts[:, :columns],
+        layout.worths[:, :columns], layout.counted[:columns], threshold, groups, coarse.unit, archive.order,
+        starts, ends, costs,
+    )  # fmt: skip
+    return _hits(archive, starts[:found], ends[:found], costs[:found], computed, bounded=True)
+
+
+def _all_below(
     template: QuantisedTemplate,
-    words: TakeWords,
+    layout: Layout,
+    archive: _Archive,
     threshold: float,
     most: int | None,
-    stretches: I64,
-    coded: CodedWords,
     coarse: Coarse | None,
-    order: I64,
 ) -> Hits:
-    """The hits below a threshold, all of them or the best."""
+    """The hits below a threshold, all of them or the best, looked for where finer bounds leave any."""
+    coded, stretches, columns = archive.coded, archive.stretches, len(template)
     bounds = bounds_below(template, coded, threshold, stretches, coarse)
     candidates, possible = possible_minima(bounds.units, bounds.spans, bounds.slack)
     place = np.searchsorted(stretches[:, 0], candidates, side="right") - 1
-    homes = np.searchsorted(words.offsets, stretches[place, 0], side="right") - 1
-    groups = grouped(candidates, place, len(template))
-    layout, columns = lay_out([template]), len(template)
+    groups = grouped(candidates, place, columns)
     limit = len(candidates) if most is None else min(most, len(candidates))
     starts, ends, costs = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit)
     found = take_best(
         coded.vocabulary, coded.codes, layout.values[:columns], layout.parts[:, :columns], layout.worths[:, :columns],
         layout.counted[:columns], threshold, bounds.units, bounds.unit, candidates, possible,
-        groups, stretches[place, 0], homes, order, starts, ends, costs,
+        groups, stretches[place, 0], archive.homes[place], archive.order, starts, ends, costs,
     )  # fmt: skip
-    starts, ends, costs = starts[:found], ends[:found], costs[:found]
-    takes = (np.searchsorted(words.offsets, ends, side="right") - 1).astype(np.int64)
-    shift = words.offsets[takes]
-    return Hits(takes, starts - shift, ends + 1 - shift, costs, bounds.frames, bounds.computed, coarse is not None)
+    return _hits(archive, starts[:found], ends[:found], costs[:found], bounds.computed, bounded=coarse is not None)
+
+
+def _hits(archive: _Archive, starts: I64, ends: I64, costs: F64, computed: int, *, bounded: bool) -> Hits:
+    """Hits by the frames of their takes."""
+    takes = (np.searchsorted(archive.words.offsets, ends, side="right") - 1).astype(np.int64)
+    shift = archive.words.offsets[takes]
+    return Hits(takes, starts - shift, ends + 1 - shift, costs, archive.frames, computed, bounded)
 
 
 def grouped(candidates: I64, place: I64, columns: int) -> I64:

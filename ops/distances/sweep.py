@@ -6,12 +6,9 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import F64, I32, I64, Table, column_costs
-from ops.words import NO_WORD, U64
+from ops.distances.costs import I32, I64, Table
 
 U16 = npt.NDArray[np.uint16]
-
-_NO_WORD = np.uint64(NO_WORD)
 
 LANES = 4
 """Stretches computed at a time. A frame waits for the one before it, which has just been written; while one stretch
@@ -22,9 +19,6 @@ CHUNK = 512
 
 CAP = 21845
 """Sums of whole units stop here: with a (2,1) step of the dearest cost on top, a third of 65,535 still fits 16 bits."""
-
-ROW_CELLS = 4_000_000
-"""Costs of words against columns that are kept while paths are traced: 32 MB."""
 
 
 def pieces_of(stretches: I64, longest: int, reach: int) -> I64:
@@ -155,98 +149,3 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
         previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
         keep(lanes, steps, found, sums)
         following, steps = refill(pieces, following, lanes, state, CAP)
-
-
-@nb.njit(cache=True, nogil=True)
-def workspace(frames: int, columns: int, words: int) -> tuple[F64, F64, I32, I64]:
-    """Room for the sums of a window and for the costs of words: each word that occurs is one row (kernel).
-
-    Returns the sums, the costs, the row of each word (−1: none), and how many rows are used.
-    """
-    grid = np.empty((frames + 2, columns + 2))
-    grid[:2, :] = np.inf
-    costs = np.empty((max(frames, min(words, ROW_CELLS // columns)), columns))
-    return grid, costs, np.full(words, -1, np.int32), np.zeros(1, np.int64)
-
-
-@nb.njit(cache=True, nogil=True)
-def sum_group(
-    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, ends: I64, begin: int,
-    limit: float, grid: F64, costs: F64, row_of: I32, used: I64, sums: F64,
-) -> None:  # fmt: skip
-    """Add up the costs of the paths to ends that share the window that opens at frame `begin` (kernel).
-
-    Cells from which no end of the group can be reached are left out: from frame f the columns N − 1 − 2(e − f)
-    to N − 1 − (e − f)/2 lead to the end e, so that over a group those from the last end's least to the first end's
-    most count. Every step back from a cell of these leads to another one, or out of the window. So are cells that are
-    reached only by paths that cost more than the limit: costs only grow along a path, so that one within the limit
-    has no such cell. What is left out is ∞; sums above the limit may be too high, or ∞.
-    """
-    columns = len(values)
-    lowest, highest = ends[0] - begin, ends[len(ends) - 1] - begin
-    if used[0] + highest + 1 > len(costs):
-        row_of[:] = -1
-        used[0] = 0
-    low, high, lower, higher = (
-        columns,
-        -1,
-        columns,
-        -1,
-    )  # cells within the limit of the frame before, and of that before
-    for frame in range(highest + 1):
-        whole = grid[frame + 2]
-        whole[:] = np.inf
-        least = max(0, columns - 1 - 2 * (highest - frame))
-        most = columns - 1 - max(0, (lowest - frame + 1) // 2)
-        first = 0 if least == 0 else max(least, min(low, lower) + 1)
-        last = min(most, max(high + 2, higher + 1, 0))
-        lower, higher = low, high
-        code = codes[begin + frame]
-        if last < first or vocabulary[code] == _NO_WORD:
-            low, high = columns, -1
-            continue
-        if row_of[code] < 0:
-            column_costs(vocabulary[code], values, parts, worths, counted, costs[used[0]])
-            row_of[code] = used[0]
-            used[0] += 1
-        # All of these begin at the first column, so that the loop over columns need not ask where they are.
-        behind, here = grid[frame + 1, first:], whole[first + 2 : last + 3]
-        near, far = behind[1:], grid[frame, first + 1 :]
-        own = costs[row_of[code], first:]
-        for n in range(len(here)):
-            one, two = near[n], far[n]
-            single = (one if one < two else two) + own[n]
-            double = behind[n] + (own[n] + own[n])
-            here[n] = double if double < single else single
-        if first == 0:
-            here[0] = own[0]
-        while first <= last and not whole[first + 2] <= limit:
-            first += 1
-        while last >= first and not whole[last + 2] <= limit:
-            last -= 1
-        low, high = (first, last) if first <= last else (columns, -1)
-    for place in range(len(ends)):
-        sums[place] = grid[ends[place] - begin + 2, columns + 1]
-
-
-@nb.njit(cache=True, nogil=True)
-def walk_back(grid: F64, costs: F64, row_of: I32, codes: I32, frame: int) -> int:
-    """Return the frame where the best path begins that ends in the last column at a frame of the window (kernel).
-
-    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1).
-
-    codes: int32, the words from the window's first frame on.
-    """
-    n = costs.shape[1] - 1
-    while n > 0:
-        dear = costs[row_of[codes[frame]], n]
-        best = grid[frame + 1, n + 1] + dear
-        skipped = grid[frame, n + 1] + dear
-        doubled = grid[frame + 1, n] + (dear + dear)
-        if doubled < best and doubled < skipped:
-            frame, n = frame - 1, n - 2
-        elif skipped < best:
-            frame, n = frame - 2, n - 1
-        else:
-            frame, n = frame - 1, n - 1
-    return frame

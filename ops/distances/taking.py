@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from ops.distances.annotation import TOLERANCE
 from ops.distances.costs import F64, I32, I64
-from ops.distances.sweep import CAP, U16, sum_group, walk_back, workspace
+from ops.distances.sweep import CAP, U16
+from ops.distances.windows import sum_window, walk_back, workspace
 from ops.words import U64
 
 KEYS = 1e9
@@ -36,7 +37,7 @@ def take_best(
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
-    grid, local, row_of, used = workspace(longest + 2 + 2 * columns, columns, len(vocabulary))
+    grid, local, row_of, used, trail = workspace(longest + 2 + 2 * columns, columns, len(vocabulary))
     sums = np.empty(longest + 3)
     newest = np.full(len(order), -1, np.int64)  # the last hit taken in each take, and the one before each hit
     older = np.empty(len(costs), np.int64)
@@ -46,41 +47,63 @@ def take_best(
     while len(heap) > 0 and count < len(costs):
         _, known, _, c = heapq.heappop(heap)
         if known == 1:
-            home = homes[c]
-            if not ruled_out(paths[c], candidates[c], newest[home], older, starts, ends, True):
-                starts[count], ends[count], costs[count] = paths[c], candidates[c], exact[c]
-                older[count] = newest[home]
-                newest[home] = count
-                count += 1
+            count = take(paths[c], candidates[c], exact[c], homes[c], newest, older, starts, ends, costs, count)
             continue
         first, stop = groups[c], groups[c + 1]
         home = homes[first]
-        left = False
-        for i in range(first, stop):
-            left |= possible[i] and not ruled_out(0, candidates[i], newest[home], older, starts, ends, False)
-        if not left:
+        most_units = units_left(units, candidates, possible, first, stop, newest[home], older, starts, ends)
+        if most_units < 0:
             continue
         low, high = with_neighbours(candidates, begins, first, stop)
         begin = max(candidates[low] - 2 * (columns - 1), begins[first])
-        found = sums[: high - low]
+        found = sums[: candidates[high - 1] + 1 - candidates[low]]
         # A path that has the least units costs less than these and N more; no more is of interest.
-        units_there = 0
-        for i in range(first, stop):
-            if possible[i]:
-                units_there = max(units_there, int(units[candidates[i]]))
-        limit = (units_there + columns + 1) * unit * columns
-        sum_group(
-            vocabulary, codes, values, parts, worths, counted, candidates[low:high], begin, limit, grid, local, row_of,
-            used, found,
+        limit = (most_units + columns + 1) * unit * columns
+        sum_window(
+            vocabulary, codes, values, parts, worths, counted, begin, candidates[low], found, limit, grid, local,
+            row_of, used,
         )  # fmt: skip
         found /= columns
+        trail[: candidates[high - 1] + 1 - begin] = -1
         for i in range(first, stop):
             if possible[i] and least_beside(candidates, found, low, i, threshold):
-                exact[i] = found[i - low]
-                paths[i] = begin + walk_back(grid, local, row_of, codes[begin:], candidates[i] - begin)
+                exact[i] = found[candidates[i] - candidates[low]]
+                paths[i] = walk_back(grid, local, row_of, codes, begin, candidates[i], i, trail, paths)
                 key = np.int64(np.rint(exact[i] * KEYS))
                 heapq.heappush(heap, (key, np.int64(1), np.int64(order[home]), np.int64(i)))
     return count
+
+
+@nb.njit(cache=True, nogil=True)
+def take(
+    start: int, end: int, cost: float, home: int, newest: I64, older: I64, starts: I64, ends: I64, costs: F64,
+    count: int,
+) -> int:  # fmt: skip
+    """Take a hit, unless one that was taken before rules it out; return how many there are then (kernel).
+
+    home: its take. newest: int64 (T,), the last hit taken in each take, older: int64 (H,), the one before each hit, −1
+    for none. starts, ends, costs: the hits, of which `count` are taken.
+    """
+    if ruled_out(start, end, newest[home], older, starts, ends, True):
+        return count
+    starts[count], ends[count], costs[count] = start, end, cost
+    older[count] = newest[home]
+    newest[home] = count
+    return count + 1
+
+
+@nb.njit(cache=True, nogil=True)
+def units_left(
+    units: U16, candidates: I64, possible: npt.NDArray[np.bool_], first: int, stop: int, hit: int, older: I64,
+    starts: I64, ends: I64,
+) -> int:  # fmt: skip
+    """The most units of those in a group that can be minima; −1 where hits of the take rule all out (kernel)."""
+    left, most = False, 0
+    for i in range(first, stop):
+        if possible[i]:
+            left = left or not ruled_out(0, candidates[i], hit, older, starts, ends, False)
+            most = max(most, int(units[candidates[i]]))
+    return most if left else -1
 
 
 @nb.njit(cache=True, nogil=True)
@@ -98,12 +121,13 @@ def with_neighbours(candidates: I64, begins: I64, first: int, stop: int) -> tupl
 def least_beside(candidates: I64, costs: F64, low: int, i: int, threshold: float) -> bool:
     """Whether a candidate is below the threshold and not above its neighbours (kernel).
 
-    costs: float64, of the candidates from `low` on. A frame beside it that is no candidate is provably dearer.
+    costs: float64, of the frames from the candidate `low` on. A frame beside it that is no candidate is provably
+    dearer.
     """
-    at = i - low
+    at = candidates[i] - candidates[low]
     if not costs[at] < threshold - TOLERANCE:
         return False
-    if at > 0 and candidates[i - 1] == candidates[i] - 1 and costs[at] > costs[at - 1] + TOLERANCE:
+    if i > low and candidates[i - 1] == candidates[i] - 1 and costs[at] > costs[at - 1] + TOLERANCE:
         return False
     after = at + 1 < len(costs) and candidates[i + 1] == candidates[i] + 1
     return not (after and costs[at] > costs[at + 1] + TOLERANCE)

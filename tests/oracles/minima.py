@@ -15,7 +15,7 @@ from ops.distances.annotation import TOLERANCE
 from ops.distances.costs import F64, I32, I64, CodedWords, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.distances.pruning import Coarse, bounds_below, coarse_bound, possible_minima
-from ops.distances.sweep import sum_group, walk_back, workspace
+from ops.distances.windows import sum_window, walk_back, workspace
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import U64
@@ -190,15 +190,16 @@ def trace_paths(
     longest = 0
     for g in range(len(groups) - 1):
         longest = max(longest, ends[groups[g + 1] - 1] + 1 - opens[groups[g]])
-    grid, costs, row_of, used = workspace(longest, len(values), len(vocabulary))
+    grid, costs, row_of, used, trail = workspace(longest, len(values), len(vocabulary))
+    found = np.empty(longest)
     for g in range(len(groups) - 1):
-        own = slice(groups[g], groups[g + 1])
-        begin = opens[groups[g]]
-        sum_group(
-            vocabulary, codes, values, parts, worths, counted, ends[own], begin, limits[g], grid, costs, row_of, used,
-            sums[own],
+        begin, end, last = opens[groups[g]], ends[groups[g]], ends[groups[g + 1] - 1]
+        sum_window(
+            vocabulary, codes, values, parts, worths, counted, begin, end, found[: last + 1 - end], limits[g], grid,
+            costs, row_of, used,
         )  # fmt: skip
+        trail[: last + 1 - begin] = -1
         for place in range(groups[g], groups[g + 1]):
-            starts[place] = -1
+            starts[place], sums[place] = -1, found[ends[place] - end]
             if sums[place] < np.inf:
-                starts[place] = begin + walk_back(grid, costs, row_of, codes[begin:], ends[place] - begin)
+                starts[place] = walk_back(grid, costs, row_of, codes, begin, ends[place], place, trail, starts)
