@@ -1,1 +1,7 @@
-"""The numbers: numpy in, numpy out; compiled kernels. No files, no SQL, no configuration, no logging."""
+"""The numbers: numpy in, numpy out; compiled kernels. No files but theirs, no SQL, no configuration, no logging."""
+
+from pathlib import Path
+
+from ops.compiled import forget_outdated
+
+forget_outdated(Path(__file__).parent)

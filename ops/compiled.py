@@ -1,0 +1,121 @@
+"""Compiled kernels on disk, kept true to the source.
+
+numba keeps compiled kernels beside their files, and compiles one again where its own file has changed. Where another
+file has changed whose kernels it calls, numba does not notice: the old one would go on computing, after an update, say.
+So what was compiled of a file is forgotten when that file, or one that it imports, is not what it was then.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+
+STAMP = "kernels.json"
+"""What the sources were when kernels were last compiled: by file its size, time of change and sha256."""
+
+_IMPORT = re.compile(r"^\s*(?:from\s+(\w+)([\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(\w+)([\w.]+))", re.MULTILINE)
+
+State = dict[str, tuple[int, int, str]]
+"""Of each source file its size, time of change in ns and sha256."""
+
+
+def forget_outdated(package: Path, environment: Mapping[str, str] = os.environ) -> list[str]:
+    """Remove compiled kernels of files that have changed, or that import such a file.
+
+    Parameters
+    ----------
+    package: folder of a package whose modules hold the kernels. environment: may say where numba keeps them.
+
+    Returns
+    -------
+    The files concerned, relative to the folder. A place that cannot be written is left as it is: nothing is kept there.
+    """
+    place = _place(package, environment)
+    if place is None:
+        return []
+    stamp = place(package) / STAMP
+    try:
+        former: State = {name: (size, time, text) for name, (size, time, text) in json.loads(stamp.read_text()).items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        former = {}
+    now = _state(package, former)
+    if now == former:
+        return []
+    changed = {name for name in {*now, *former} if now.get(name, ("",))[-1] != former.get(name, ("",))[-1]}
+    outdated = sorted(_importing(package, now, changed))
+    try:
+        for name in outdated:
+            for kernel in place((package / name).parent).glob(f"{Path(name).stem}.*.nb[ic]"):
+                kernel.unlink(missing_ok=True)
+        _write(stamp, json.dumps(now))
+    except OSError:
+        return []
+    return outdated
+
+
+def _place(package: Path, environment: Mapping[str, str]) -> Callable[[Path], Path] | None:
+    """Where numba keeps what it compiles of a folder's files: as told, beside them, or with the user's things."""
+    if environment.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return None
+    if given := environment.get("NUMBA_CACHE_DIR"):
+        return partial(_below, Path(given))
+    beside = package / "__pycache__"
+    if os.access(beside if beside.is_dir() else package, os.W_OK):
+        return lambda folder: folder / "__pycache__"
+    from numba.misc.appdirs import AppDirs  # rare, and numba takes its time
+
+    return partial(_below, Path(AppDirs(appname="numba", appauthor=False).user_cache_dir))
+
+
+def _below(root: Path, folder: Path) -> Path:
+    path = os.path.abspath(folder)
+    return root / f"{os.path.basename(path)}_{hashlib.sha1(path.encode()).hexdigest()}"
+
+
+def _state(package: Path, former: State) -> State:
+    """The sources as they are; contents are read only where size or time have changed."""
+    found: State = {}
+    for folder, folders, names in os.walk(package):
+        folders[:] = [name for name in folders if name != "__pycache__"]
+        for file in (Path(folder, name) for name in names if name.endswith(".py")):
+            name, about = file.relative_to(package).as_posix(), file.stat()
+            size, time, text = former.get(name, (-1, -1, ""))
+            if (size, time) != (about.st_size, about.st_mtime_ns):
+                text = hashlib.sha256(file.read_bytes()).hexdigest()
+            found[name] = (about.st_size, about.st_mtime_ns, text)
+    return found
+
+
+def _importing(package: Path, files: Iterable[str], changed: set[str]) -> set[str]:
+    """The changed files, and those that import one of them, also by way of others."""
+    imports = {name: _imports(package, name) for name in files}
+    found, fresh = set(changed), set(changed)
+    while fresh:
+        fresh = {name for name, those in imports.items() if name not in found and those & fresh}
+        found |= fresh
+    return found
+
+
+def _imports(package: Path, name: str) -> set[str]:
+    text = (package / name).read_text(encoding="utf-8")
+    found = set()
+    for first, rest, what, whole, deeper in _IMPORT.findall(text):
+        if package.name in (first, whole):
+            path = (rest or deeper).strip(".").replace(".", "/")
+            found.add(f"{path}.py")
+            found.update(f"{path}/{part}.py".lstrip("/") for part in re.findall(r"\w+", what))
+    return found
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=".tmp-", dir=path.parent)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.replace(temporary, path)
