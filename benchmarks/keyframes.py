@@ -56,9 +56,9 @@ def _searches(clips: list[U64], material: Material, queries: int) -> float:
     runs = word_runs(np.concatenate(clips), offsets)
     starts, stops = to_axis(runs.take, runs.start), to_axis(runs.take, runs.stop)
 
-    def search() -> None:
+    def all_searches() -> None:
         for query in drawn:
             pairs = zip(query.masks.tolist(), query.values.tolist(), strict=True)
             search([keyframe_list(starts, stops, runs.word, *pair) for pair in pairs], query.gaps)
 
-    return seconds(search, 5) * queries / len(drawn)
+    return seconds(all_searches, 5) * queries / len(drawn)
