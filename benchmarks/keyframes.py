@@ -8,7 +8,7 @@ from benchmarks.harness import Figure, seconds
 from ops.learning.fitness import training_frames
 from ops.learning.genetics import evolve
 from ops.learning.lessons import Evolution, Material, make_material
-from ops.search.keyframes import keyframe_list
+from ops.search.keyframes import keyframe_list, search
 from ops.search.runs import word_runs
 from ops.search.segments import to_axis
 from ops.templates.templates import learn_soft, quantise
