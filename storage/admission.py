@@ -13,6 +13,9 @@ from storage.schemas import RESULT_KINDS
 FOLDERS = (FOLDER, "frames", "takes", "index", "results")
 """The folders of a store."""
 
+_CLOCK_SECONDS = 2.0
+"""How exactly a file system may say when a file was written."""
+
 
 def refuse_foreign(root: Path) -> None:
     """Refuse a place that holds other things than a store."""
@@ -42,17 +45,30 @@ def refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, 
         )
 
 
-def remove_leftovers(root: Path, newest: Manifest) -> None:
+def last_opened(lock: Path) -> float:
+    """When a store was last opened for writing, by its lock's file; 0 where it never was."""
+    try:
+        return lock.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
     """Remove what killed runs have left: unfinished files, and parts that no manifest names.
 
     Only the holder of the lock may do this: no live writer can be about to commit such a part.
+
+    Parameters
+    ----------
+    since: when the store was last opened for writing (`last_opened`). Of what was there then nothing was left over, so
+        older parts are not looked up: those that were replaced may be named by none of a thousand newer manifests.
     """
     candidates = set()
     for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
         for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
             if name.startswith(TEMPORARY):
                 (root / folder / name).unlink(missing_ok=True)
-            elif name.startswith("part-"):
+            elif name.startswith("part-") and (root / folder / name).stat().st_mtime > since - _CLOCK_SECONDS:
                 candidates.add(f"{folder}/{name}")
     candidates -= {part.path for part in newest.parts}
     for version in reversed(versions(root)[:-1]):

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from catalog.features import FeatureSet
 from ops.errors import ParameterError, StoreError
-from storage.admission import FOLDERS, refuse_foreign, refuse_other_words, remove_leftovers
+from storage.admission import FOLDERS, last_opened, refuse_foreign, refuse_other_words, remove_leftovers
 from storage.disk import writing
 from storage.lock import Lock
 from storage.manifest import (
@@ -74,13 +74,14 @@ class StoreWriter:
         with writing(root):
             for folder in FOLDERS:
                 (root / folder).mkdir(parents=True, exist_ok=True)
+        since = last_opened(root / "lock")
         lock = Lock(root / "lock", "this one", wait_seconds)
         try:
             if not versions(root):
                 publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
             manifest = read_newest(root)
             refuse_other_words(root, manifest, feature_set, rate_hz)
-            remove_leftovers(root, manifest)
+            remove_leftovers(root, manifest, since)
             return cls(root, manifest, lock)
         except BaseException:
             lock.release()

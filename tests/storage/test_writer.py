@@ -18,6 +18,7 @@ import pyarrow as pa
 import pytest
 
 from ops.errors import KinedexError, ParameterError, StoreError
+from storage import admission
 from storage.manifest import StageRecord, manifest_path, publish, versions
 from storage.store import open_store
 from storage.verify import verify
@@ -174,6 +175,25 @@ def test_what_killed_runs_left_is_removed_and_nothing_else(tmp_path: Path) -> No
     assert not unfinished.exists()
     assert mine.exists()
     assert old.words().frames.tolist() == [5]
+
+
+def test_replaced_parts_are_not_looked_up_in_old_manifests_at_every_opening(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_store(tmp_path, {"a": 5})
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        for edition in range(1, 5):
+            add(writer, {"a": 5 + edition}, edition=edition)
+            writer.commit()
+    for part in tmp_path.glob("*/part-*"):
+        os.utime(part, (1_000_000_000, 1_000_000_000))
+    looked_up: list[int] = []
+    monkeypatch.setattr(admission, "named_files", lambda _, version: looked_up.append(version) or set())
+    before = sorted(tmp_path.glob("frames/part-*"))
+    StoreWriter.open(tmp_path, BODY).close()
+    assert looked_up == []
+    assert sorted(tmp_path.glob("frames/part-*")) == before
+    assert len(before) == 5
 
 
 def test_another_feature_set_or_rate_is_refused(tmp_path: Path) -> None:
