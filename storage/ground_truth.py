@@ -30,7 +30,8 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
         raise KinedexError(
             f"ground truth: no file '{below}' below {', '.join(map(str, folders)) or 'any source folder'}. "
             f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open), or labels of another "
-            f"kind: {ENDINGS}; where there is none: `--set evaluate.ground_truth=none`"
+            f"kind: {ENDINGS}; where there is none, set `ground_truth` of this stage to none, as with "
+            "`--set evaluate.ground_truth=none` for the stage evaluate"
         )
     return found
 

@@ -129,13 +129,20 @@ def walk_back(
             return paths[trail[frame, 0]]
         trail[frame, 0], trail[frame, 1] = i, n
         dear = costs[row_of[codes[begin + frame]], n]
-        best = grid[frame + 1, n + 1] + dear
+        straight = grid[frame + 1, n + 1] + dear
         skipped = grid[frame, n + 1] + dear
         doubled = grid[frame + 1, n] + (dear + dear)
-        if doubled < best and doubled < skipped:
-            frame, n = frame - 1, n - 2
-        elif skipped < best:
-            frame, n = frame - 2, n - 1
-        else:
-            frame, n = frame - 1, n - 1
+        frames, columns = step_back(straight, skipped, doubled)
+        frame, n = frame - frames, n - columns
     return begin + frame
+
+
+@nb.njit(cache=True, nogil=True)
+def step_back(straight: float, skipped: float, doubled: float) -> tuple[int, int]:
+    """By how many frames and columns the best path comes to a cell, given its cost by each step (kernel).
+
+    Steps are (columns, frames): of equal costs (1,1) is taken, before (1,2), before (2,1).
+    """
+    if doubled < straight and doubled < skipped:
+        return 1, 2
+    return (2, 1) if skipped < straight else (1, 1)

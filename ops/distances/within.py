@@ -16,6 +16,7 @@ from ops.distances.annotation import TOLERANCE, Matches
 from ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
 from ops.distances.dtw import check_ranges
 from ops.distances.pruning import Coarse, surviving
+from ops.distances.windows import step_back
 from ops.errors import ParameterError
 from ops.templates.templates import QuantisedTemplate
 from ops.words import NO_WORD, U64
@@ -241,10 +242,6 @@ def begin_of(table: F64, rows: I32, columns: int, sums: F64, frame: int) -> int:
         straight = sums[frame + 1, n + 1] + cost
         skipped = sums[frame, n + 1] + cost
         doubled = sums[frame + 1, n] + (cost + cost)
-        if doubled < straight and doubled < skipped:
-            frame, n = frame - 1, n - 2
-        elif skipped < straight:
-            frame, n = frame - 2, n - 1
-        else:
-            frame, n = frame - 1, n - 1
+        frames, back = step_back(straight, skipped, doubled)
+        frame, n = frame - frames, n - back
     return frame
