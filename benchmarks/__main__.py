@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching, sharing
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import Figure, calibrate, show, write
-from ops.errors import did_you_mean
-from pipelines.terminal import make_console
-from storage.store import Store
+from kinedex.ops.errors import did_you_mean
+from kinedex.pipelines.terminal import make_console
+from kinedex.storage.store import Store
 
 PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "reading": lambda _: list(reading.figures()),

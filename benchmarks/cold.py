@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 import time
 
-from catalog.queryfiles import read_queries
-from pipelines.searching.search import search_store
-from storage.store import open_store
+from kinedex.catalog.queryfiles import read_queries
+from kinedex.pipelines.searching.search import search_store
+from kinedex.storage.store import open_store
 
 
 def main(store: str, file: str) -> None:

@@ -17,18 +17,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from catalog.classes import Classes, load_classes
-from ops.distances.decoding import explain
-from ops.distances.dtw import distance_curves
-from ops.templates.templates import QuantisedTemplate
-from ops.words import U64, TakeWords, bits
-from pipelines.annotation.annotating import annotate_words
-from pipelines.annotation.annotators import Annotator, make_annotator
-from pipelines.evaluation.groundtruth import Manual, place_ground_truth
-from pipelines.stages.annotate import usual_features
-from pipelines.templates.learning import read_templates
-from storage.ground_truth import read_ground_truth
-from storage.store import Store, open_store
+from kinedex.catalog.classes import Classes, load_classes
+from kinedex.ops.distances.decoding import explain
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import U64, TakeWords, bits
+from kinedex.pipelines.annotation.annotating import annotate_words
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.evaluation.groundtruth import Manual, place_ground_truth
+from kinedex.pipelines.stages.annotate import usual_features
+from kinedex.pipelines.templates.learning import read_templates
+from kinedex.storage.ground_truth import read_ground_truth
+from kinedex.storage.store import Store, open_store
 
 F64 = npt.NDArray[np.float64]
 

@@ -13,14 +13,14 @@ import pyarrow as pa
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import Figure, seconds
-from catalog.features import FeatureSet
-from ops.words import TakeWords
-from storage import index
-from storage.duck import connect, quote
-from storage.parts import FramesWriter
-from storage.schemas import takes_schema
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.words import TakeWords
+from kinedex.storage import index
+from kinedex.storage.duck import connect, quote
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.schemas import takes_schema
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 
 HOURS = 20.0
 TAKES_A_PART = 2000

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Figure, seconds
-from ops.templates.templates import learn
-from ops.words import U64, bits
-from storage.store import Store
+from kinedex.ops.templates.templates import learn
+from kinedex.ops.words import U64, bits
+from kinedex.storage.store import Store
 from tests.oracles import warping as naive
 
 CLIPS, COLUMNS = 20, 100

@@ -26,13 +26,13 @@ import yaml
 from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from benchmarks.scaling import Watched, peak_mib, watched
-from ops.measures.detection import bootstrap
-from ops.measures.metrics import Counts
-from pipelines.config import load_pipeline
-from pipelines.runner import run_pipeline
-from pipelines.synth import RECORD, write_archive
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.ops.measures.detection import bootstrap
+from kinedex.ops.measures.metrics import Counts
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.pipelines.synth import RECORD, write_archive
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 
 NAME = "long-archive"
 CLIP_MINUTES = 30.0

@@ -17,18 +17,18 @@ from benchmarks.archive import BUILD
 from benchmarks.archive import store as synthetic
 from benchmarks.harness import Figure, calibrate, seconds, show, silent
 from benchmarks.ranking_memory import made_up, searched_classes
-from ops.distances.costs import cost_table, encode, lay_out
-from ops.distances.dtw import distance_curves
-from ops.distances.pruning import bounds_below, coarse_bounds, surviving
-from ops.distances.ranking import rank, rank_together
-from ops.distances.stripes import BLOCK
-from ops.distances.sweep import CAP, pieces_of, sweep
-from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
-from ops.words import TakeWords, bits
-from pipelines.retrieval.ranking import rank_store
-from pipelines.runner import run_pipeline
-from pipelines.terminal import make_console
-from storage.store import Store, open_store
+from kinedex.ops.distances.costs import cost_table, encode, lay_out
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.pruning import bounds_below, coarse_bounds, surviving
+from kinedex.ops.distances.ranking import rank, rank_together
+from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.distances.sweep import CAP, pieces_of, sweep
+from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
+from kinedex.ops.words import TakeWords, bits
+from kinedex.pipelines.retrieval.ranking import rank_store
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.pipelines.terminal import make_console
+from kinedex.storage.store import Store, open_store
 
 COLUMNS, FRAMES, WORDS = 60, 400_000, 4_000
 """The size that a curve is timed at."""

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ops.words import NO_WORD
-from pipelines.runner import run_pipeline
-from storage.export import export_take
-from storage.store import Store, open_store
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.storage.export import export_take
+from kinedex.storage.store import Store, open_store
 
 
 def compare(store: Store, where: str, folder: Path) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from catalog.queries import KeyframeQuery
-from ops.errors import ParameterError
-from ops.search.gaps import UNBOUNDED
-from ops.search.segments import Segments, merge
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.ops.search.segments import Segments, merge
 
 _ROOM = 4_000_000
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import silent
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings
-from ops.body import features
-from pipelines.runner import run_pipeline
-from storage.bodies import Body, read_acclaim, read_bvh
-from storage.export import export_take
-from storage.store import open_store
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings
+from kinedex.ops.body import features
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.storage.bodies import Body, read_acclaim, read_bvh
+from kinedex.storage.export import export_take
+from kinedex.storage.store import open_store
 
 FEATURES = load_feature_set()
 LOWER = ("root", "lhip", "lknee", "lankle", "ltoes", "rhip", "rknee", "rankle", "rtoes", "belly", "chest")

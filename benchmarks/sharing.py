@@ -14,11 +14,11 @@ import numpy as np
 
 from benchmarks.harness import Figure
 from benchmarks.indexing import HOURS, twenty_hours
-from catalog.queryfiles import read_queries
-from ops.words import TakeWords
-from pipelines.searching.resident import resident_store, resident_words
-from storage import index
-from storage.store import Store, open_store
+from kinedex.catalog.queryfiles import read_queries
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.searching.resident import resident_store, resident_words
+from kinedex.storage import index
+from kinedex.storage.store import Store, open_store
 
 PROCESSES = 2
 

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from catalog.configs import Located
-from catalog.features import FeatureSet, WordSet
-from catalog.gaptexts import GapEntry, read_gap
-from catalog.queries import SAME_FRAME, Gap, Keyframe
-from ops.errors import KinedexError, did_you_mean
-from ops.search.gaps import UNBOUNDED
+from kinedex.catalog.configs import Located
+from kinedex.catalog.features import FeatureSet, WordSet
+from kinedex.catalog.gaptexts import GapEntry, read_gap
+from kinedex.catalog.queries import SAME_FRAME, Gap, Keyframe
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.search.gaps import UNBOUNDED
 
 _SHORTER_PATTERNS = {"mix": 13}
 """Sets whose patterns may end before the last feature, as the papers' do: F40 came to mix later."""

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from catalog.configs import Located, config_path, load_yaml
-from ops.errors import ConfigError, did_you_mean
+from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.ops.errors import ConfigError, did_you_mean
 
 OWN = "own"
 """In place of a class file: every subclass is a class of its own."""

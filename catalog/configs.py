@@ -15,7 +15,7 @@ from yaml.composer import Composer
 from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
-from ops.errors import ConfigError, did_you_mean
+from kinedex.ops.errors import ConfigError, did_you_mean
 
 KINDS = {
     "skeletons": "skeleton mapping",

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.configs import Located, config_path, load_yaml
-from ops.body.features import COMPARISONS, JOINTS_OF, Rule, Term
-from ops.errors import KinedexError, did_you_mean
-from ops.templates.mirroring import rearrange
-from ops.words import MOST_FEATURES
+from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.ops.body.features import COMPARISONS, JOINTS_OF, Rule, Term
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.mirroring import rearrange
+from kinedex.ops.words import MOST_FEATURES
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import SourceError, did_you_mean
+from kinedex.ops.errors import SourceError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
 SEEN = ("positions", "c3d")

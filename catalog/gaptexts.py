@@ -8,10 +8,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.configs import Located
-from catalog.queries import Gap
-from ops.errors import ParameterError
-from ops.search.gaps import UNBOUNDED
+from kinedex.catalog.configs import Located
+from kinedex.catalog.queries import Gap
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import UNBOUNDED
 
 FORMS = (
     '"within 2 s", "0.5 s to 2 s", "5 to 12 frames", "at least 1 s", "exactly 3 frames", "0.5 s ± 0.2 s", '

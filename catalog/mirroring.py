@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from catalog.features import FeatureSet
-from catalog.queries import Keyframe, KeyframeQuery
-from ops.errors import KinedexError
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import Keyframe, KeyframeQuery
+from kinedex.ops.errors import KinedexError
 
 
 def mirrored(query: KeyframeQuery, feature_set: FeatureSet) -> KeyframeQuery:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from catalog.features import FeatureSet
-from ops.errors import KinedexError, ParameterError, did_you_mean
-from ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.chains import Chain, ChainEntry, read_chain, refuse_unknown_keys
-from catalog.configs import Located, config_path, load_yaml, parse_yaml
-from catalog.features import FeatureSet
-from catalog.gaptexts import read_gap
-from catalog.mirroring import mirrored
-from catalog.queries import Gap, KeyframeQuery
-from ops.errors import KinedexError, did_you_mean
+from kinedex.catalog.chains import Chain, ChainEntry, read_chain, refuse_unknown_keys
+from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.gaptexts import read_gap
+from kinedex.catalog.mirroring import mirrored
+from kinedex.catalog.queries import Gap, KeyframeQuery
+from kinedex.ops.errors import KinedexError, did_you_mean
 
 ANALYSIS_RATE_HZ = 30.0
 MOST_CHAINS = 64

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import yaml
 
-from catalog.features import FeatureSet
-from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
-from ops.search.gaps import UNBOUNDED
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
+from kinedex.ops.search.gaps import UNBOUNDED
 
 
 def write_queries(queries: Iterable[KeyframeQuery], feature_set: FeatureSet) -> str:

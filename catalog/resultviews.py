@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from catalog.columns import View, columns
+from kinedex.catalog.columns import View, columns
 
 _RUN = "run    VARCHAR    the run of a stage that wrote the row"
 _TAKE = """take_id    BIGINT    id of the take

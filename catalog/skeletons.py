@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from catalog.configs import Located, config_names, config_path, load_yaml
-from catalog.fitting import Axis, Fit, Format, Mix, SkeletonMapping
-from ops.errors import SourceError, did_you_mean
+from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
+from kinedex.catalog.fitting import Axis, Fit, Format, Mix, SkeletonMapping
+from kinedex.ops.errors import SourceError, did_you_mean
 
 __all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton", "stripping"]
 

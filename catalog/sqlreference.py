@@ -1,14 +1,14 @@
-"""The reference part of docs/sql.md, made from the views and macros themselves: `python -m catalog.sqlreference`."""
+"""The reference part of docs/sql.md, made from the views and macros (`python -m kinedex.catalog.sqlreference`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from catalog.macros import Macro
-from catalog.views import MACROS, VIEWS, View
+from kinedex.catalog.macros import Macro
+from kinedex.catalog.views import MACROS, VIEWS, View
 
-BEGIN, END = "<!-- the reference begins: python -m catalog.sqlreference -->", "<!-- the reference ends -->"
+BEGIN, END = "<!-- the reference begins: python -m kinedex.catalog.sqlreference -->", "<!-- the reference ends -->"
 ORIGINS = {
     "index": "Views of the index",
     "parts": "Frames",

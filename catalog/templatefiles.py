@@ -15,10 +15,10 @@ import numpy.typing as npt
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.configs import Located, load_yaml, parse_yaml, read_text
-from catalog.features import FeatureSet
-from ops.errors import ConfigError, KinedexError
-from ops.templates.templates import Template
+from kinedex.catalog.configs import Located, load_yaml, parse_yaml, read_text
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import ConfigError, KinedexError
+from kinedex.ops.templates.templates import Template
 
 F64 = npt.NDArray[np.float64]
 

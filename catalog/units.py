@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import SourceError
+from kinedex.ops.errors import SourceError
 
 F64 = npt.NDArray[np.float64]
 

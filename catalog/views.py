@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from catalog.columns import Column, View, columns
-from catalog.macros import MACROS, Macro
-from catalog.resultviews import RESULT_VIEWS
+from kinedex.catalog.columns import Column, View, columns
+from kinedex.catalog.macros import MACROS, Macro
+from kinedex.catalog.resultviews import RESULT_VIEWS
 
 __all__ = ["MACROS", "VIEWS", "Column", "Macro", "View", "help_rows"]
 

@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from ops.compiled import forget_outdated
+from kinedex.ops.compiled import forget_outdated
 
-forget_outdated(Path(__file__).parent)
+forget_outdated(Path(__file__).parent, __name__)

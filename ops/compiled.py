@@ -19,18 +19,19 @@ from pathlib import Path
 STAMP = "kernels.json"
 """What the sources were when kernels were last compiled: by file its size, time of change and sha256."""
 
-_IMPORT = re.compile(r"^\s*(?:from\s+(\w+)([\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(\w+)([\w.]+))", re.MULTILINE)
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 
 State = dict[str, tuple[int, int, str]]
 """Of each source file its size, time of change in ns and sha256."""
 
 
-def forget_outdated(package: Path, environment: Mapping[str, str] = os.environ) -> list[str]:
+def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = os.environ) -> list[str]:
     """Remove compiled kernels of files that have changed, or that import such a file.
 
     Parameters
     ----------
-    package: folder of a package whose modules hold the kernels. environment: may say where numba keeps them.
+    package: folder of a package whose modules hold the kernels. name: what its modules are imported by, as in
+        `import name.module`. environment: may say where numba keeps them.
 
     Returns
     -------
@@ -48,10 +49,10 @@ def forget_outdated(package: Path, environment: Mapping[str, str] = os.environ) 
     if now == former:
         return []
     changed = {name for name in {*now, *former} if now.get(name, ("",))[-1] != former.get(name, ("",))[-1]}
-    outdated = sorted(_importing(package, now, changed))
+    outdated = sorted(_importing(package, name, now, changed))
     try:
-        for name in outdated:
-            for kernel in place((package / name).parent).glob(f"{Path(name).stem}.*.nb[ic]"):
+        for file in outdated:
+            for kernel in place((package / file).parent).glob(f"{Path(file).stem}.*.nb[ic]"):
                 kernel.unlink(missing_ok=True)
         _write(stamp, json.dumps(now))
     except OSError:
@@ -92,22 +93,23 @@ def _state(package: Path, former: State) -> State:
     return found
 
 
-def _importing(package: Path, files: Iterable[str], changed: set[str]) -> set[str]:
+def _importing(package: Path, name: str, files: Iterable[str], changed: set[str]) -> set[str]:
     """The changed files, and those that import one of them, also by way of others."""
-    imports = {name: _imports(package, name) for name in files}
+    imports = {file: _imports(package, name, file) for file in files}
     found, fresh = set(changed), set(changed)
     while fresh:
-        fresh = {name for name, those in imports.items() if name not in found and those & fresh}
+        fresh = {file for file, those in imports.items() if file not in found and those & fresh}
         found |= fresh
     return found
 
 
-def _imports(package: Path, name: str) -> set[str]:
-    text = (package / name).read_text(encoding="utf-8")
+def _imports(package: Path, name: str, file: str) -> set[str]:
+    text = (package / file).read_text(encoding="utf-8")
     found = set()
-    for first, rest, what, whole, deeper in _IMPORT.findall(text):
-        if package.name in (first, whole):
-            path = (rest or deeper).strip(".").replace(".", "/")
+    for source, what, whole in _IMPORT.findall(text):
+        module = source or whole
+        if module == name or module.startswith(f"{name}."):
+            path = module.removeprefix(name).strip(".").replace(".", "/")
             found.add(f"{path}.py")
             found.update(f"{path}/{part}.py".lstrip("/") for part in re.findall(r"\w+", what))
     return found

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 U64 = npt.NDArray[np.uint64]
 I64 = npt.NDArray[np.int64]

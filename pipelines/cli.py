@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from pipelines.commands import exploring, keeping, keyframes, labels, queries, ranking, reports, running, templates
-from pipelines.commands.shell import app
+from kinedex.pipelines.commands import (
+    exploring,
+    keeping,
+    keyframes,
+    labels,
+    queries,
+    ranking,
+    reports,
+    running,
+    templates,
+)
+from kinedex.pipelines.commands.shell import app
 
 PANELS = {
     running: "Run pipelines",

@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.configs import Located, config_path, load_yaml, parse_yaml
-from ops.errors import ConfigError, KinedexError, did_you_mean
+from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml
+from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 
 STAGES: dict[str, dict[str, str]] = {
     "ingest": {},
@@ -105,7 +105,7 @@ class Pipeline:
 
 def stage_module(uses: str) -> ModuleType:
     """Import the module of a stage, `pipelines.stages.<name>`."""
-    return importlib.import_module(f"pipelines.stages.{uses}")
+    return importlib.import_module(f"kinedex.pipelines.stages.{uses}")
 
 
 def load_pipeline(name_or_path: str | Path, assignments: Mapping[str, str] | None = None) -> Pipeline:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from catalog.features import FeatureSet, load_feature_set
-from pipelines.executors import Executor
-from pipelines.terminal import Progress, Terminal
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.pipelines.executors import Executor
+from kinedex.pipelines.terminal import Progress, Terminal
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 
 SHIPPED_FEATURES = "body40"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from ops.errors import KinedexError
-from pipelines.executors import cores
-from pipelines.runner import Outcome, run_pipeline
-from pipelines.synth import write_archive
-from pipelines.terminal import Progress, Terminal
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.executors import cores
+from kinedex.pipelines.runner import Outcome, run_pipeline
+from kinedex.pipelines.synth import write_archive
+from kinedex.pipelines.terminal import Progress, Terminal
 
 ACTORS, SEED = 5, 2026
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ops.errors import KinedexError
-from pipelines.wording import counted
-from storage.store import Store
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.wording import counted
+from kinedex.storage.store import Store
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from ops.errors import KinedexError, ParameterError
-from pipelines.workers import begin_worker, deaf_children, single_thread
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.workers import begin_worker, deaf_children, single_thread
 
 if TYPE_CHECKING:
     from distributed import Client

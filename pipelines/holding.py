@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from catalog.features import Feature, FeatureSet
-from ops.search.runs import feature_runs
-from ops.words import NO_WORD
+from kinedex.catalog.features import Feature, FeatureSet
+from kinedex.ops.search.runs import feature_runs
+from kinedex.ops.words import NO_WORD
 
 
 def holding(

@@ -11,25 +11,25 @@ import numpy.typing as npt
 import pyarrow as pa
 from rich.console import Console
 
-from catalog.features import FeatureSet, load_feature_set
-from catalog.skeletons import Format, Mappings, load_mappings
-from catalog.units import body_height
-from ops.body import kinematics
-from ops.body.gaps import find_gaps
-from ops.errors import KinedexError, SourceError
-from pipelines.holding import holding
-from pipelines.ingesting.analysis import analyse, blind
-from pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
-from pipelines.tables import Shown, pairs
-from storage.acclaim import INCH_M, read_asf
-from storage.amass import parse_amass
-from storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
-from storage.bodymodel import load_body_model
-from storage.bvh import parse_bvh
-from storage.c3d import parse_c3d
-from storage.export import TREE
-from storage.positions import Points, parse_positions
-from storage.sources import UNREAD, SourceFile, skeleton_of
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.skeletons import Format, Mappings, load_mappings
+from kinedex.catalog.units import body_height
+from kinedex.ops.body import kinematics
+from kinedex.ops.body.gaps import find_gaps
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.pipelines.holding import holding
+from kinedex.pipelines.ingesting.analysis import analyse, blind
+from kinedex.pipelines.picture import LEFT, MIDDLE, RIGHT, Figure, draw
+from kinedex.pipelines.tables import Shown, pairs
+from kinedex.storage.acclaim import INCH_M, read_asf
+from kinedex.storage.amass import parse_amass
+from kinedex.storage.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
+from kinedex.storage.bodymodel import load_body_model
+from kinedex.storage.bvh import parse_bvh
+from kinedex.storage.c3d import parse_c3d
+from kinedex.storage.export import TREE
+from kinedex.storage.positions import Points, parse_positions
+from kinedex.storage.sources import UNREAD, SourceFile, skeleton_of
 
 F64 = npt.NDArray[np.float64]
 

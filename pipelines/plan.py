@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from ops.errors import KinedexError, StoreError
-from pipelines.config import Pipeline, Stage
-from pipelines.digests import Reading
-from storage.manifest import StageRecord
-from storage.store import Store, open_store
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.pipelines.config import Pipeline, Stage
+from kinedex.pipelines.digests import Reading
+from kinedex.storage.manifest import StageRecord
+from kinedex.storage.store import Store, open_store
 
-PACKAGES = ("ops", "catalog", "storage", "pipelines")
 ROOT = Path(__file__).resolve().parents[1]
+"""The folder of the rooms: in a checkout, or in the installed package."""
 
 FORCED = "--force"
 """The reason of a stage that runs because it was asked for."""
@@ -28,7 +28,12 @@ TAKES = "takes"
 """The role of the stage that brings the takes in."""
 
 # What a stage is run by, but what its results do not depend on.
-_CARRIERS = {"pipelines.context", "pipelines.terminal", "pipelines.executors", "pipelines.workers"}
+_CARRIERS = {
+    "kinedex.pipelines.context",
+    "kinedex.pipelines.terminal",
+    "kinedex.pipelines.executors",
+    "kinedex.pipelines.workers",
+}
 
 
 @dataclass(frozen=True)
@@ -110,7 +115,7 @@ class Planner:
         """What a stage's fingerprint is made of."""
         external = getattr(stage.module, "external_digest", None)
         parts = {
-            "code": code_digest(f"pipelines.stages.{stage.uses}"),
+            "code": code_digest(f"kinedex.pipelines.stages.{stage.uses}"),
             "parameters": _hash(stage.params.model_dump(mode="json")),
             "files": external(stage.params, store) if external else "",
             **({"takes": _takes(store)} if reading is None else {"reading": reading.digest}),
@@ -236,7 +241,7 @@ def imports_of(source: str, module: str) -> list[str]:
                 base = ".".join([*package, base] if base else package)
             names.append(base)
             names += [f"{base}.{alias.name}" for alias in node.names]
-    return sorted({name for name in names if name.split(".")[0] in PACKAGES})
+    return sorted({name for name in names if name.startswith("kinedex.")})
 
 
 def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
@@ -248,7 +253,7 @@ def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
 
 
 def _module_file(name: str) -> Path | None:
-    path = ROOT.joinpath(*name.split("."))
+    path = ROOT.joinpath(*name.split(".")[1:])
     if path.with_suffix(".py").is_file():
         return path.with_suffix(".py")
     return path / "__init__.py" if (path / "__init__.py").is_file() else None

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from catalog.views import MACROS, VIEWS, Macro, View
-from ops.errors import KinedexError, did_you_mean
-from pipelines.tables import Shown
-from storage.duck import statements
-from storage.store import Store
+from kinedex.catalog.views import MACROS, VIEWS, Macro, View
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.tables import Shown
+from kinedex.storage.duck import statements
+from kinedex.storage.store import Store
 
 HELP = """.tables          the views there are, and the macros
 .schema [NAME]   the columns of a view, the arguments of a macro; without a name, the columns of all views

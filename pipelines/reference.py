@@ -1,4 +1,4 @@
-"""docs/reference.md, made from the code (`python -m pipelines.reference`)."""
+"""docs/reference.md, made from the code (`python -m kinedex.pipelines.reference`)."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from typer.core import TyperArgument
 
-from catalog.configs import KINDS, config_names, config_path, load_yaml
-from pipelines.cli import PANELS
-from pipelines.commands.shell import app
-from pipelines.config import OPTIONAL, STAGES, load_pipeline, stage_module
-from pipelines.evaluation.scheme import Method, Split
-from pipelines.stages.evaluate_ranking import Fold
-from pipelines.templates.recipes import Combination
+from kinedex.catalog.configs import KINDS, config_names, config_path, load_yaml
+from kinedex.pipelines.cli import PANELS
+from kinedex.pipelines.commands.shell import app
+from kinedex.pipelines.config import OPTIONAL, STAGES, load_pipeline, stage_module
+from kinedex.pipelines.evaluation.scheme import Method, Split
+from kinedex.pipelines.stages.evaluate_ranking import Fold
+from kinedex.pipelines.templates.recipes import Combination
 
 INTRODUCTION = """\
 # Reference
 
-Made from the code by `python -m pipelines.reference`, and tested to be what the code says. Do not edit it.
+Made from the code by `python -m kinedex.pipelines.reference`, and tested to be what the code says. Do not edit it.
 
 Views and macros of SQL are in [sql.md](sql.md), formats of motion files in [formats.md](formats.md), label files in
 [labels.md](labels.md).
@@ -45,23 +45,26 @@ MODELS = (("Combination", Combination), ("Method", Method), ("Split", Split), ("
 
 PARTS = {
     "skeletons": (
-        ("", "catalog.skeletons", "_SkeletonFile"),
-        ("a `Mix`, which stands for a joint", "catalog.skeletons", "_Mix"),
-        ("`Aside`", "catalog.skeletons", "_Aside"),
-        ("`Root`", "catalog.skeletons", "_Root"),
+        ("", "kinedex.catalog.skeletons", "_SkeletonFile"),
+        ("a `Mix`, which stands for a joint", "kinedex.catalog.skeletons", "_Mix"),
+        ("`Aside`", "kinedex.catalog.skeletons", "_Aside"),
+        ("`Root`", "kinedex.catalog.skeletons", "_Root"),
     ),
     "features": (
-        ("", "catalog.features", "_FeatureFile"),
-        ("a feature, by its number", "catalog.features", "_FeatureEntry"),
+        ("", "kinedex.catalog.features", "_FeatureFile"),
+        ("a feature, by its number", "kinedex.catalog.features", "_FeatureEntry"),
     ),
-    "classes": (("a class", "catalog.classes", "_ClassEntry"),),
+    "classes": (("a class", "kinedex.catalog.classes", "_ClassEntry"),),
     "queries": (
-        ("a query", "catalog.queryfiles", "_QueryEntry"),
-        ("a step of `sequence`", "catalog.queryfiles", "_StepEntry"),
-        ("a `Keyframe`", "catalog.chains", "_KeyframeEntry"),
-        ("a gap", "catalog.gaptexts", "GapEntry"),
+        ("a query", "kinedex.catalog.queryfiles", "_QueryEntry"),
+        ("a step of `sequence`", "kinedex.catalog.queryfiles", "_StepEntry"),
+        ("a `Keyframe`", "kinedex.catalog.chains", "_KeyframeEntry"),
+        ("a gap", "kinedex.catalog.gaptexts", "GapEntry"),
     ),
-    "pipelines": (("", "pipelines.config", "_PipelineFile"), ("a `Stage`", "pipelines.config", "_StageEntry")),
+    "pipelines": (
+        ("", "kinedex.pipelines.config", "_PipelineFile"),
+        ("a `Stage`", "kinedex.pipelines.config", "_StageEntry"),
+    ),
 }
 """Kind of configuration file → its models: what each stands for (nothing: the whole file), module and name."""
 

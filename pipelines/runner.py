@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ops.errors import KinedexError, NewStoreError
-from pipelines.config import Pipeline, load_pipeline
-from pipelines.context import StageContext, feature_set_for
-from pipelines.executors import Executor, make_executor
-from pipelines.plan import FORCED, Planner, Step, make_plan
-from pipelines.terminal import Terminal
-from storage.manifest import StageRecord, now, versions
-from storage.store import open_store
+from kinedex.ops.errors import KinedexError, NewStoreError
+from kinedex.pipelines.config import Pipeline, load_pipeline
+from kinedex.pipelines.context import StageContext, feature_set_for
+from kinedex.pipelines.executors import Executor, make_executor
+from kinedex.pipelines.plan import FORCED, Planner, Step, make_plan
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.manifest import StageRecord, now, versions
+from kinedex.storage.store import open_store
 
 
 @dataclass(frozen=True)

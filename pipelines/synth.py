@@ -12,13 +12,13 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from ops.errors import KinedexError, ParameterError
-from ops.synth.actors import Actor, actor_name, cast
-from ops.synth.motions import MOTIONS
-from ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
-from ops.synth.solve import columns
-from pipelines.executors import cores, make_executor
-from storage.acclaim_writer import Dialect, write_amc, write_asf
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.synth.actors import Actor, actor_name, cast
+from kinedex.ops.synth.motions import MOTIONS
+from kinedex.ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
+from kinedex.ops.synth.solve import columns
+from kinedex.pipelines.executors import cores, make_executor
+from kinedex.storage.acclaim_writer import Dialect, write_amc, write_asf
 
 CLIP_SHARE = 0.50
 """Share of the archive's time that goes into training clips; the rest are long takes."""

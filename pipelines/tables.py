@@ -19,7 +19,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from ops.errors import KinedexError, did_you_mean
+from kinedex.ops.errors import KinedexError, did_you_mean
 
 FORMATS = ("table", "csv", "json", "parquet")
 

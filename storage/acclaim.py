@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ops import textnumbers as t
-from ops.body import kinematics as k
-from ops.errors import SourceError, did_you_mean
+from kinedex.ops import textnumbers as t
+from kinedex.ops.body import kinematics as k
+from kinedex.ops.errors import SourceError, did_you_mean
 
 INCH_M = 0.0254
 RATE_HZ = 120.0  # Acclaim files do not say their rate; Vicon wrote them at 120 Hz

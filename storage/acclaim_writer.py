@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.synth.body import Body
-from storage.acclaim import INCH_M
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.synth.body import Body
+from kinedex.storage.acclaim import INCH_M
 
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from catalog.features import FeatureSet
-from ops.errors import NewStoreError, StoreError
-from storage.manifest import FOLDER, TEMPORARY, Manifest, named_files, versions
-from storage.schemas import RESULT_KINDS
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import NewStoreError, StoreError
+from kinedex.storage.manifest import FOLDER, TEMPORARY, Manifest, named_files, versions
+from kinedex.storage.schemas import RESULT_KINDS
 
 FOLDERS = (FOLDER, "frames", "takes", "index", "results")
 """The folders of a store."""

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from catalog.skeletons import Mappings
-from ops.body import axisangle
-from ops.errors import SourceError
-from storage.arrays import array_names, load_arrays
-from storage.body import NOTHING_GIVEN, Body, Given, built, orientation, refuse_far
-from storage.bodymodel import BODY, FACE, HANDS, LARGEST, load_body_model
-from storage.bvh import FASTEST_HZ, SLOWEST_HZ
-from storage.positions import ARRAYS
+from kinedex.catalog.skeletons import Mappings
+from kinedex.ops.body import axisangle
+from kinedex.ops.errors import SourceError
+from kinedex.storage.arrays import array_names, load_arrays
+from kinedex.storage.body import NOTHING_GIVEN, Body, Given, built, orientation, refuse_far
+from kinedex.storage.bodymodel import BODY, FACE, HANDS, LARGEST, load_body_model
+from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.positions import ARRAYS
 
 F64 = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import SourceError
+from kinedex.ops.errors import SourceError
 
 MOST_BYTES = 2 << 30
 """An array that takes more memory than this is none of a take: packed files may claim to be anything."""

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from catalog.skeletons import Fit, Format, Mappings
-from ops.body import kinematics
-from ops.errors import SourceError
-from storage.acclaim import INCH_M, RATE_HZ, Skeleton, read_amc, read_asf
-from storage.amass import holds_poses, read_amass
-from storage.body import FARTHEST_M, NOTHING_GIVEN, Body, Given, built, orientation, refuse_far, to_metres
-from storage.bvh import Bvh, parse_bvh
-from storage.points import read_c3d, read_positions
+from kinedex.catalog.skeletons import Fit, Format, Mappings
+from kinedex.ops.body import kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.storage.acclaim import INCH_M, RATE_HZ, Skeleton, read_amc, read_asf
+from kinedex.storage.amass import holds_poses, read_amass
+from kinedex.storage.body import FARTHEST_M, NOTHING_GIVEN, Body, Given, built, orientation, refuse_far, to_metres
+from kinedex.storage.bvh import Bvh, parse_bvh
+from kinedex.storage.points import read_c3d, read_positions
 
 __all__ = ["FARTHEST_M", "FORMS", "NOTHING_GIVEN", "READ_WHOLE", "Body", "Given", "form_of", "read_body"]
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from catalog.fitting import Fit
-from catalog.units import guess_unit
-from ops.body import kinematics
-from ops.errors import SourceError
-from storage.acclaim import RATE_HZ
+from kinedex.catalog.fitting import Fit
+from kinedex.catalog.units import guess_unit
+from kinedex.ops.body import kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.storage.acclaim import RATE_HZ
 
 F64 = npt.NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from catalog.configs import load_yaml
-from ops.errors import SourceError, did_you_mean
-from storage.arrays import load_arrays
+from kinedex.catalog.configs import load_yaml
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.arrays import load_arrays
 
 F64 = npt.NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ops import textnumbers as t
-from ops.body import kinematics as k
-from ops.errors import SourceError, did_you_mean
-from storage.acclaim import read_text
+from kinedex.ops import textnumbers as t
+from kinedex.ops.body import kinematics as k
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.acclaim import read_text
 
 MOST_JOINTS = 10_000
 """A body has some hundred joints with every finger; a file that claims more than this is refused."""

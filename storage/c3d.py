@@ -19,11 +19,11 @@ import ezc3d
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import SourceError
-from storage.arrays import MOST_BYTES
-from storage.bvh import FASTEST_HZ, SLOWEST_HZ
-from storage.c3dlayout import BLOCK, DEC, INTEL, KEY, Layout, read_layout
-from storage.positions import Points
+from kinedex.ops.errors import SourceError
+from kinedex.storage.arrays import MOST_BYTES
+from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.c3dlayout import BLOCK, DEC, INTEL, KEY, Layout, read_layout
+from kinedex.storage.positions import Points
 
 F64 = npt.NDArray[np.float64]
 

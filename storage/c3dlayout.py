@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ops.errors import SourceError
-from storage.positions import MOST_POINTS
+from kinedex.ops.errors import SourceError
+from kinedex.storage.positions import MOST_POINTS
 
 BLOCK = 512
 KEY = 0x50

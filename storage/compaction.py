@@ -28,13 +28,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from catalog.features import FeatureSet
-from ops.errors import StoreError
-from storage.manifest import Part, ResultPart
-from storage.parts import ROW_GROUP, FramesWriter, part_file, write_part
-from storage.schemas import takes_schema
-from storage.store import Store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import StoreError
+from kinedex.storage.manifest import Part, ResultPart
+from kinedex.storage.parts import ROW_GROUP, FramesWriter, part_file, write_part
+from kinedex.storage.schemas import takes_schema
+from kinedex.storage.store import Store
+from kinedex.storage.writer import StoreWriter
 
 TARGET_BYTES = 100_000_000
 """A frames part of this size is full: it is not merged any more."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ops.errors import StoreError
+from kinedex.ops.errors import StoreError
 
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 

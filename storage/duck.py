@@ -14,7 +14,7 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError
 
 Connection = duckdb.DuckDBPyConnection
 Error = duckdb.Error

@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from ops.errors import KinedexError, did_you_mean
-from storage.manifest import TEMPORARY
-from storage.parts import joint_positions
-from storage.store import Store
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.storage.manifest import TEMPORARY
+from kinedex.storage.parts import joint_positions
+from kinedex.storage.store import Store
 
 F64 = npt.NDArray[np.float64]
 

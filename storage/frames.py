@@ -10,10 +10,10 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ops.errors import StoreError
-from ops.words import NO_WORD, TakeWords
-from storage.manifest import Manifest, Part
-from storage.parts import part_file
+from kinedex.ops.errors import StoreError
+from kinedex.ops.words import NO_WORD, TakeWords
+from kinedex.storage.manifest import Manifest, Part
+from kinedex.storage.parts import part_file
 
 I64 = npt.NDArray[np.int64]
 

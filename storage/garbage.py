@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ops.errors import ParameterError
-from storage import index
-from storage.disk import writing
-from storage.lock import Lock
-from storage.manifest import FOLDER, TEMPORARY, manifest_path, named_files, read_newest, read_version, versions
-from storage.schemas import RESULT_KINDS
+from kinedex.ops.errors import ParameterError
+from kinedex.storage import index
+from kinedex.storage.disk import writing
+from kinedex.storage.lock import Lock
+from kinedex.storage.manifest import FOLDER, TEMPORARY, manifest_path, named_files, read_newest, read_version, versions
+from kinedex.storage.schemas import RESULT_KINDS
 
 KEPT_VERSIONS = 2
 """How many of the newest versions stay: the newest, and one to fall back to should its manifest be damaged."""

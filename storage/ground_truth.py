@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ops.errors import KinedexError
-from storage.labels.formats import ENDINGS, read_labels
-from storage.labels.segments import LabelFile as LabelFile
-from storage.labels.segments import ManualSegment as ManualSegment
-from storage.labels.tables import COLUMNS
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.labels.formats import ENDINGS, read_labels
+from kinedex.storage.labels.segments import LabelFile as LabelFile
+from kinedex.storage.labels.segments import ManualSegment as ManualSegment
+from kinedex.storage.labels.tables import COLUMNS
 
 
 def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:

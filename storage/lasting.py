@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from storage.compaction import worthwhile
-from storage.manifest import ResultPart
-from storage.parts import FULL_BYTES, part_file
-from storage.store import Store, reading
+from kinedex.storage.compaction import worthwhile
+from kinedex.storage.manifest import ResultPart
+from kinedex.storage.parts import FULL_BYTES, part_file
+from kinedex.storage.store import Store, reading
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from ops.errors import StoreError
-from storage.disk import writing
-from storage.manifest import now
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import writing
+from kinedex.storage.manifest import now
 
 _POLL_SECONDS = 0.1
 

@@ -18,10 +18,10 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
-from catalog.features import FeatureSet
-from ops.errors import StoreError
-from storage.disk import sync_folder, writing
-from storage.schemas import FORMAT_VERSION
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import sync_folder, writing
+from kinedex.storage.schemas import FORMAT_VERSION
 
 FOLDER = "manifest"
 TEMPORARY = ".tmp-"

@@ -16,12 +16,12 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from catalog.features import FeatureSet
-from ops.errors import ParameterError, StoreError
-from ops.words import NO_WORD
-from storage.disk import sync_folder, writing
-from storage.manifest import TEMPORARY, Part
-from storage.schemas import frames_schema
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.ops.words import NO_WORD
+from kinedex.storage.disk import sync_folder, writing
+from kinedex.storage.manifest import TEMPORARY, Part
+from kinedex.storage.schemas import frames_schema
 
 ROW_GROUP = 131_072
 """Rows of a row group of frames: about 27 MB on disk, so that one take is read without much else."""

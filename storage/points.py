@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from catalog.fitting import Fit
-from catalog.skeletons import Mappings
-from ops.body import kinematics
-from ops.body.gaps import Gap, fill_gaps
-from ops.errors import SourceError
-from storage.body import NOTHING_GIVEN, Body, Given, built, refuse_far, to_metres
-from storage.c3d import parse_c3d
-from storage.positions import Points, parse_positions
+from kinedex.catalog.fitting import Fit
+from kinedex.catalog.skeletons import Mappings
+from kinedex.ops.body import kinematics
+from kinedex.ops.body.gaps import Gap, fill_gaps
+from kinedex.ops.errors import SourceError
+from kinedex.storage.body import NOTHING_GIVEN, Body, Given, built, refuse_far, to_metres
+from kinedex.storage.c3d import parse_c3d
+from kinedex.storage.positions import Points, parse_positions
 
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

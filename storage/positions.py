@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import SourceError, did_you_mean
-from storage.acclaim import read_text
-from storage.arrays import load_array, load_arrays
-from storage.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.acclaim import read_text
+from kinedex.storage.arrays import load_array, load_arrays
+from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ
 
 F64 = npt.NDArray[np.float64]
 

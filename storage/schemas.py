@@ -6,8 +6,8 @@ import json
 
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from ops.errors import KinedexError, StoreError, did_you_mean
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 
 FORMAT_VERSION = 3
 """Version of the store's layout. A store of another version is refused, never guessed at."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from ops.errors import SourceError, StoreError
-from storage.positions import is_positions_csv
+from kinedex.ops.errors import SourceError, StoreError
+from kinedex.storage.positions import is_positions_csv
 
 MOTIONS = (".amc", ".bvh", ".c3d", ".trc", ".csv", ".npz", ".npy")
 """Endings of motion files; a .csv is one where its header names joint positions."""

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
-from catalog.views import MACROS, VIEWS, Macro
-from ops.errors import KinedexError, StoreError, did_you_mean
-from storage import duck, index
-from storage.parts import part_file
-from storage.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
+from kinedex.catalog.views import MACROS, VIEWS, Macro
+from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
+from kinedex.storage import duck, index
+from kinedex.storage.parts import part_file
+from kinedex.storage.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
 
 if TYPE_CHECKING:
-    from storage.store import Store
+    from kinedex.storage.store import Store
 
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """Everything that a query can ask for by name."""

@@ -16,20 +16,20 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from catalog.features import FeatureSet
-from ops.errors import KinedexError, ParameterError, StoreError, did_you_mean
-from ops.words import TakeWords
-from storage import index
-from storage.frames import read_frames, read_words
-from storage.manifest import Manifest, ResultPart, read_newest
-from storage.parts import part_file
-from storage.schemas import result_schema, takes_schema
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import KinedexError, ParameterError, StoreError, did_you_mean
+from kinedex.ops.words import TakeWords
+from kinedex.storage import index
+from kinedex.storage.frames import read_frames, read_words
+from kinedex.storage.manifest import Manifest, ResultPart, read_newest
+from kinedex.storage.parts import part_file
+from kinedex.storage.schemas import result_schema, takes_schema
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from storage import duck
-    from storage.sql import Connections
+    from kinedex.storage import duck
+    from kinedex.storage.sql import Connections
 
 
 def open_store(path: str | Path) -> Store:
@@ -93,7 +93,7 @@ class Store:
             return self._takes
         if not where.strip():
             raise KinedexError("the filter over takes is empty; leave it out to get all takes")
-        from storage import duck
+        from kinedex.storage import duck
 
         try:
             found = duck.filtered(self._takes, "takes", where)
@@ -213,7 +213,7 @@ class Store:
         ------
         StoreError: the index or a part cannot be read; the message names the file and the way out.
         """
-        from storage import sql
+        from kinedex.storage import sql
 
         return sql.connect(self, threads, memory_mb)
 
@@ -229,7 +229,7 @@ class Store:
         ------
         KinedexError: the query is not valid, or would change something.
         """
-        from storage import sql
+        from kinedex.storage import sql
 
         with self._connection() as connection:
             return sql.query(self, connection, query, params)
@@ -237,7 +237,7 @@ class Store:
     @contextmanager
     def _connection(self) -> Iterator[duck.Connection]:
         """One of the connections for `sql`, which nobody else uses meanwhile."""
-        from storage import sql
+        from kinedex.storage import sql
 
         with self._lock:
             known = self._opened

@@ -14,13 +14,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from ops.errors import KinedexError
-from storage import duck, index
-from storage.index.checks import problems
-from storage.index.generations import generations
-from storage.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
-from storage.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
-from storage.store import Store
+from kinedex.ops.errors import KinedexError
+from kinedex.storage import duck, index
+from kinedex.storage.index.checks import problems
+from kinedex.storage.index.generations import generations
+from kinedex.storage.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
+from kinedex.storage.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
+from kinedex.storage.store import Store
 
 
 @dataclass(frozen=True)

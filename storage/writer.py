@@ -12,12 +12,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from catalog.features import FeatureSet
-from ops.errors import ParameterError, StoreError
-from storage.admission import FOLDERS, last_opened, refuse_foreign, refuse_other_words, remove_leftovers
-from storage.disk import writing
-from storage.lock import Lock
-from storage.manifest import (
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.storage.admission import FOLDERS, last_opened, refuse_foreign, refuse_other_words, remove_leftovers
+from kinedex.storage.disk import writing
+from kinedex.storage.lock import Lock
+from kinedex.storage.manifest import (
     Manifest,
     Part,
     ResultPart,
@@ -28,9 +28,9 @@ from storage.manifest import (
     read_newest,
     versions,
 )
-from storage.parts import FramesWriter, part_file, write_part, write_pieces
-from storage.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
-from storage.store import Store
+from kinedex.storage.parts import FramesWriter, part_file, write_part, write_pieces
+from kinedex.storage.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
+from kinedex.storage.store import Store
 
 
 class StoreWriter:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.decoding import HABITS, Clip, LaidOut, amid, laid_out, paced, with_habits
-from ops.words import NO_WORD, bits
+from kinedex.ops.words import NO_WORD, bits
 
 
 def take() -> LaidOut:

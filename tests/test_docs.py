@@ -11,16 +11,16 @@ from typing import Any
 import pytest
 import typer
 
-from catalog.classes import load_classes
-from catalog.configs import config_path
-from catalog.features import load_feature_set
-from catalog.queryfiles import parse_queries
-from catalog.skeletons import load_skeleton
-from pipelines.cli import app
-from pipelines.config import load_pipeline
-from pipelines.stages import annotate, index, ingest, learn_templates
-from storage.schemas import RESULT_KINDS
-from storage.store import Store, open_store
+from kinedex.catalog.classes import load_classes
+from kinedex.catalog.configs import config_path
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queryfiles import parse_queries
+from kinedex.catalog.skeletons import load_skeleton
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.stages import annotate, index, ingest, learn_templates
+from kinedex.storage.schemas import RESULT_KINDS
+from kinedex.storage.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 from tests.pipelines.labelled import Line
 

@@ -13,8 +13,8 @@ from benchmarks import few_clips
 from benchmarks.bandai import NONE, confusions, draw, summary, winner
 from benchmarks.cross_studio import begin_of, contributions
 from benchmarks.long_archive import METHODS, stages
-from ops.templates.templates import QuantisedTemplate
-from pipelines.config import load_pipeline
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.pipelines.config import load_pipeline
 from tests.oracles.minima import best_paths
 
 

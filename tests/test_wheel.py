@@ -38,20 +38,25 @@ def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(tmp_path: Path)
         return done.stdout
 
     where = run(
-        "-c", "import catalog.configs, pipelines; print(catalog.configs.shipped_configs()); print(pipelines.__file__)"
+        "-c",
+        "import kinedex.catalog.configs as c, kinedex.pipelines as p; print(c.shipped_configs()); print(p.__file__)",
     )
     assert all(line.startswith(str(target)) for line in where.splitlines())
-    assert "everything" not in run("-m", "pipelines.cli", "ingest", "store", str(source), "--executor", "serial")
-    assert run("-m", "pipelines.cli", "sql", "store", "SELECT name FROM takes", "--format", "csv") == "name\nx_aa_1\n"
+    assert "everything" not in run("-m", "kinedex", "ingest", "store", str(source), "--executor", "serial")
+    assert run("-m", "kinedex", "sql", "store", "SELECT name FROM takes", "--format", "csv") == "name\nx_aa_1\n"
     settings = ["--set", f"source={source}", "--set", "evaluate.ground_truth=none"]
-    assert "learn_templates" in run("-m", "pipelines.cli", "plan", "annotate", "--store", "store", *settings)
-    assert "squat" in run("-m", "pipelines.cli", "search", "store", "example", "--explain")
-    kernel = "import numpy as np; from ops.bits import count_bits; print(count_bits(np.uint64(7)))"
+    assert "learn_templates" in run("-m", "kinedex", "plan", "annotate", "--store", "store", *settings)
+    assert "squat" in run("-m", "kinedex", "search", "store", "example", "--explain")
+    kernel = "import numpy as np; from kinedex.ops.bits import count_bits; print(count_bits(np.uint64(7)))"
     assert run("-c", kernel, env=environment) == "3\n"
-    assert list((target / "ops" / "__pycache__").glob("bits.count_bits*.nbi")), "compiled code is kept where it lies"
-    for package in ("ops", "catalog", "storage", "pipelines"):
+    assert list((target / "kinedex" / "ops" / "__pycache__").glob("bits.count_bits*.nbi")), (
+        "compiled code is kept where it lies"
+    )
+    for room in ("ops", "catalog", "storage", "pipelines", "configs"):
         shipped = {
-            p.relative_to(ROOT) for p in (ROOT / package).rglob("*") if p.is_file() and "__pycache__" not in p.parts
+            p.relative_to(ROOT) for p in (ROOT / room).rglob("*") if p.is_file() and "__pycache__" not in p.parts
         }
-        assert {p for p in shipped if not (target / p).is_file()} == set()
-    assert not (target / "tests").exists()
+        assert {p for p in shipped if not (target / "kinedex" / p).is_file()} == set()
+    assert (target / "kinedex" / "py.typed").is_file()
+    ours = {path.name for path in target.iterdir() if not path.name.endswith(".dist-info")}
+    assert ours <= {"kinedex", "bin"}, "nothing but kinedex stands in site-packages"

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.body import primitives as p
-from ops.errors import ParameterError
-from ops.words import MOST_FEATURES, NO_WORD
+from kinedex.ops.body import primitives as p
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import MOST_FEATURES, NO_WORD
 
 F64 = npt.NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.body.angles import LARGEST, sincos, sincos_far
-from ops.errors import ParameterError
+from kinedex.ops.body.angles import LARGEST, sincos, sincos_far
+from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.words import NO_WORD, U64, bits
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import NO_WORD, U64, bits
 
 F64 = npt.NDArray[np.float64]
 

@@ -11,12 +11,12 @@ import heapq
 import numba as nb
 import numpy as np
 
-from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64
-from ops.distances.stripes import BLOCK, U8
-from ops.distances.taking import KEYS, ruled_out, take
-from ops.distances.windows import sum_window, walk_back, workspace
-from ops.words import U64
+from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.distances.costs import F64, I32, I64
+from kinedex.ops.distances.stripes import BLOCK, U8
+from kinedex.ops.distances.taking import KEYS, ruled_out, take
+from kinedex.ops.distances.windows import sum_window, walk_back, workspace
+from kinedex.ops.words import U64
 
 
 @nb.njit(cache=True, nogil=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 

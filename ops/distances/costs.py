@@ -10,9 +10,9 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.bits import count_bits
-from ops.templates.templates import QuantisedTemplate
-from ops.words import NO_WORD, U64
+from kinedex.ops.bits import count_bits
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import NO_WORD, U64
 
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.background import background, log_likelihoods
-from ops.distances.stepping import REACH, Bool, Columns, Costs, Frames, backwards, forwards, rivals
-from ops.errors import ParameterError
-from ops.templates.templates import Template
-from ops.words import NO_WORD, U64, bits
+from kinedex.ops.distances.background import background, log_likelihoods
+from kinedex.ops.distances.stepping import REACH, Bool, Columns, Costs, Frames, backwards, forwards, rivals
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import Template
+from kinedex.ops.words import NO_WORD, U64, bits
 
 __all__ = ["Decoding", "Explained", "background", "confidences", "explain", "lay_columns", "log_ratios", "margins"]
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import I64, cost_table, encode, lay_out
-from ops.distances.sweep import pieces_of, sweep
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
-from ops.words import U64
+from kinedex.ops.distances.costs import I64, cost_table, encode, lay_out
+from kinedex.ops.distances.sweep import pieces_of, sweep
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import U64
 
 _TABLE_CELLS = 4_000_000  # of a cost table held at once: 32 MB, whatever the length of the takes
 _PIECE = 4096  # frames of a stretch that are computed apart from the rest of it

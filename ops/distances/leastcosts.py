@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.dtw import distance_curves
-from ops.templates.templates import QuantisedTemplate
-from ops.words import U64
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import U64
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

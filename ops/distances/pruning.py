@@ -14,12 +14,12 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64, CodedWords, bound_table, lay_out
-from ops.distances.stripes import BLOCK, COARSE_CAP, SLOTS, U8, least_sums
-from ops.distances.sweep import CAP, U16, pieces_of, sweep_bounds
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
+from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, bound_table, lay_out
+from kinedex.ops.distances.stripes import BLOCK, COARSE_CAP, SLOTS, U8, least_sums
+from kinedex.ops.distances.sweep import CAP, U16, pieces_of, sweep_bounds
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
 
 _PIECE = 4096  # frames of a stretch that are computed apart from the rest of it
 _TABLE_CELLS = 16_000_000  # most bytes of a table of coarse costs; where words are many, fewer templates share a pass

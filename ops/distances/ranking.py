@@ -8,16 +8,16 @@ from functools import reduce
 
 import numpy as np
 
-from ops.distances.annotation import TOLERANCE
-from ops.distances.blockwise import gather_blocks, take_from_blocks
-from ops.distances.costs import F64, I64, CodedWords, Layout, encode, lay_out
-from ops.distances.dtw import check_ranges
-from ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
-from ops.distances.stripes import BLOCK
-from ops.distances.taking import take_best
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
-from ops.words import TakeWords
+from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.distances.blockwise import gather_blocks, take_from_blocks
+from kinedex.ops.distances.costs import F64, I64, CodedWords, Layout, encode, lay_out
+from kinedex.ops.distances.dtw import check_ranges
+from kinedex.ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
+from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.distances.taking import take_best
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import TakeWords
 
 _MARGIN = 0.12
 """By what share of τ the best hits are looked for beyond their coarse bounds, which are that much too low at times."""

@@ -13,7 +13,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.words import NO_WORD, U64
+from kinedex.ops.words import NO_WORD, U64
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -11,8 +11,8 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import F64, I32, I64, CodedWords, Layout, fill_bounds, unit_scales
-from ops.words import NO_WORD, U64
+from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, Layout, fill_bounds, unit_scales
+from kinedex.ops.words import NO_WORD, U64
 
 U8 = npt.NDArray[np.uint8]
 

@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.costs import I32, I64, Table
+from kinedex.ops.distances.costs import I32, I64, Table
 
 U16 = npt.NDArray[np.uint16]
 

@@ -8,11 +8,11 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64
-from ops.distances.sweep import CAP, U16
-from ops.distances.windows import sum_window, walk_back, workspace
-from ops.words import U64
+from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.distances.costs import F64, I32, I64
+from kinedex.ops.distances.sweep import CAP, U16
+from kinedex.ops.distances.windows import sum_window, walk_back, workspace
+from kinedex.ops.words import U64
 
 KEYS = 1e9
 """Costs are compared as whole billionths: those that are closer are equal, and the earlier frame comes first."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from ops.distances.costs import F64, I32, I64, column_costs
-from ops.words import NO_WORD, U64
+from kinedex.ops.distances.costs import F64, I32, I64, column_costs
+from kinedex.ops.words import NO_WORD, U64
 
 _NO_WORD = np.uint64(NO_WORD)
 

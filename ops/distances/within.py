@@ -12,14 +12,14 @@ from collections.abc import Sequence
 import numba as nb
 import numpy as np
 
-from ops.distances.annotation import TOLERANCE, Matches
-from ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
-from ops.distances.dtw import check_ranges
-from ops.distances.pruning import Coarse, surviving
-from ops.distances.windows import step_back
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
-from ops.words import NO_WORD, U64
+from kinedex.ops.distances.annotation import TOLERANCE, Matches
+from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
+from kinedex.ops.distances.dtw import check_ranges
+from kinedex.ops.distances.pruning import Coarse, surviving
+from kinedex.ops.distances.windows import step_back
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import NO_WORD, U64
 
 _NO_WORD = np.uint64(NO_WORD)
 _PIECE = 512  # frames of a range whose sums are kept at once, besides those that lead in

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.bits import count_bits
-from ops.learning.fitness import INNER
-from ops.words import I64, U64
+from kinedex.ops.bits import count_bits
+from kinedex.ops.learning.fitness import INNER
+from kinedex.ops.words import I64, U64
 
 
 class People(NamedTuple):

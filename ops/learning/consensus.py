@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.learning.genetics import highest_rank, tune_gaps
-from ops.learning.lessons import Evolution, Material, Run
-from ops.learning.queries import Query
-from ops.words import bits
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.learning.genetics import highest_rank, tune_gaps
+from kinedex.ops.learning.lessons import Evolution, Material, Run
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.words import bits
 
 F64 = npt.NDArray[np.float64]
 

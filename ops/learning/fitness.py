@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.errors import ParameterError
-from ops.learning.queries import Query
-from ops.words import I64, MOST_FEATURES, NO_WORD, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
 Bool = npt.NDArray[np.bool_]
 

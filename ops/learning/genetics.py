@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.bits import count_bits
-from ops.learning.breeding import (
+from kinedex.ops.bits import count_bits
+from kinedex.ops.learning.breeding import (
     Breeding,
     Columns,
     People,
@@ -22,10 +22,10 @@ from ops.learning.breeding import (
     room_for_people,
     sample_universally,
 )
-from ops.learning.fitness import INNER, find_bitmaps, fitness_of, retrieve, room_for
-from ops.learning.lessons import HISTORY, Evolution, Material, Run
-from ops.learning.queries import Query
-from ops.words import I64, U64
+from kinedex.ops.learning.fitness import INNER, find_bitmaps, fitness_of, retrieve, room_for
+from kinedex.ops.learning.lessons import HISTORY, Evolution, Material, Run
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]
 

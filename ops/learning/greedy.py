@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ops.learning.genetics import judge
-from ops.learning.lessons import Evolution, Material, Run
-from ops.learning.queries import Query
+from kinedex.ops.learning.genetics import judge
+from kinedex.ops.learning.lessons import Evolution, Material, Run
+from kinedex.ops.learning.queries import Query
 
 TOLERANCES = (0.5, 1.0)
 """Shares of the spacing by which a new gap may be shorter or longer."""

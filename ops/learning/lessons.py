@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.learning.fitness import TrainingFrames
-from ops.learning.queries import Query
-from ops.templates.templates import QuantisedTemplate
-from ops.words import I64, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.learning.fitness import TrainingFrames
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]
 InitialGaps = Literal["around", "printed"]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ops.errors import ParameterError
-from ops.words import I64, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import I64, U64
 
 
 @dataclass(frozen=True)

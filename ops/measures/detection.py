@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.measures.metrics import Counts
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.measures.metrics import Counts
 
 F64 = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 

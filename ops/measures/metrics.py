@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 Bounds = Sequence[tuple[int, int]] | npt.NDArray[np.int64]
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.errors import ParameterError
-from ops.words import I64, MOST_FEATURES, NO_WORD, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
 I32 = npt.NDArray[np.int32]
 

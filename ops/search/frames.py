@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ops.bits import count_bits
-from ops.search.bitslices import ALL_BITS, BLOCK, NO_BITS, SHIFT
-from ops.search.windows import filled, highest, lowest
+from kinedex.ops.bits import count_bits
+from kinedex.ops.search.bitslices import ALL_BITS, BLOCK, NO_BITS, SHIFT
+from kinedex.ops.search.windows import filled, highest, lowest
 
 
 @njit(cache=True, nogil=True)

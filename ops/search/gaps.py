@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ops.errors import ParameterError
-from ops.words import I64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import I64
 
 UNBOUNDED = 2**31 - 1
 """The largest gap in frames; stands for infinity, since a take has fewer than 2**31 frames."""

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.errors import ParameterError
-from ops.search.runs import word_runs
-from ops.words import I64, MOST_FEATURES, NO_WORD, U64, cut
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.runs import word_runs
+from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64, cut
 
 I32 = npt.NDArray[np.int32]
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from ops.errors import ParameterError
-from ops.search.gaps import checked_gaps
-from ops.search.segments import Segments, join_runs
-from ops.words import I64, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import checked_gaps
+from kinedex.ops.search.segments import Segments, join_runs
+from kinedex.ops.words import I64, U64
 
 
 def keyframe_list(starts: I64, stops: I64, words: U64, mask: int, value: int) -> Segments:

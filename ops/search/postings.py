@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ops.errors import ParameterError
-from ops.search.segments import Segments, join_runs
-from ops.words import I64, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.segments import Segments, join_runs
+from kinedex.ops.words import I64, U64
 
 
 @dataclass(frozen=True)

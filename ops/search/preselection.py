@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.search.gaps import UNBOUNDED
-from ops.search.segments import Segments, from_axis, merge, to_axis
-from ops.words import I64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.ops.search.segments import Segments, from_axis, merge, to_axis
+from kinedex.ops.words import I64
 
 _COST_UNIT = 2**40
 """Costs are compared as whole numbers of this unit, so that ties are ties and not a matter of rounding."""

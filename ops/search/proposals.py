@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.words import I64, NO_WORD, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import I64, NO_WORD, U64
 
 MOST_FEATURES_FIXED = 6
 """No keyframe of a proposal fixes more: what is left open is what makes it general."""

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ops.bits import count_bits
-from ops.errors import ParameterError
-from ops.words import MOST_FEATURES, NO_WORD
+from kinedex.ops.bits import count_bits
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import MOST_FEATURES, NO_WORD
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]

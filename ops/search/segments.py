@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.words import I64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import I64
 
 _TAKE_BITS = 32
 _MAX_FRAMES = 2**31

@@ -16,13 +16,13 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from ops.errors import ParameterError
-from ops.search.bitslices import ALL_BITS, NO_BITS, BitSlices
-from ops.search.frames import add_ranges, complete, match, note_bounds
-from ops.search.gaps import UNBOUNDED, checked_gaps
-from ops.search.segments import Segments
-from ops.search.windows import IN_WORD, coarse_starts, lowest, windows
-from ops.words import I64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.bitslices import ALL_BITS, NO_BITS, BitSlices
+from kinedex.ops.search.frames import add_ranges, complete, match, note_bounds
+from kinedex.ops.search.gaps import UNBOUNDED, checked_gaps
+from kinedex.ops.search.segments import Segments
+from kinedex.ops.search.windows import IN_WORD, coarse_starts, lowest, windows
+from kinedex.ops.words import I64
 
 CHUNK = 4096
 """About how many blocks of whole takes are searched together: their bitmaps stay in a processor's nearest cache."""

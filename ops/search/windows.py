@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ops.bits import count_bits
-from ops.search.bitslices import ALL_BITS, BLOCK, GRANULE, GRANULES, NO_BITS, SHIFT
+from kinedex.ops.bits import count_bits
+from kinedex.ops.search.bitslices import ALL_BITS, BLOCK, GRANULE, GRANULES, NO_BITS, SHIFT
 
 IN_WORD = BLOCK // GRANULES
 """The blocks whose granules make up a word of a coarse bitmap."""

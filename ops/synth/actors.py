@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ops.synth.body import Body, build_body
+from kinedex.ops.synth.body import Body, build_body
 
 _NAMES = ("al", "bo", "cy", "di", "ed", "fi", "gu", "ha", "io", "jo", "ka", "lu", "mo", "ny", "ov", "pa")
 

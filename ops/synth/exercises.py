@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ops.synth.score import Score
+from kinedex.ops.synth.score import Score
 
 
 def squat(score: Score, times: int) -> list[float]:

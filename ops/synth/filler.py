@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ops.synth.floor import deposit_floor, grab_high
-from ops.synth.gait import hop, turn
-from ops.synth.score import Score
-from ops.synth.strikes import throw
+from kinedex.ops.synth.floor import deposit_floor, grab_high
+from kinedex.ops.synth.gait import hop, turn
+from kinedex.ops.synth.score import Score
+from kinedex.ops.synth.strikes import throw
 
 
 def shift_weight(score: Score) -> None:

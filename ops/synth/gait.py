@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ops.synth.score import Score
+from kinedex.ops.synth.score import Score
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from ops.synth import exercises, floor, gait, strikes
-from ops.synth.score import Score
+from kinedex.ops.synth import exercises, floor, gait, strikes
+from kinedex.ops.synth.score import Score
 
 Span = tuple[float, float]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ops.synth.body import F64
-from ops.synth.channels import CHANNELS
+from kinedex.ops.synth.body import F64
+from kinedex.ops.synth.channels import CHANNELS
 
 # Sway of the channels: spread in their own units (leg lengths, arm lengths, degrees).
 _SWAY = {

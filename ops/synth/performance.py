@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ops.errors import ParameterError
-from ops.synth import floor
-from ops.synth.actors import Actor
-from ops.synth.body import F64
-from ops.synth.filler import fill
-from ops.synth.motions import MOTIONS, Motion
-from ops.synth.noise import capture, sway
-from ops.synth.score import Score, curves
-from ops.synth.solve import solve
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.synth import floor
+from kinedex.ops.synth.actors import Actor
+from kinedex.ops.synth.body import F64
+from kinedex.ops.synth.filler import fill
+from kinedex.ops.synth.motions import MOTIONS, Motion
+from kinedex.ops.synth.noise import capture, sway
+from kinedex.ops.synth.score import Score, curves
+from kinedex.ops.synth.solve import solve
 
 RATE_HZ = 120.0
 

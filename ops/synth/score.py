@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from ops.synth.actors import Actor
-from ops.synth.body import F64
-from ops.synth.channels import CHANNELS, GROUP, INDEX
+from kinedex.ops.synth.actors import Actor
+from kinedex.ops.synth.body import F64
+from kinedex.ops.synth.channels import CHANNELS, GROUP, INDEX
 
 _SHORTEST = 0.035
 """Keys of one channel that come closer than this, in seconds, would ask for more speed than muscles have."""

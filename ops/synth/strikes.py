@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ops.synth.score import Score
+from kinedex.ops.synth.score import Score
 
 
 def _other(side: str) -> str:

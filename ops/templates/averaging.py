@@ -9,9 +9,19 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.templates.pairs import Columns, Paths, Stack, Weighted, align_hard, align_soft, all_pairs, compact, room_of
-from ops.templates.warping import FIRST, SECOND
-from ops.words import U64, bits
+from kinedex.ops.templates.pairs import (
+    Columns,
+    Paths,
+    Stack,
+    Weighted,
+    align_hard,
+    align_soft,
+    all_pairs,
+    compact,
+    room_of,
+)
+from kinedex.ops.templates.warping import FIRST, SECOND
+from kinedex.ops.words import U64, bits
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

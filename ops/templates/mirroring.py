@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.words import MOST_FEATURES, NO_WORD, U64
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import MOST_FEATURES, NO_WORD, U64
 
 I64 = npt.NDArray[np.int64]
 

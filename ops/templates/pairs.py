@@ -10,9 +10,9 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.bits import count_bits
-from ops.templates.warping import FIRST, SECOND, advance_row, trace_back
-from ops.words import U64
+from kinedex.ops.bits import count_bits
+from kinedex.ops.templates.warping import FIRST, SECOND, advance_row, trace_back
+from kinedex.ops.words import U64
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

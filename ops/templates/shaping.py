@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.templates.templates import Template, quantise
-from ops.templates.warping import align
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import Template, quantise
+from kinedex.ops.templates.warping import align
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

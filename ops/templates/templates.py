@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
-from ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all
-from ops.templates.pairs import Paths, Stack, Weighted, all_pairs
-from ops.words import MOST_FEATURES, NO_WORD, U64, bits
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all
+from kinedex.ops.templates.pairs import Paths, Stack, Weighted, all_pairs
+from kinedex.ops.words import MOST_FEATURES, NO_WORD, U64, bits
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -11,18 +11,18 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from ops.distances.annotation import Matches, Segment, annotate
-from ops.distances.costs import encode
-from ops.distances.decoding import confidences, explain, lay_columns
-from ops.distances.dtw import distance_curves
-from ops.distances.leastcosts import least_costs
-from ops.distances.pruning import Coarse, coarse_bounds
-from ops.distances.within import minima_within, ranges_around, united
-from ops.words import TakeWords
-from pipelines.annotation.annotators import Annotator, Row
-from pipelines.executors import Executor
-from pipelines.searching.search import preselect, preselect_stored
-from storage.store import Store, open_store
+from kinedex.ops.distances.annotation import Matches, Segment, annotate
+from kinedex.ops.distances.costs import encode
+from kinedex.ops.distances.decoding import confidences, explain, lay_columns
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.leastcosts import least_costs
+from kinedex.ops.distances.pruning import Coarse, coarse_bounds
+from kinedex.ops.distances.within import minima_within, ranges_around, united
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator, Row
+from kinedex.pipelines.executors import Executor
+from kinedex.pipelines.searching.search import preselect, preselect_stored
+from kinedex.storage.store import Store, open_store
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]

@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from catalog.classes import Classes
-from catalog.features import FeatureSet
-from catalog.queries import KeyframeQuery
-from ops.distances.decoding import Decoding
-from ops.errors import KinedexError, did_you_mean
-from ops.templates.templates import QuantisedTemplate, Template, quantise
-from pipelines.searching.windows import template_window
-from pipelines.templates.learning import SubclassTemplate
-from pipelines.wording import few
+from kinedex.catalog.classes import Classes
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.distances.decoding import Decoding
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
+from kinedex.pipelines.searching.windows import template_window
+from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.wording import few
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalog.classes import Classes
-from ops.distances.calibration import best_threshold
-from ops.distances.dtw import distance_curves
-from ops.errors import KinedexError
-from ops.templates.templates import quantise
-from pipelines.annotation.annotating import split_takes
-from pipelines.executors import Executor
-from pipelines.templates.learning import SubclassTemplate, TrainingClips
-from pipelines.wording import few
+from kinedex.catalog.classes import Classes
+from kinedex.ops.distances.calibration import best_threshold
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import quantise
+from kinedex.pipelines.annotation.annotating import split_takes
+from kinedex.pipelines.executors import Executor
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.wording import few
 
 F64 = npt.NDArray[np.float64]
 

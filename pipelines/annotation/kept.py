@@ -12,11 +12,11 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipelines.annotation.annotating import split_takes
-from pipelines.annotation.annotators import Annotator
-from storage.lasting import Lasting, lasting
-from storage.manifest import ResultPart
-from storage.store import Store
+from kinedex.pipelines.annotation.annotating import split_takes
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.storage.lasting import Lasting, lasting
+from kinedex.storage.manifest import ResultPart
+from kinedex.storage.store import Store
 
 PIECE_BYTES = 16_000_000
 """Small pieces of curves are put together up to this size, uncompressed, where they are written again."""

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import polars as pl
 
-from ops.errors import KinedexError, did_you_mean
-from pipelines.annotation.tables import annotated_takes
-from pipelines.wording import few
-from storage.labels.segments import Label, TakeLabels
-from storage.store import Store
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.annotation.tables import annotated_takes
+from kinedex.pipelines.wording import few
+from kinedex.storage.labels.segments import Label, TakeLabels
+from kinedex.storage.store import Store
 
 
 def annotate_stage(store: Store, wanted: str | None = None) -> str:

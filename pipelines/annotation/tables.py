@@ -8,13 +8,13 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 
-from ops.errors import KinedexError
-from pipelines.annotation.annotating import TakeAnnotation
-from pipelines.annotation.annotators import Annotator
-from pipelines.templates.learning import run_of
-from pipelines.wording import few
-from storage.schemas import result_schema
-from storage.store import Store
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation.annotating import TakeAnnotation
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.templates.learning import run_of
+from kinedex.pipelines.wording import few
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
 
 
 def takes_table(

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from ops.errors import KinedexError, did_you_mean
-from pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
-from pipelines.terminal import make_console
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
+from kinedex.pipelines.terminal import make_console
 
 
 class _SqlCommand(TyperCommand):
@@ -41,7 +41,7 @@ def sql(
     output: Output = None,
 ) -> None:
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
-    from storage.store import open_store
+    from kinedex.storage.store import open_store
 
     if path:
         if query is not None or file is not None:
@@ -59,7 +59,7 @@ def sql(
             raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
     opened = open_store(store)
     if query is None and sys.stdin.isatty():
-        from pipelines.prompt import run_prompt
+        from kinedex.pipelines.prompt import run_prompt
 
         run_prompt(opened, make_console())
         return
@@ -77,7 +77,7 @@ def takes(
     output: Output = None,
 ) -> None:
     """List the takes of a store."""
-    from storage.store import open_store
+    from kinedex.storage.store import open_store
 
     frame = open_store(store).takes(where)
     wanted = frame.columns if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
@@ -101,8 +101,8 @@ def export(
     ] = None,
 ) -> None:
     """Write a take's joint positions (metres, Y up) as BVH, CSV or Parquet."""
-    from storage.export import export_take
-    from storage.store import open_store
+    from kinedex.storage.export import export_take
+    from kinedex.storage.store import open_store
 
     form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
     path = output or Path(f"{Path(take).name}.{form}")

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ops.errors import KinedexError
-from pipelines.commands.shell import RateOption, StorePath, command
-from pipelines.terminal import make_console
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.commands.shell import RateOption, StorePath, command
+from kinedex.pipelines.terminal import make_console
 
 
 @command
@@ -35,8 +35,8 @@ def inspect(
     ] = None,
 ) -> None:
     """Show what a motion file is and what becomes of it, and draw a few of its frames."""
-    from pipelines.inspect import inspect_file, show, write_picture
-    from storage.bodies import Given
+    from kinedex.pipelines.inspect import inspect_file, show, write_picture
+    from kinedex.storage.bodies import Given
 
     found = inspect_file(file, skeleton, source, Given(None, rate, fill_gap_frames, body_model))
     path = picture or Path(f"{file.stem}.png")
@@ -50,8 +50,8 @@ def inspect(
 @command
 def verify(store: StorePath) -> None:
     """Check every file of a store against its manifest: sums, sizes, counts, order, and the index."""
-    from storage.store import open_store
-    from storage.verify import verify as check
+    from kinedex.storage.store import open_store
+    from kinedex.storage.verify import verify as check
 
     opened = open_store(store)
     findings = check(opened)
@@ -73,7 +73,7 @@ def gc(
     dry_run: Annotated[bool, typer.Option(help="only say what would go")] = False,
 ) -> None:
     """Remove old versions of a store, and the files that only they need."""
-    from storage.garbage import collect, summary
+    from kinedex.storage.garbage import collect, summary
 
     for line in summary(collect(store, keep=keep, dry_run=dry_run)):
         print(f"would remove {line}" if dry_run else f"removed {line}")

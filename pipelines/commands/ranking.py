@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ops.errors import KinedexError
-from pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
-from pipelines.terminal import make_console
-from pipelines.wording import counted, few
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
+from kinedex.pipelines.terminal import make_console
+from kinedex.pipelines.wording import counted, few
 
 if TYPE_CHECKING:
-    from catalog.queries import KeyframeQuery
-    from ops.templates.templates import Kind, Template
-    from pipelines.retrieval.ranking import Searched
-    from storage.store import Store
+    from kinedex.catalog.queries import KeyframeQuery
+    from kinedex.ops.templates.templates import Kind, Template
+    from kinedex.pipelines.retrieval.ranking import Searched
+    from kinedex.storage.store import Store
 
 
 @command
@@ -55,10 +55,10 @@ def rank(
     output: Output = None,
 ) -> None:
     """Rank the places of an archive by how well templates fit them, the best of each template first."""
-    from pipelines.commands.templates import kind_of
-    from pipelines.retrieval.ranking import rank_store, ranking_table
-    from pipelines.templates.templates import template_from_clip
-    from storage.store import open_store
+    from kinedex.pipelines.commands.templates import kind_of
+    from kinedex.pipelines.retrieval.ranking import rank_store, ranking_table
+    from kinedex.pipelines.templates.templates import template_from_clip
+    from kinedex.storage.store import open_store
 
     opened = open_store(store)
     names = list(dict.fromkeys(templates or ()))
@@ -101,8 +101,8 @@ def rank(
 
 def _templates(store: Store, names: list[str] | None, kind: Kind, stage: str | None) -> dict[str, Template]:
     """Templates by name: learned ones and those of files, or all learned ones."""
-    from pipelines.commands.templates import template_of_file
-    from pipelines.templates.templates import choose_template, stored_templates
+    from kinedex.pipelines.commands.templates import template_of_file
+    from kinedex.pipelines.templates.templates import choose_template, stored_templates
 
     if names is None:
         names = [each.one.subclass for each in stored_templates(store, stage) if each.one.kind == kind]
@@ -128,9 +128,9 @@ def _searched(
     Templates without a query, where others have one, are ranked in all frames, as by the stage `rank`; that is said.
     lenient: templates of wildcards alone are left out, and that is said; else there must be none.
     """
-    from catalog.queryfiles import read_queries
-    from ops.templates.templates import quantise
-    from pipelines.retrieval.ranking import Searched
+    from kinedex.catalog.queryfiles import read_queries
+    from kinedex.ops.templates.templates import quantise
+    from kinedex.pipelines.retrieval.ranking import Searched
 
     loaded = [] if queries is None else read_queries(queries, store.feature_set, store.rate_hz)
     searched: list[Searched] = []

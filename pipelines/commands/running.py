@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pipelines.commands.shell import (
+from kinedex.pipelines.commands.shell import (
     ExecutorOption,
     ForceOption,
     RateOption,
@@ -21,7 +21,7 @@ from pipelines.commands.shell import (
     finish,
     run_to_the_end,
 )
-from pipelines.terminal import make_console
+from kinedex.pipelines.terminal import make_console
 
 
 @command
@@ -36,7 +36,7 @@ def demo(
     workers: WorkersOption = None,
 ) -> None:
     """Run the main job, from motion files to a report, on a synthetic archive or on your own."""
-    from pipelines.demo import run_demo
+    from kinedex.pipelines.demo import run_demo
 
     console = make_console()
     outcome = run_demo(store, data, minutes, executor, workers, console, method)
@@ -68,8 +68,8 @@ def plan(
     from rich import box
     from rich.table import Table
 
-    from pipelines.config import load_pipeline
-    from pipelines.plan import make_plan
+    from kinedex.pipelines.config import load_pipeline
+    from kinedex.pipelines.plan import make_plan
 
     loaded = load_pipeline(pipeline, assignments_of(assign))
     table = Table(
@@ -122,6 +122,6 @@ def synth(
     workers: WorkersOption = None,
 ) -> None:
     """Make a synthetic archive: ASF/AMC files of example clips and long takes, with ground truth."""
-    from pipelines.demo import make_archive
+    from kinedex.pipelines.demo import make_archive
 
     make_archive(directory, minutes, actors, seed, workers, make_console())

@@ -13,22 +13,22 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from ops.words import TakeWords
-from pipelines.annotation.annotating import BATCH_FRAMES, annotate_words
-from pipelines.annotation.annotators import Annotator
-from pipelines.annotation.kept import setting_digest
-from pipelines.evaluation.exams import WHOLE, Exam, Fold
-from pipelines.evaluation.scheme import Method
-from pipelines.executors import Executor
-from pipelines.plan import code_digest
-from pipelines.wording import few
-from storage.schemas import result_schema
-from storage.store import Store, open_store
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.annotation.annotating import BATCH_FRAMES, annotate_words
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.kept import setting_digest
+from kinedex.pipelines.evaluation.exams import WHOLE, Exam, Fold
+from kinedex.pipelines.evaluation.scheme import Method
+from kinedex.pipelines.executors import Executor
+from kinedex.pipelines.plan import code_digest
+from kinedex.pipelines.wording import few
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store, open_store
 
 SAVE_SECONDS = 20.0
 """Finished cells are kept at least so often."""
 
-CODE = "pipelines.annotation.annotating"
+CODE = "kinedex.pipelines.annotation.annotating"
 """The module whose sources, with all that it imports, decide what a cell finds."""
 
 

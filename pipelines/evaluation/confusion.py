@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipelines.evaluation.cells import Segment
-from pipelines.evaluation.exams import Exam
+from kinedex.pipelines.evaluation.cells import Segment
+from kinedex.pipelines.evaluation.exams import Exam
 
 Bool = npt.NDArray[np.bool_]
 

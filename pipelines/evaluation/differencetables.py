@@ -11,10 +11,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from pipelines.evaluation.differences import Change, Comparison
-from pipelines.evaluation.marked import grid, plain
-from pipelines.evaluation.tables import digits
-from pipelines.wording import few
+from kinedex.pipelines.evaluation.differences import Change, Comparison
+from kinedex.pipelines.evaluation.marked import grid, plain
+from kinedex.pipelines.evaluation.tables import digits
+from kinedex.pipelines.wording import few
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = ("F1 of A", "of B", "by", "F2 of A", "of B", "by")
@@ -116,7 +116,7 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
 def page(comparisons: Sequence[Comparison]) -> str:
     """Comparisons as one HTML page without any outside reference."""
     environment = Environment(
-        loader=PackageLoader("pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
+        loader=PackageLoader("kinedex.pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters.update({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})

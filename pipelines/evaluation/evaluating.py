@@ -14,10 +14,10 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from ops.measures.metrics import Counts, compare, pooled
-from pipelines.evaluation.groundtruth import GroundTruth
-from storage.disk import writing
-from storage.schemas import result_schema
+from kinedex.ops.measures.metrics import Counts, compare, pooled
+from kinedex.pipelines.evaluation.groundtruth import GroundTruth
+from kinedex.storage.disk import writing
+from kinedex.storage.schemas import result_schema
 
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
 SCOPES = ("pooled", "fold", "class", "take")

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from catalog.classes import Classes
-from pipelines.evaluation.groundtruth import GroundTruth
-from pipelines.evaluation.scheme import Split
-from pipelines.templates.learning import TrainingClips
+from kinedex.catalog.classes import Classes
+from kinedex.pipelines.evaluation.groundtruth import GroundTruth
+from kinedex.pipelines.evaluation.scheme import Split
+from kinedex.pipelines.templates.learning import TrainingClips
 
 WHOLE = "all"
 """The name of the only fold of a fixed split."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import polars as pl
 
-from catalog.classes import Classes
-from ops.errors import KinedexError, did_you_mean
-from pipelines.evaluation.exams import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out
-from pipelines.evaluation.groundtruth import GroundTruth
-from pipelines.evaluation.scheme import Split
-from pipelines.stages.leave_one_out import without
-from pipelines.templates.learning import TrainingClips
-from pipelines.wording import counted, few
+from kinedex.catalog.classes import Classes
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.evaluation.exams import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out
+from kinedex.pipelines.evaluation.groundtruth import GroundTruth
+from kinedex.pipelines.evaluation.scheme import Split
+from kinedex.pipelines.stages.leave_one_out import without
+from kinedex.pipelines.templates.learning import TrainingClips
+from kinedex.pipelines.wording import counted, few
 
 PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
 

@@ -11,11 +11,11 @@ from typing import Literal
 import polars as pl
 import pyarrow as pa
 
-from catalog.classes import Classes
-from ops.errors import KinedexError, did_you_mean
-from pipelines.wording import few
-from storage.ground_truth import LabelFile, ManualSegment
-from storage.schemas import result_schema
+from kinedex.catalog.classes import Classes
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.wording import few
+from kinedex.storage.ground_truth import LabelFile, ManualSegment
+from kinedex.storage.schemas import result_schema
 
 Saying = tuple[str, str, int, int]
 """A take, a class, and the source frames [start, stop) that it is in."""

@@ -9,11 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ops.measures.detection import THRESHOLDS, Found, Known, average_precision, bootstrap, boundary_errors, overlap
-from ops.measures.metrics import Counts, compare, pooled
-from pipelines.evaluation.cells import Segment
-from pipelines.evaluation.confusion import Confusion, confusion
-from pipelines.evaluation.exams import Exam
+from kinedex.ops.measures.detection import (
+    THRESHOLDS,
+    Found,
+    Known,
+    average_precision,
+    bootstrap,
+    boundary_errors,
+    overlap,
+)
+from kinedex.ops.measures.metrics import Counts, compare, pooled
+from kinedex.pipelines.evaluation.cells import Segment
+from kinedex.pipelines.evaluation.confusion import Confusion, confusion
+from kinedex.pipelines.evaluation.exams import Exam
 
 I64 = npt.NDArray[np.int64]
 

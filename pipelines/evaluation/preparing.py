@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from catalog.classes import Classes
-from catalog.queries import KeyframeQuery
-from ops.distances.decoding import background
-from ops.templates.templates import Kind
-from pipelines.annotation.annotators import make_annotator, targets_unknown
-from pipelines.context import StageContext
-from pipelines.evaluation.cells import Cell, cell_key
-from pipelines.evaluation.exams import Fold
-from pipelines.evaluation.queries import QueryLearner
-from pipelines.evaluation.scheme import Method
-from pipelines.stages import annotate
-from pipelines.stages import learn_templates as learning
-from pipelines.templates.learning import SubclassTemplate, learn_templates
-from pipelines.templates.recipes import feature_weights
-from pipelines.wording import few
-from storage.store import Store
+from kinedex.catalog.classes import Classes
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.distances.decoding import background
+from kinedex.ops.templates.templates import Kind
+from kinedex.pipelines.annotation.annotators import make_annotator, targets_unknown
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.evaluation.cells import Cell, cell_key
+from kinedex.pipelines.evaluation.exams import Fold
+from kinedex.pipelines.evaluation.queries import QueryLearner
+from kinedex.pipelines.evaluation.scheme import Method
+from kinedex.pipelines.stages import annotate
+from kinedex.pipelines.stages import learn_templates as learning
+from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates
+from kinedex.pipelines.templates.recipes import feature_weights
+from kinedex.pipelines.wording import few
+from kinedex.storage.store import Store
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 from pydantic import BaseModel
 
-from catalog.classes import load_classes
-from catalog.queries import KeyframeQuery
-from ops.errors import KinedexError
-from pipelines.context import StageContext
-from pipelines.evaluation.exams import Fold
-from pipelines.keyframes.keeping import KeptRuns
-from pipelines.keyframes.learning import Lesson, Outcome, every_query, lessons
-from pipelines.keyframes.runs import Course, known_runs, learn
-from pipelines.stages import learn_keyframes
+from kinedex.catalog.classes import load_classes
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.evaluation.exams import Fold
+from kinedex.pipelines.keyframes.keeping import KeptRuns
+from kinedex.pipelines.keyframes.learning import Lesson, Outcome, every_query, lessons
+from kinedex.pipelines.keyframes.runs import Course, known_runs, learn
+from kinedex.pipelines.stages import learn_keyframes
 
 
 class QueryLearner:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from ops.errors import KinedexError, did_you_mean
-from ops.measures.metrics import Counts
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.measures.metrics import Counts
 
 MARK = "::"
 """Between a path and the method that is meant."""

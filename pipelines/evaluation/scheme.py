@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ops.templates.templates import Kind
+from kinedex.ops.templates.templates import Kind
 
 LEARNED = "learned"
 """In place of query files: the queries are learned in each fold, from the fold's own training clips."""

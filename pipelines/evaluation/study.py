@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ops.measures.metrics import Counts
-from pipelines.evaluation.cells import Segment
-from pipelines.evaluation.evaluating import measures
-from pipelines.evaluation.exams import Exam, Fold
-from pipelines.evaluation.judging import Fate, Judgement, Outcome, chosen_takes
-from pipelines.evaluation.scheme import Method, Metric, Split
+from kinedex.ops.measures.metrics import Counts
+from kinedex.pipelines.evaluation.cells import Segment
+from kinedex.pipelines.evaluation.evaluating import measures
+from kinedex.pipelines.evaluation.exams import Exam, Fold
+from kinedex.pipelines.evaluation.judging import Fate, Judgement, Outcome, chosen_takes
+from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from catalog.features import FeatureSet
-from ops.body import features
-from ops.body.resample import feature_rate, resample
-from storage.bodies import Body
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.body import features
+from kinedex.ops.body.resample import feature_rate, resample
+from kinedex.storage.bodies import Body
 
 F64 = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import replace
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from ops.errors import KinedexError
-from pipelines.executors import Executor, WorkerDied
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.executors import Executor, WorkerDied
 
 
 class Batch(Protocol):

@@ -12,17 +12,17 @@ from typing import Any, Literal
 
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from catalog.skeletons import Format, Mappings
-from ops.errors import SourceError
-from pipelines.ingesting.failures import Failure, failure, refusal
-from pipelines.ingesting.reading import Task
-from pipelines.ingesting.skeletonsums import SkeletonSums
-from pipelines.plan import code_digest
-from storage.bodies import FORMS, Given
-from storage.bodymodel import model_digest
-from storage.sources import Scan, SourceFile, checksum, path_groups
-from storage.writer import StoreWriter
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons import Format, Mappings
+from kinedex.ops.errors import SourceError
+from kinedex.pipelines.ingesting.failures import Failure, failure, refusal
+from kinedex.pipelines.ingesting.reading import Task
+from kinedex.pipelines.ingesting.skeletonsums import SkeletonSums
+from kinedex.pipelines.plan import code_digest
+from kinedex.storage.bodies import FORMS, Given
+from kinedex.storage.bodymodel import model_digest
+from kinedex.storage.sources import Scan, SourceFile, checksum, path_groups
+from kinedex.storage.writer import StoreWriter
 
 Naming = Literal["stem", "path", "file"]
 """What a take is called: its file's stem, its path without the ending, or with it."""
@@ -184,7 +184,7 @@ def _matters(given: Given, form: Format) -> object:
 
 def _recipe(feature_set: FeatureSet, mappings: str, given: object) -> str:
     """What a take's rows depend on besides its own files; when it changes, the take is read again."""
-    code = [code_digest(module) for module in ("storage.bodies", "pipelines.ingesting.analysis")]
+    code = [code_digest(module) for module in ("kinedex.storage.bodies", "kinedex.pipelines.ingesting.analysis")]
     return digest([feature_set.digest, mappings, given, code])
 
 

@@ -10,9 +10,9 @@ from datetime import UTC, datetime
 
 import pyarrow as pa
 
-from ops.errors import KinedexError, SourceError
-from storage.schemas import result_schema
-from storage.sources import Refused, SourceFile, readable
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.sources import Refused, SourceFile, readable
 
 MOST_TOLD = 10
 

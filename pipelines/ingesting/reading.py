@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from catalog.features import FeatureSet
-from catalog.skeletons import Mappings
-from ops.errors import StoreError
-from ops.words import NO_WORD
-from pipelines.ingesting.analysis import analyse, blind
-from pipelines.ingesting.failures import Failure, failure
-from storage.acclaim import read_text
-from storage.bodies import READ_WHOLE, Body, Given, read_body
-from storage.manifest import Part
-from storage.parts import FramesWriter
-from storage.sources import SourceFile, checksum
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons import Mappings
+from kinedex.ops.errors import StoreError
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.ingesting.analysis import analyse, blind
+from kinedex.pipelines.ingesting.failures import Failure, failure
+from kinedex.storage.acclaim import read_text
+from kinedex.storage.bodies import READ_WHOLE, Body, Given, read_body
+from kinedex.storage.manifest import Part
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.sources import SourceFile, checksum
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-from storage.schemas import result_schema
-from storage.sources import SourceFile, checksum
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.sources import SourceFile, checksum
 
 _SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the store
 

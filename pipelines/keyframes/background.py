@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ops.words import TakeWords
-from pipelines.keyframes.learning import Lesson, Outcome
-from pipelines.keyframes.margins import hit_ranges
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.keyframes.learning import Lesson, Outcome
+from kinedex.pipelines.keyframes.margins import hit_ranges
 
 
 def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most: int) -> tuple[Lesson, int]:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
-from pipelines.keyframes.learning import Lesson
-from pipelines.keyframes.runs import Course, Known, known_runs, runs_table
+from kinedex.pipelines.keyframes.learning import Lesson
+from kinedex.pipelines.keyframes.runs import Course, Known, known_runs, runs_table
 
 if TYPE_CHECKING:
-    from pipelines.context import StageContext
+    from kinedex.pipelines.context import StageContext
 
 
 class KeptRuns:

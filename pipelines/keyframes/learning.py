@@ -13,24 +13,24 @@ from zlib import crc32
 
 import numpy as np
 
-from catalog.classes import Classes
-from catalog.features import FeatureSet
-from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
-from ops.errors import KinedexError
-from ops.learning import breeding, fitness, genetics, greedy
-from ops.learning import lessons as learned_from
-from ops.learning.consensus import AtLeast, Consensus, consent
-from ops.learning.fitness import training_frames
-from ops.learning.genetics import evolve, random_search
-from ops.learning.greedy import forward_selection
-from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
-from ops.learning.queries import Query
-from ops.templates import templates as template_code
-from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
-from ops.words import U64
-from pipelines.digests import files_digest
-from pipelines.keyframes.margins import Margins, clips_hit, margins_of
-from pipelines.templates.learning import TrainingClips
+from kinedex.catalog.classes import Classes
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.learning import breeding, fitness, genetics, greedy
+from kinedex.ops.learning import lessons as learned_from
+from kinedex.ops.learning.consensus import AtLeast, Consensus, consent
+from kinedex.ops.learning.fitness import training_frames
+from kinedex.ops.learning.genetics import evolve, random_search
+from kinedex.ops.learning.greedy import forward_selection
+from kinedex.ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.templates import templates as template_code
+from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
+from kinedex.ops.words import U64
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.keyframes.margins import Margins, clips_hit, margins_of
+from kinedex.pipelines.templates.learning import TrainingClips
 
 Learner = Literal["genetic", "random", "greedy"]
 

@@ -8,14 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from catalog.queries import Gap
-from ops.learning.fitness import Bool
-from ops.learning.queries import Query
-from ops.search.bitslices import slice_words
-from ops.search.preselection import margins as formula_margins
-from ops.search.segments import from_axis
-from ops.search.slicesearch import search_slices
-from ops.words import I64, U64, TakeWords
+from kinedex.catalog.queries import Gap
+from kinedex.ops.learning.fitness import Bool
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.search.bitslices import slice_words
+from kinedex.ops.search.preselection import margins as formula_margins
+from kinedex.ops.search.segments import from_axis
+from kinedex.ops.search.slicesearch import search_slices
+from kinedex.ops.words import I64, U64, TakeWords
 
 Margins = Literal["learned", "shared", "formula", "wider"]
 

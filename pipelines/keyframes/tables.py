@@ -6,9 +6,9 @@ from collections.abc import Collection, Sequence
 
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from catalog.queries import Keyframe, KeyframeQuery, features_of
-from pipelines.keyframes.learning import Outcome, keyframe_queries
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import Keyframe, KeyframeQuery, features_of
+from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
 
 _OVERVIEW = pa.schema(
     [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 
 OPEN_ALL = 10  # up to so many timelines are all open; of more, OPEN of them lead and the others are folded
 OPEN = 6

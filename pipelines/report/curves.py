@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.annotation import local_minima
-from pipelines.report.axes import Axis, percent, time_axis
-from pipelines.report.data import Curve, Segment, TakeRow
-from pipelines.report.timelines import Bar, bar
+from kinedex.ops.distances.annotation import local_minima
+from kinedex.pipelines.report.axes import Axis, percent, time_axis
+from kinedex.pipelines.report.data import Curve, Segment, TakeRow
+from kinedex.pipelines.report.timelines import Bar, bar
 
 HEIGHT = 200  # units of a panel's vertical axis; costs are drawn to 1/200 of the panel
 POINTS = 1600  # a curve with more frames is drawn by the lowest and highest value of short stretches

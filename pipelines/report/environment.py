@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 def page_environment(filters: Mapping[str, Callable[..., object]] | None = None) -> Environment:
     """The environment of the templates in `pipelines/report/pages`, with a page's own filters."""
     environment = Environment(
-        loader=PackageLoader("pipelines.report", "pages"),
+        loader=PackageLoader("kinedex.pipelines.report", "pages"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -13,10 +13,10 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from catalog.features import FeatureSet
-from ops.errors import KinedexError, did_you_mean
-from pipelines.report.choice import median_take
-from pipelines.report.data import (
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.report.choice import median_take
+from kinedex.pipelines.report.data import (
     Curve,
     Failure,
     FeatureNames,
@@ -28,11 +28,11 @@ from pipelines.report.data import (
     TakeRow,
     Template,
 )
-from pipelines.report.reproduce import command
-from storage.manifest import ResultPart, StageRecord
-from storage.parts import part_file
-from storage.schemas import result_schema
-from storage.store import Store
+from kinedex.pipelines.report.reproduce import command
+from kinedex.storage.manifest import ResultPart, StageRecord
+from kinedex.storage.parts import part_file
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
 

@@ -9,16 +9,16 @@ from importlib import resources
 import numpy as np
 import numpy.typing as npt
 
-from catalog.features import FeatureSet
-from catalog.queries import SAME_FRAME
-from ops.learning.lessons import HISTORY, Run
-from ops.learning.queries import Query
-from ops.measures.intervals import wilson
-from ops.words import bits
-from pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
-from pipelines.keyframes.tables import sentence
-from pipelines.report.axes import time_axis
-from pipelines.report.environment import page_environment
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import SAME_FRAME
+from kinedex.ops.learning.lessons import HISTORY, Run
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.measures.intervals import wilson
+from kinedex.ops.words import bits
+from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
+from kinedex.pipelines.keyframes.tables import sentence
+from kinedex.pipelines.report.axes import time_axis
+from kinedex.pipelines.report.environment import page_environment
 
 F64 = npt.NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def keyframes_page(
         .get_template("keyframes.html.j2")
         .render(
             title=title,
-            style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
+            style=resources.files("kinedex.pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
             courses=courses([run.history for run in every]),
             generations=max((len(run.history) for run in every), default=1) - 1,
             runs=len(every),

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from ops.errors import KinedexError
-from pipelines.report.axes import time_axis
-from pipelines.report.pixels import Colour
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.report.axes import time_axis
+from kinedex.pipelines.report.pixels import Colour
 
 U8 = npt.NDArray[np.uint8]
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ops.measures.metrics import Counts
-from pipelines.evaluation.confusion import Confusion
-from pipelines.evaluation.exams import Exam
-from pipelines.evaluation.judging import Outcome
-from pipelines.evaluation.study import Threshold
-from pipelines.report.axes import Axis, percent, time_axis
+from kinedex.ops.measures.metrics import Counts
+from kinedex.pipelines.evaluation.confusion import Confusion
+from kinedex.pipelines.evaluation.exams import Exam
+from kinedex.pipelines.evaluation.judging import Outcome
+from kinedex.pipelines.evaluation.study import Threshold
+from kinedex.pipelines.report.axes import Axis, percent, time_axis
 
 WIDTH, HEIGHT = 320.0, 150.0
 """Of a small plot, in units of its own."""

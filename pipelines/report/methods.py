@@ -8,11 +8,21 @@ from dataclasses import dataclass
 
 from jinja2 import Environment
 
-from ops.measures.detection import THRESHOLDS
-from pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
-from pipelines.evaluation.tables import between, described, digits, fate, headings, overlap_notes, row, sentence, six
-from pipelines.report.environment import page_environment
-from pipelines.report.methodfigures import (
+from kinedex.ops.measures.detection import THRESHOLDS
+from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
+from kinedex.pipelines.evaluation.tables import (
+    between,
+    described,
+    digits,
+    fate,
+    headings,
+    overlap_notes,
+    row,
+    sentence,
+    six,
+)
+from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.methodfigures import (
     FURTHEST,
     HEIGHT,
     ROOMS,
@@ -26,8 +36,8 @@ from pipelines.report.methodfigures import (
     strips,
     sweeps,
 )
-from pipelines.report.motions import Motions, motions_json
-from pipelines.report.palette import colour_rules, colour_slot
+from kinedex.pipelines.report.motions import Motions, motions_json
+from kinedex.pipelines.report.palette import colour_rules, colour_slot
 
 MOST_ROWS = 300
 """The longest a list of takes or segments gets; the page says how many more there are."""

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from ops.errors import KinedexError, did_you_mean
-from pipelines.wording import few
-from storage.export import TREE
-from storage.parts import joint_positions
-from storage.store import Store
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.wording import few
+from kinedex.storage.export import TREE
+from kinedex.storage.parts import joint_positions
+from kinedex.storage.store import Store
 
 MOST_BYTES = 12_000_000
 """What a report carries of its own accord; with everything else it stays below 20 MB."""

@@ -12,15 +12,15 @@ from importlib import resources
 from jinja2 import Environment
 from markupsafe import Markup
 
-from pipelines.report.cards import Card, card, readable, rules
-from pipelines.report.choice import Choice, choose_takes
-from pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
-from pipelines.report.data import ReportData, Score, Segment
-from pipelines.report.environment import page_environment
-from pipelines.report.motions import Motions, motions_json
-from pipelines.report.palette import colour_rules, colour_slot
-from pipelines.report.timelines import Timeline, timeline
-from pipelines.wording import counted
+from kinedex.pipelines.report.cards import Card, card, readable, rules
+from kinedex.pipelines.report.choice import Choice, choose_takes
+from kinedex.pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
+from kinedex.pipelines.report.data import ReportData, Score, Segment
+from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.motions import Motions, motions_json
+from kinedex.pipelines.report.palette import colour_rules, colour_slot
+from kinedex.pipelines.report.timelines import Timeline, timeline
+from kinedex.pipelines.wording import counted
 
 DELTA_SHOWN = 0.05  # δ of the quantised view where the store does not say which one annotation used
 
@@ -179,7 +179,9 @@ def gaps(data: ReportData) -> Gaps:
 def pages_digest() -> str:
     """Return a hash of the files that a page is made from."""
     hasher = hashlib.sha256()
-    for file in sorted(resources.files("pipelines.report").joinpath("pages").iterdir(), key=lambda file: file.name):
+    for file in sorted(
+        resources.files("kinedex.pipelines.report").joinpath("pages").iterdir(), key=lambda file: file.name
+    ):
         hasher.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
     return hasher.hexdigest()[:16]
 

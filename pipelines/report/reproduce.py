@@ -7,9 +7,9 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ops.errors import KinedexError
-from pipelines.config import load_pipeline
-from pipelines.report.data import StageRow
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.report.data import StageRow
 
 
 def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from pipelines.report.environment import page_environment
-from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN
+from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN
 
 SIZE = 150
 """Side of a diagram in SVG units; both axes go from 0 to 1."""
@@ -124,7 +124,7 @@ def retrieval_page(
         .get_template("retrieval.html.j2")
         .render(
             title=title,
-            style=resources.files("pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
+            style=resources.files("kinedex.pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
             summary=rank_summary,
             rows=rows,
             searches=[row.search for row in rows if row.search is not None],

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from catalog.features import FeatureSet
-from ops.templates.shaping import Contrast, consistency
-from ops.templates.templates import QuantisedTemplate, Template, quantise
-from pipelines.report.matrix import MatrixFigure, Panel
-from pipelines.report.pixels import BLACK, TOLERANCE, VARYING, WHITE, WILDCARD, Colour, ramp
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.templates.shaping import Contrast, consistency
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
+from kinedex.pipelines.report.matrix import MatrixFigure, Panel
+from kinedex.pipelines.report.pixels import BLACK, TOLERANCE, VARYING, WHITE, WILDCARD, Colour, ramp
 
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]

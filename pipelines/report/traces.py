@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ops.templates.templates import CONVERGED
+from kinedex.ops.templates.templates import CONVERGED
 
 WIDTH, HEIGHT = 132, 36
 _LEAST, _MOST = 1e-3, 1.0  # the ends of the scale; costs below the one are drawn on it

@@ -6,7 +6,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError
 
 
 def write_page(page: str, path: Path) -> int:

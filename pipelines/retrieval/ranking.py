@@ -13,20 +13,20 @@ from itertools import islice
 import numpy as np
 import pyarrow as pa
 
-from catalog.queries import KeyframeQuery
-from ops.distances.costs import I64, encode
-from ops.distances.ranking import Hits, rank, rank_together
-from ops.distances.taking import KEYS
-from ops.errors import KinedexError
-from ops.search.preselection import TakeRanges
-from ops.templates.templates import QuantisedTemplate, quantise
-from ops.words import TakeWords
-from pipelines.executors import cores
-from pipelines.searching.search import preselect_stored
-from pipelines.searching.windows import template_ranges
-from pipelines.templates.learning import SubclassTemplate
-from storage.schemas import result_schema
-from storage.store import Store
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.distances.costs import I64, encode
+from kinedex.ops.distances.ranking import Hits, rank, rank_together
+from kinedex.ops.distances.taking import KEYS
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.templates.templates import QuantisedTemplate, quantise
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.executors import cores
+from kinedex.pipelines.searching.search import preselect_stored
+from kinedex.pipelines.searching.windows import template_ranges
+from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
 
 BATCH_FRAMES = 200_000
 """Analysis frames (under two hours) that a thread reads and ranks at a time; a longer take makes a batch of its own."""

@@ -12,17 +12,17 @@ import pyarrow as pa
 from rich import box
 from rich.table import Table
 
-from catalog.classes import OWN, load_classes
-from ops.distances.dtw import distance_curves
-from ops.distances.taking import KEYS
-from ops.measures.retrieval import average_precision
-from ops.templates.templates import QuantisedTemplate
-from ops.words import TakeWords
-from pipelines.evaluation.groundtruth import GroundTruth, Manual, place_ground_truth
-from pipelines.retrieval.ranking import Hit
-from storage.ground_truth import ground_truth_files, read_ground_truth
-from storage.schemas import result_schema
-from storage.store import Store
+from kinedex.catalog.classes import OWN, load_classes
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.taking import KEYS
+from kinedex.ops.measures.retrieval import average_precision
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.evaluation.groundtruth import GroundTruth, Manual, place_ground_truth
+from kinedex.pipelines.retrieval.ranking import Hit
+from kinedex.storage.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
 
 
 @dataclass(frozen=True)

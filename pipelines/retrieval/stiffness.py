@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import pyarrow as pa
 
-from catalog.queries import SAME_FRAME, Gap, KeyframeQuery
-from ops.measures.retrieval import precision_recall
-from ops.search.gaps import UNBOUNDED, nominal_gap
-from pipelines.evaluation.groundtruth import Manual
-from pipelines.retrieval.ranking import Searched, rank_store
-from pipelines.retrieval.retrieval import Judged, judge_hits
-from storage.schemas import result_schema
-from storage.store import Store
+from kinedex.catalog.queries import SAME_FRAME, Gap, KeyframeQuery
+from kinedex.ops.measures.retrieval import precision_recall
+from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
+from kinedex.pipelines.evaluation.groundtruth import Manual
+from kinedex.pipelines.retrieval.ranking import Searched, rank_store
+from kinedex.pipelines.retrieval.retrieval import Judged, judge_hits
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
 
 EVERYWHERE = "all frames"
 WRITTEN = "as written"

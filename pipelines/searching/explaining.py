@@ -13,14 +13,14 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from catalog.queries import SAME_FRAME, Keyframe, KeyframeQuery, pattern_of, words_of
-from ops.search.preselection import TakeRanges
-from pipelines.executors import cores
-from pipelines.searching.lists import RunLists, lists_of_store
-from pipelines.searching.resident import resident_store
-from pipelines.searching.search import SearchedTakes
-from storage.store import Store
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import SAME_FRAME, Keyframe, KeyframeQuery, pattern_of, words_of
+from kinedex.ops.search.preselection import TakeRanges
+from kinedex.pipelines.executors import cores
+from kinedex.pipelines.searching.lists import RunLists, lists_of_store
+from kinedex.pipelines.searching.resident import resident_store
+from kinedex.pipelines.searching.search import SearchedTakes
+from kinedex.storage.store import Store
 
 _EXPLANATION = pa.schema(
     [

@@ -6,15 +6,15 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from catalog.features import FeatureSet
-from catalog.queries import Keyframe, KeyframeQuery
-from ops.search.keyframes import search, survivors
-from ops.search.postings import Postings, make_postings
-from ops.search.preselection import TakeRanges, ranges_of_takes, unite
-from ops.search.runs import word_runs
-from ops.search.segments import Segments, to_axis
-from ops.words import I64, TakeWords, cut
-from storage.store import Store
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import Keyframe, KeyframeQuery
+from kinedex.ops.search.keyframes import search, survivors
+from kinedex.ops.search.postings import Postings, make_postings
+from kinedex.ops.search.preselection import TakeRanges, ranges_of_takes, unite
+from kinedex.ops.search.runs import word_runs
+from kinedex.ops.search.segments import Segments, to_axis
+from kinedex.ops.words import I64, TakeWords, cut
+from kinedex.storage.store import Store
 
 
 class RunLists:

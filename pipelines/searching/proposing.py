@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
-from catalog.features import FeatureSet
-from catalog.queryfiles import parse_queries
-from catalog.querywriting import scalar
-from ops.errors import KinedexError
-from ops.search.proposals import Pose, SetCounts, propose_poses
-from ops.words import I64, TakeWords
-from pipelines.searching.search import search_store
-from pipelines.wording import counted
-from storage.store import Store
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queryfiles import parse_queries
+from kinedex.catalog.querywriting import scalar
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.search.proposals import Pose, SetCounts, propose_poses
+from kinedex.ops.words import I64, TakeWords
+from kinedex.pipelines.searching.search import search_store
+from kinedex.pipelines.wording import counted
+from kinedex.storage.store import Store
 
 
 def propose_query(store: Store, take: str, start: int, stop: int, *, name: str = "proposed", keyframes: int = 3) -> str:

@@ -15,15 +15,15 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from catalog.features import FeatureSet
-from catalog.queries import KeyframeQuery, WordPattern, word_pattern
-from ops.search.bitslices import BitSlices, slice_words
-from ops.search.preselection import TakeRanges, ranges_of_takes, unite
-from ops.search.segments import Segments, from_axis
-from ops.search.slicesearch import search_slices
-from ops.words import I64, TakeWords
-from storage import index
-from storage.store import Store
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import KeyframeQuery, WordPattern, word_pattern
+from kinedex.ops.search.bitslices import BitSlices, slice_words
+from kinedex.ops.search.preselection import TakeRanges, ranges_of_takes, unite
+from kinedex.ops.search.segments import Segments, from_axis
+from kinedex.ops.search.slicesearch import search_slices
+from kinedex.ops.words import I64, TakeWords
+from kinedex.storage import index
+from kinedex.storage.store import Store
 
 PIECE_BLOCKS = 32_768
 """Blocks of 64 frames (19 hours in all) that one thread searches at a time: a fraction of a millisecond a query."""

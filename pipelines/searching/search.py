@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from catalog.queries import KeyframeQuery, choose_queries
-from catalog.queryfiles import ANALYSIS_RATE_HZ, part_names, read_queries
-from ops.errors import KinedexError, did_you_mean
-from ops.search.preselection import TakeRanges
-from ops.words import I64, TakeWords
-from pipelines.executors import cores
-from pipelines.searching.resident import indexed_words, resident_store, resident_words
-from storage.schemas import result_schema
-from storage.store import Store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import KeyframeQuery, choose_queries
+from kinedex.catalog.queryfiles import ANALYSIS_RATE_HZ, part_names, read_queries
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.words import I64, TakeWords
+from kinedex.pipelines.executors import cores
+from kinedex.pipelines.searching.resident import indexed_words, resident_store, resident_words
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
+from kinedex.storage.writer import StoreWriter
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from catalog.features import FeatureSet
-from catalog.queries import KeyframeQuery
-from ops.errors import KinedexError
-from ops.search.preselection import KeyframeFit, TakeRanges, extend, fit_keyframes, margins, unite
-from ops.words import I64
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.search.preselection import KeyframeFit, TakeRanges, extend, fit_keyframes, margins, unite
+from kinedex.ops.words import I64
 
 
 @dataclass(frozen=True)

@@ -15,27 +15,34 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.classes import OWN, Classes, load_classes
-from catalog.configs import config_path
-from catalog.queries import KeyframeQuery
-from catalog.queryfiles import read_query_files
-from ops.distances.decoding import background
-from ops.errors import KinedexError, did_you_mean
-from pipelines.annotation.annotating import annotate_takes
-from pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
-from pipelines.annotation.calibrating import Calibration, calibrate
-from pipelines.annotation.kept import fingerprints, kept_annotations, setting_digest
-from pipelines.annotation.tables import annotations_table, curves_table, takes_table
-from pipelines.context import StageContext
-from pipelines.digests import files_digest
-from pipelines.keyframes.learning import every_query
-from pipelines.keyframes.runs import outcomes_of
-from pipelines.stages import learn_templates as learning
-from pipelines.templates.learning import Kind, SubclassTemplate, TrainingClips, learn_templates, read_templates, run_of
-from pipelines.templates.recipes import feature_weights
-from pipelines.wording import counted, few
-from storage.store import Store
-from storage.writer import StoreWriter
+from kinedex.catalog.classes import OWN, Classes, load_classes
+from kinedex.catalog.configs import config_path
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.catalog.queryfiles import read_query_files
+from kinedex.ops.distances.decoding import background
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.annotation.annotating import annotate_takes
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
+from kinedex.pipelines.annotation.calibrating import Calibration, calibrate
+from kinedex.pipelines.annotation.kept import fingerprints, kept_annotations, setting_digest
+from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.keyframes.learning import every_query
+from kinedex.pipelines.keyframes.runs import outcomes_of
+from kinedex.pipelines.stages import learn_templates as learning
+from kinedex.pipelines.templates.learning import (
+    Kind,
+    SubclassTemplate,
+    TrainingClips,
+    learn_templates,
+    read_templates,
+    run_of,
+)
+from kinedex.pipelines.templates.recipes import feature_weights
+from kinedex.pipelines.wording import counted, few
+from kinedex.storage.store import Store
+from kinedex.storage.writer import StoreWriter
 
 F64 = npt.NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import polars as pl
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.classes import Classes
-from ops.errors import KinedexError
-from pipelines.annotation.tables import annotated_takes
-from pipelines.context import StageContext
-from pipelines.digests import files_digest
-from pipelines.evaluation.evaluating import (
+from kinedex.catalog.classes import Classes
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation.tables import annotated_takes
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.evaluation.evaluating import (
     SCOPES,
     evaluate,
     measures,
@@ -22,17 +22,17 @@ from pipelines.evaluation.evaluating import (
     metrics_table,
     write_metrics,
 )
-from pipelines.evaluation.groundtruth import (
+from kinedex.pipelines.evaluation.groundtruth import (
     GroundTruth,
     UnknownLabels,
     ground_truth_of_classes,
     ground_truth_rows,
     place_ground_truth,
 )
-from pipelines.stages import annotate
-from pipelines.templates.learning import read_templates, run_of
-from storage.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
-from storage.store import Store
+from kinedex.pipelines.stages import annotate
+from kinedex.pipelines.templates.learning import read_templates, run_of
+from kinedex.storage.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
+from kinedex.storage.store import Store
 
 NONE, OWN_CLASS = "none", "class"
 SET_IT = "`--set evaluate.ground_truth=PATTERN` names label files"

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
-from ops.errors import KinedexError, did_you_mean
-from ops.templates.templates import Kind, quantise
-from pipelines.context import StageContext
-from pipelines.digests import files_digest
-from pipelines.retrieval.ranking import Searched, rank_store
-from pipelines.retrieval.retrieval import (
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.templates import Kind, quantise
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.retrieval.ranking import Searched, rank_store
+from kinedex.pipelines.retrieval.retrieval import (
     Judged,
     clip_costs,
     judge_clips,
@@ -24,9 +24,9 @@ from pipelines.retrieval.retrieval import (
     retrieval_rows,
     retrieval_table,
 )
-from pipelines.templates.learning import learn_templates, read_templates, training_clips
-from storage.ground_truth import ground_truth_files
-from storage.store import Store
+from kinedex.pipelines.templates.learning import learn_templates, read_templates, training_clips
+from kinedex.storage.ground_truth import ground_truth_files
+from kinedex.storage.store import Store
 
 NONE = "none"
 

@@ -11,26 +11,26 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from catalog.features import FeatureSet
-from catalog.skeletons import Mappings, load_mappings
-from ops import textnumbers
-from ops.body import features, kinematics
-from ops.errors import KinedexError, NewStoreError
-from pipelines.context import StageContext, feature_set_for
-from pipelines.executors import WorkerDied
-from pipelines.ingesting.batches import run_batches
-from pipelines.ingesting.changes import Changes, Naming, compare, digest
-from pipelines.ingesting.failures import Failure, failure, killer, log_table, told
-from pipelines.ingesting.reading import Batch, Task, Written, read_batch
-from pipelines.wording import counted
-from storage.bodies import Given
-from storage.bodymodel import model_digest
-from storage.bvh import FASTEST_HZ, SLOWEST_HZ
-from storage.compaction import compact
-from storage.schemas import takes_schema
-from storage.sources import MOTIONS, scan
-from storage.store import Store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons import Mappings, load_mappings
+from kinedex.ops import textnumbers
+from kinedex.ops.body import features, kinematics
+from kinedex.ops.errors import KinedexError, NewStoreError
+from kinedex.pipelines.context import StageContext, feature_set_for
+from kinedex.pipelines.executors import WorkerDied
+from kinedex.pipelines.ingesting.batches import run_batches
+from kinedex.pipelines.ingesting.changes import Changes, Naming, compare, digest
+from kinedex.pipelines.ingesting.failures import Failure, failure, killer, log_table, told
+from kinedex.pipelines.ingesting.reading import Batch, Task, Written, read_batch
+from kinedex.pipelines.wording import counted
+from kinedex.storage.bodies import Given
+from kinedex.storage.bodymodel import model_digest
+from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.compaction import compact
+from kinedex.storage.schemas import takes_schema
+from kinedex.storage.sources import MOTIONS, scan
+from kinedex.storage.store import Store
+from kinedex.storage.writer import StoreWriter
 
 MEGABYTE = 1 << 20
 

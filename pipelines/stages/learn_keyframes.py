@@ -7,23 +7,23 @@ from typing import Annotated
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.classes import OWN, load_classes
-from catalog.configs import config_path
-from ops.errors import KinedexError
-from ops.learning.consensus import AGREEMENTS, AtLeast
-from ops.learning.lessons import Evolution, InitialGaps
-from pipelines.context import StageContext
-from pipelines.digests import Reading, files_digest, takes_read
-from pipelines.keyframes.background import mine
-from pipelines.keyframes.keeping import KeptRuns
-from pipelines.keyframes.learning import Learner, Lesson, Setting, allowed_features, lessons
-from pipelines.keyframes.margins import Margins
-from pipelines.keyframes.runs import Course, Rounds, learn, queries_table
-from pipelines.report.keyframes import keyframes_page
-from pipelines.report.write import write_page
-from pipelines.templates.learning import training_clips, training_takes
-from pipelines.wording import counted, few
-from storage.store import Store
+from kinedex.catalog.classes import OWN, load_classes
+from kinedex.catalog.configs import config_path
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.learning.consensus import AGREEMENTS, AtLeast
+from kinedex.ops.learning.lessons import Evolution, InitialGaps
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import Reading, files_digest, takes_read
+from kinedex.pipelines.keyframes.background import mine
+from kinedex.pipelines.keyframes.keeping import KeptRuns
+from kinedex.pipelines.keyframes.learning import Learner, Lesson, Setting, allowed_features, lessons
+from kinedex.pipelines.keyframes.margins import Margins
+from kinedex.pipelines.keyframes.runs import Course, Rounds, learn, queries_table
+from kinedex.pipelines.report.keyframes import keyframes_page
+from kinedex.pipelines.report.write import write_page
+from kinedex.pipelines.templates.learning import training_clips, training_takes
+from kinedex.pipelines.wording import counted, few
+from kinedex.storage.store import Store
 
 Odds = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]

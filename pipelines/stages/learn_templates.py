@@ -9,12 +9,12 @@ from typing import Annotated
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.features import FeatureSet
-from ops.errors import KinedexError
-from ops.templates.templates import MOST_ROUNDS, Kind
-from pipelines.context import StageContext
-from pipelines.digests import Reading, files_digest, takes_read
-from pipelines.templates.learning import (
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import MOST_ROUNDS, Kind
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import Reading, files_digest, takes_read
+from kinedex.pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
     learn_templates,
@@ -22,7 +22,7 @@ from pipelines.templates.learning import (
     training_clips,
     training_takes,
 )
-from pipelines.templates.recipes import (
+from kinedex.pipelines.templates.recipes import (
     Combination,
     combined,
     feature_weights,
@@ -30,8 +30,8 @@ from pipelines.templates.recipes import (
     templates_of_files,
     with_mirrored,
 )
-from pipelines.wording import few
-from storage.store import Store
+from kinedex.pipelines.wording import few
+from kinedex.storage.store import Store
 
 
 class Params(BaseModel):

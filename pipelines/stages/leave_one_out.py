@@ -9,15 +9,15 @@ import polars as pl
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.classes import Classes
-from catalog.queries import KeyframeQuery
-from ops.distances.decoding import background
-from ops.errors import KinedexError, did_you_mean
-from pipelines.annotation.annotating import annotate_takes
-from pipelines.annotation.annotators import make_annotator
-from pipelines.annotation.tables import annotated_takes, annotations_table
-from pipelines.context import StageContext
-from pipelines.evaluation.evaluating import (
+from kinedex.catalog.classes import Classes
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.ops.distances.decoding import background
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.annotation.annotating import annotate_takes
+from kinedex.pipelines.annotation.annotators import make_annotator
+from kinedex.pipelines.annotation.tables import annotated_takes, annotations_table
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.evaluation.evaluating import (
     SCOPES,
     Evaluation,
     evaluate,
@@ -27,18 +27,18 @@ from pipelines.evaluation.evaluating import (
     pool_folds,
     write_metrics,
 )
-from pipelines.evaluation.groundtruth import GroundTruth
-from pipelines.stages import annotate
-from pipelines.stages import evaluate as evaluating
-from pipelines.stages import learn_templates as learning
-from pipelines.templates.learning import (
+from kinedex.pipelines.evaluation.groundtruth import GroundTruth
+from kinedex.pipelines.stages import annotate
+from kinedex.pipelines.stages import evaluate as evaluating
+from kinedex.pipelines.stages import learn_templates as learning
+from kinedex.pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
     learn_templates,
     read_templates,
 )
-from pipelines.templates.recipes import feature_weights
-from storage.store import Store
+from kinedex.pipelines.templates.recipes import feature_weights
+from kinedex.storage.store import Store
 
 
 class Params(BaseModel):

@@ -10,18 +10,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich import box
 from rich.table import Table
 
-from catalog.configs import config_path
-from catalog.queryfiles import read_query_files
-from ops.templates.templates import Kind
-from pipelines.context import StageContext
-from pipelines.digests import files_digest
-from pipelines.retrieval.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
-from pipelines.retrieval.stiffness import mean_stiffness
-from pipelines.searching.explaining import explain_store
-from pipelines.searching.search import search_store
-from pipelines.templates.learning import read_templates
-from pipelines.wording import few
-from storage.store import Store
+from kinedex.catalog.configs import config_path
+from kinedex.catalog.queryfiles import read_query_files
+from kinedex.ops.templates.templates import Kind
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.retrieval.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
+from kinedex.pipelines.retrieval.stiffness import mean_stiffness
+from kinedex.pipelines.searching.explaining import explain_store
+from kinedex.pipelines.searching.search import search_store
+from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.wording import few
+from kinedex.storage.store import Store
 
 
 class Params(BaseModel):

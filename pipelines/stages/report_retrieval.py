@@ -6,12 +6,12 @@ from importlib import resources
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipelines.context import StageContext
-from pipelines.digests import files_digest
-from pipelines.report.retrieval import retrieval_page
-from pipelines.report.write import write_page
-from pipelines.templates.learning import run_of
-from storage.store import Store
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.report.retrieval import retrieval_page
+from kinedex.pipelines.report.write import write_page
+from kinedex.pipelines.templates.learning import run_of
+from kinedex.storage.store import Store
 
 
 class Params(BaseModel):
@@ -24,7 +24,7 @@ class Params(BaseModel):
 
 def external_digest(params: Params, store: Store | None) -> str:
     """A hash of the page's own files, so that the report is made again where one of them changed."""
-    pages = resources.files("pipelines.report").joinpath("pages")
+    pages = resources.files("kinedex.pipelines.report").joinpath("pages")
     with resources.as_file(pages) as folder:
         return files_digest([folder / "retrieval.html.j2", folder / "style.css"])
 

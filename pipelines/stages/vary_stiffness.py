@@ -10,18 +10,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich import box
 from rich.table import Table
 
-from catalog.configs import config_path
-from catalog.queryfiles import read_query_files
-from ops.errors import KinedexError
-from ops.templates.templates import Kind
-from pipelines.context import StageContext
-from pipelines.digests import files_digest
-from pipelines.retrieval.ranking import searched_templates
-from pipelines.retrieval.retrieval import mean_average_precision, names_filter, read_truth
-from pipelines.retrieval.stiffness import WRITTEN, Trial, run_trials, trial_rows
-from pipelines.templates.learning import read_templates
-from storage.ground_truth import ground_truth_files
-from storage.store import Store
+from kinedex.catalog.configs import config_path
+from kinedex.catalog.queryfiles import read_query_files
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import Kind
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.retrieval.ranking import searched_templates
+from kinedex.pipelines.retrieval.retrieval import mean_average_precision, names_filter, read_truth
+from kinedex.pipelines.retrieval.stiffness import WRITTEN, Trial, run_trials, trial_rows
+from kinedex.pipelines.templates.learning import read_templates
+from kinedex.storage.ground_truth import ground_truth_files
+from kinedex.storage.store import Store
 
 
 class Params(BaseModel):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipelines.wording import few
+from kinedex.pipelines.wording import few
 
 FEW = 3
 """Fewer clips than this say little about what varies."""

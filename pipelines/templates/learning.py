@@ -12,15 +12,15 @@ import numpy.typing as npt
 import polars as pl
 import pyarrow as pa
 
-from ops.errors import KinedexError
-from ops.templates.templates import Kind as Kind
-from ops.templates.templates import Learned, Template, learn
-from ops.words import NO_WORD, U64
-from pipelines.executors import Executor
-from pipelines.templates.clipchecks import clip_remarks
-from pipelines.wording import few
-from storage.schemas import result_schema
-from storage.store import Store
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import Kind as Kind
+from kinedex.ops.templates.templates import Learned, Template, learn
+from kinedex.ops.words import NO_WORD, U64
+from kinedex.pipelines.executors import Executor
+from kinedex.pipelines.templates.clipchecks import clip_remarks
+from kinedex.pipelines.wording import few
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store
 
 F64 = npt.NDArray[np.float64]
 

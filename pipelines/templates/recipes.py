@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from catalog.features import FeatureSet
-from catalog.templatefiles import NamedTemplate, read_templates
-from ops.errors import KinedexError, did_you_mean
-from ops.templates.shaping import joined
-from ops.templates.templates import Kind, Learned
-from pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.templatefiles import NamedTemplate, read_templates
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.shaping import joined
+from kinedex.ops.templates.templates import Kind, Learned
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 
 F64 = npt.NDArray[np.float64]
 

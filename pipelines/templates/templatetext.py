@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from catalog.features import FeatureSet
-from ops.templates.shaping import Contrast, consistency
-from ops.templates.templates import CONVERGED, quantise
-from pipelines.templates.learning import SubclassTemplate
-from pipelines.wording import counted
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.templates.shaping import Contrast, consistency
+from kinedex.ops.templates.templates import CONVERGED, quantise
+from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.wording import counted
 
 ON, OFF, WILDCARD = "█", "·", "▒"
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from storage.index.generations import (
+from kinedex.storage.index.generations import (
     BUILD,
     BUILDING,
     GENERATION,
@@ -23,11 +23,11 @@ from storage.index.generations import (
     read_generation,
     wrong_sizes,
 )
-from storage.index.slices import ShardSlices, open_slices
+from kinedex.storage.index.slices import ShardSlices, open_slices
 
 if TYPE_CHECKING:
-    from storage.index.builder import build
-    from storage.index.tables import features_table, help_table
+    from kinedex.storage.index.builder import build
+    from kinedex.storage.index.tables import features_table, help_table
 
 __all__ = [
     "BUILD",

@@ -15,13 +15,13 @@ from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from ops.errors import StoreError
-from ops.search.bitslices import slice_words
-from storage import duck
-from storage.disk import sync_folder, writing
-from storage.frames import read_words
-from storage.index import tables
-from storage.index.generations import (
+from kinedex.ops.errors import StoreError
+from kinedex.ops.search.bitslices import slice_words
+from kinedex.storage import duck
+from kinedex.storage.disk import sync_folder, writing
+from kinedex.storage.frames import read_words
+from kinedex.storage.index import tables
+from kinedex.storage.index.generations import (
     BUILDING,
     FILE,
     INDEX_VERSION,
@@ -38,13 +38,13 @@ from storage.index.generations import (
     read_generation,
     slices_name,
 )
-from storage.index.plan import SHARD_FRAMES, Plan, plan, shard_parts
-from storage.index.slices import write_slices
-from storage.lock import Lock
-from storage.manifest import Part, now
+from kinedex.storage.index.plan import SHARD_FRAMES, Plan, plan, shard_parts
+from kinedex.storage.index.slices import write_slices
+from kinedex.storage.lock import Lock
+from kinedex.storage.manifest import Part, now
 
 if TYPE_CHECKING:
-    from storage.store import Store
+    from kinedex.storage.store import Store
 
 MOST_WASTE = 2.0
 """A file that has grown to more than this many times the size that it would have anew is written anew."""

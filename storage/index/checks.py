@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from ops.search.bitslices import slice_words
-from storage import duck
-from storage.index import tables
-from storage.index.generations import FILE, Generation, Shard, slices_name
-from storage.index.slices import ShardSlices, open_slices
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.search.bitslices import slice_words
+from kinedex.storage import duck
+from kinedex.storage.index import tables
+from kinedex.storage.index.generations import FILE, Generation, Shard, slices_name
+from kinedex.storage.index.slices import ShardSlices, open_slices
 
 if TYPE_CHECKING:
-    from storage.store import Store
+    from kinedex.storage.store import Store
 
 
 def problems(store: Store, generation: Path, says: Generation, *, words: bool = True) -> Iterator[tuple[str, str]]:

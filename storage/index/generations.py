@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
 
-from ops.errors import StoreError
-from storage.manifest import Manifest, versions
+from kinedex.ops.errors import StoreError
+from kinedex.storage.manifest import Manifest, versions
 
 INDEX_VERSION = 4
 """Version of the index's tables and of its other files; an index of another version is built again."""

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ops.errors import StoreError
-from ops.search.bitslices import BLOCK, BitSlices, coarse_words
-from ops.words import I64, MOST_FEATURES
-from storage.index.generations import BUILD, Generation, Shard, slices_name
+from kinedex.ops.errors import StoreError
+from kinedex.ops.search.bitslices import BLOCK, BitSlices, coarse_words
+from kinedex.ops.words import I64, MOST_FEATURES
+from kinedex.storage.index.generations import BUILD, Generation, Shard, slices_name
 
 MAGIC = b"KDXSLICE"
 

@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from catalog.features import FeatureSet
-from catalog.views import MACROS, VIEWS, help_rows
-from ops.errors import StoreError
-from ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
-from ops.search.runs import FeatureRuns, feature_runs
-from ops.words import I64, TakeWords
-from storage import duck
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.views import MACROS, VIEWS, help_rows
+from kinedex.ops.errors import StoreError
+from kinedex.ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
+from kinedex.ops.search.runs import FeatureRuns, feature_runs
+from kinedex.ops.words import I64, TakeWords
+from kinedex.storage import duck
 
 if TYPE_CHECKING:
-    from storage.store import Store
+    from kinedex.storage.store import Store
 
 BATCH = 122_880
 """Rows of a DuckDB row group: batches of this size are compressed by several threads."""

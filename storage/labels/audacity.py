@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ops.errors import SourceError
-from storage.labels.segments import LabelFile, ManualSegment, TakeLabels
-from storage.labels.texts import lines_of, parse_seconds, read_text, shown
+from kinedex.ops.errors import SourceError
+from kinedex.storage.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.labels.texts import lines_of, parse_seconds, read_text, shown
 
 
 def write(labels: TakeLabels) -> str:

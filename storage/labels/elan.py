@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from ops.errors import SourceError
-from storage.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
-from storage.labels.texts import LONGEST_SECONDS, read_bytes, shown
+from kinedex.ops.errors import SourceError
+from kinedex.storage.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.labels.texts import LONGEST_SECONDS, read_bytes, shown
 
 _TAKE = "kinedex take"
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>

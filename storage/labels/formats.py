@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ops.errors import KinedexError, SourceError, did_you_mean
-from storage.labels import audacity, elan, tables, webvtt
-from storage.labels.segments import LabelFile, TakeLabels, check_writable
+from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.storage.labels import audacity, elan, tables, webvtt
+from kinedex.storage.labels.segments import LabelFile, TakeLabels, check_writable
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ops.errors import KinedexError, SourceError
+from kinedex.ops.errors import KinedexError, SourceError
 
 _NEVER = {"Cc", "Cs", "Zl", "Zp"}
 

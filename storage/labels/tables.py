@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ops.errors import SourceError, did_you_mean
-from storage.labels.segments import LabelFile, ManualSegment, TakeLabels
-from storage.labels.texts import LONGEST_SECONDS, parse_seconds, read_text, shown
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.labels.texts import LONGEST_SECONDS, parse_seconds, read_text, shown
 
 NAMES = ("take", "class")
 FRAMES = ("start", "stop")

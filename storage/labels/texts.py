@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ops.errors import SourceError
+from kinedex.ops.errors import SourceError
 
 LONGEST_SECONDS = 10_000_000
 """Of a take; a label that ends later is a slip of the pen."""

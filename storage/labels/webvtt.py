@@ -6,9 +6,9 @@ import html
 import re
 from pathlib import Path
 
-from ops.errors import SourceError
-from storage.labels.segments import LabelFile, ManualSegment, TakeLabels
-from storage.labels.texts import LONGEST_SECONDS, lines_of, read_text, shown
+from kinedex.ops.errors import SourceError
+from kinedex.storage.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.labels.texts import LONGEST_SECONDS, lines_of, read_text, shown
 
 _TIME = r"(?:([0-9]{2,6}):)?([0-5][0-9]):([0-5][0-9])\.([0-9]{3})"
 _TIMING = re.compile(rf"{_TIME}[ \t]+-->[ \t]+{_TIME}(?:[ \t].*)?", re.ASCII)

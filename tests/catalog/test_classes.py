@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from catalog.classes import Classes, MotionClass, load_classes
-from ops.errors import ConfigError
+from kinedex.catalog.classes import Classes, MotionClass, load_classes
+from kinedex.ops.errors import ConfigError
 
 HDM05 = [
     "depositFloorR",

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from catalog import configs
-from catalog.configs import Located, parse_yaml, shipped_configs
-from ops.errors import ConfigError
+from kinedex.catalog import configs
+from kinedex.catalog.configs import Located, parse_yaml, shipped_configs
+from kinedex.ops.errors import ConfigError
 
 
 @pytest.mark.parametrize("path", sorted(shipped_configs().rglob("*.yaml")), ids=lambda path: path.stem)

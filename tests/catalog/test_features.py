@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from catalog.configs import config_path
-from catalog.features import FeatureSet, load_feature_set
-from ops.body import features
-from ops.errors import ConfigError
-from ops.words import NO_WORD, bits
+from kinedex.catalog.configs import config_path
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.ops.body import features
+from kinedex.ops.errors import ConfigError
+from kinedex.ops.words import NO_WORD, bits
 from tests.bodies import index, standing
 
 BODY = load_feature_set()

@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from ops.errors import KinedexError
-from ops.words import NO_WORD
-from storage import index
-from storage.schemas import result_schema
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.words import NO_WORD
+from kinedex.storage import index
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 from tests.oracles.keyframes import ranges_by_sets
 from tests.pipelines.labelled import write_store
 from tests.storage.made_up import BODY

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalog.configs import config_names
-from catalog.features import FeatureSet, load_feature_set
-from catalog.mirroring import mirrored
-from catalog.queries import (
+from kinedex.catalog.configs import config_names
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.mirroring import mirrored
+from kinedex.catalog.queries import (
     SAME_FRAME,
     Gap,
     Keyframe,
@@ -23,12 +23,12 @@ from catalog.queries import (
     features_of,
     pattern_of,
 )
-from catalog.queryfiles import parse_queries, read_queries
-from catalog.querywriting import write_queries
-from ops.body.features import words as feature_words
-from ops.errors import ConfigError, KinedexError, ParameterError
-from ops.search.gaps import UNBOUNDED
-from ops.words import bits
+from kinedex.catalog.queryfiles import parse_queries, read_queries
+from kinedex.catalog.querywriting import write_queries
+from kinedex.ops.body.features import words as feature_words
+from kinedex.ops.errors import ConfigError, KinedexError, ParameterError
+from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.ops.words import bits
 
 BODY = load_feature_set("body40")
 

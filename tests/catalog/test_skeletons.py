@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from catalog.configs import config_names
-from catalog.features import load_feature_set
-from catalog.skeletons import Mappings, load_mappings, load_skeleton, stripping
-from catalog.units import HUMAN_M, UNITS_M, guess_unit
-from ops.body import features
-from ops.errors import ConfigError, SourceError
+from kinedex.catalog.configs import config_names
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import Mappings, load_mappings, load_skeleton, stripping
+from kinedex.catalog.units import HUMAN_M, UNITS_M, guess_unit
+from kinedex.ops.body import features
+from kinedex.ops.errors import ConfigError, SourceError
 from tests.bodies import standing, upright
 from tests.oracles import features as oracle
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from catalog.features import load_feature_set
-from catalog.templatefiles import (
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.templatefiles import (
     NamedTemplate,
     parse_csv,
     parse_templates,
@@ -19,8 +19,8 @@ from catalog.templatefiles import (
     write_csv,
     write_yaml,
 )
-from ops.errors import ConfigError
-from ops.templates.templates import Template
+from kinedex.ops.errors import ConfigError
+from kinedex.ops.templates.templates import Template
 
 BODY = load_feature_set()
 SQUAT = """

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from catalog.views import MACROS, VIEWS
-from ops.errors import KinedexError
-from storage import index
-from storage.schemas import RESULT_KINDS
-from storage.store import Store, open_store
+from kinedex.catalog.views import MACROS, VIEWS
+from kinedex.ops.errors import KinedexError
+from kinedex.storage import index
+from kinedex.storage.schemas import RESULT_KINDS
+from kinedex.storage.store import Store, open_store
 from tests.oracles import runs as naive
 from tests.storage.made_up import BODY, arrays, make_store
 

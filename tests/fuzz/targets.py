@@ -13,21 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
-from catalog.classes import load_classes
-from catalog.configs import config_names, config_path, load_yaml
-from catalog.features import load_feature_set
-from catalog.queryfiles import parse_queries, read_queries
-from catalog.querywriting import write_queries
-from catalog.skeletons import load_skeleton
-from ops.errors import KinedexError, SourceError
-from pipelines.config import load_pipeline
-from pipelines.ingesting.analysis import analyse, blind
-from storage.bodies import FARTHEST_M, Given, read_body
-from storage.bodymodel import load_body_model
-from storage.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
-from storage.c3d import parse_c3d
-from storage.ground_truth import read_ground_truth
-from storage.positions import is_positions_csv
+from kinedex.catalog.classes import load_classes
+from kinedex.catalog.configs import config_names, config_path, load_yaml
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queryfiles import parse_queries, read_queries
+from kinedex.catalog.querywriting import write_queries
+from kinedex.catalog.skeletons import load_skeleton
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.ingesting.analysis import analyse, blind
+from kinedex.storage.bodies import FARTHEST_M, Given, read_body
+from kinedex.storage.bodymodel import load_body_model
+from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
+from kinedex.storage.c3d import parse_c3d
+from kinedex.storage.ground_truth import read_ground_truth
+from kinedex.storage.positions import is_positions_csv
 from tests.bodies import STANDING
 from tests.fuzz import seeds
 from tests.fuzz.binary import C3D, NPY, NPZ

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.bits import count_bits
+from kinedex.ops.bits import count_bits
 
 
 @given(st.integers(0, 2**64 - 1))

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-import ops
-from ops.compiled import STAMP, forget_outdated
+import kinedex
+from kinedex.ops.compiled import STAMP, forget_outdated
 
 CALLED = "from numba import njit\n\n\n@njit(cache=True)\ndef step(x):\n    return x + {number}\n"
 CALLING = """\
@@ -25,9 +25,9 @@ def twice(x):
 GUARDED = """\
 from pathlib import Path
 
-from ops.compiled import forget_outdated
+from kinedex.ops.compiled import forget_outdated
 
-forget_outdated(Path(__file__).parent)
+forget_outdated(Path(__file__).parent, __name__)
 """
 OTHER = "from numba import njit\n\n\n@njit(cache=True)\ndef half(x):\n    return x / 2\n"
 
@@ -46,7 +46,7 @@ def package(tmp_path: Path) -> Path:
 
 def environment(package: Path, **more: str) -> dict[str, str]:
     kept = {name: text for name, text in os.environ.items() if not name.startswith("NUMBA")}
-    return kept | {"PYTHONPATH": f"{package.parent}{os.pathsep}{Path(ops.__file__).parents[1]}"} | more
+    return kept | {"PYTHONPATH": f"{package.parent}{os.pathsep}{Path(str(kinedex.__file__)).parents[1]}"} | more
 
 
 def twice(package: Path, **more: str) -> int:
@@ -70,31 +70,31 @@ def test_a_kernel_is_compiled_again_when_one_that_it_calls_has_changed(
 def test_only_what_imports_a_changed_file_is_forgotten(package: Path) -> None:
     kernels = [package / "__pycache__" / f"{name}-1.py311.nbi" for name in ("calling.twice", "other.half")]
     kernels.append(package / "deep" / "__pycache__" / "called.step-5.py311.nbi")
-    assert sorted(forget_outdated(package, {})) == [
+    assert sorted(forget_outdated(package, "kernels", {})) == [
         "__init__.py", "calling.py", "deep/__init__.py", "deep/called.py", "other.py",
     ]  # fmt: skip
     for kernel in kernels:
         kernel.parent.mkdir(exist_ok=True)
         kernel.write_text("compiled")
-    assert forget_outdated(package, {}) == []
+    assert forget_outdated(package, "kernels", {}) == []
     (package / "deep" / "called.py").write_text(CALLED.format(number=12))
-    assert forget_outdated(package, {}) == ["calling.py", "deep/called.py"]
+    assert forget_outdated(package, "kernels", {}) == ["calling.py", "deep/called.py"]
     assert [kernel.exists() for kernel in kernels] == [False, True, False]
 
 
 def test_a_file_of_the_same_content_is_the_same_whenever_it_was_written(package: Path) -> None:
-    forget_outdated(package, {})
+    forget_outdated(package, "kernels", {})
     os.utime(package / "other.py", (1, 1))
-    assert forget_outdated(package, {}) == []
+    assert forget_outdated(package, "kernels", {}) == []
     assert json.loads((package / "__pycache__" / STAMP).read_text())["other.py"][1] == 1_000_000_000
 
 
 def test_a_broken_note_of_what_was_compiled_counts_as_none(package: Path) -> None:
-    forget_outdated(package, {})
+    forget_outdated(package, "kernels", {})
     (package / "__pycache__" / STAMP).write_text('{"other.py": 3}')
-    assert len(forget_outdated(package, {})) == 5
+    assert len(forget_outdated(package, "kernels", {})) == 5
 
 
 def test_where_nothing_is_compiled_nothing_is_forgotten(package: Path) -> None:
-    assert forget_outdated(package, {"NUMBA_DISABLE_JIT": "1"}) == []
+    assert forget_outdated(package, "kernels", {"NUMBA_DISABLE_JIT": "1"}) == []
     assert not (package / "__pycache__").exists()

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops import textnumbers as t
-from ops.errors import ParameterError
+from kinedex.ops import textnumbers as t
+from kinedex.ops.errors import ParameterError
 
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 

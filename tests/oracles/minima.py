@@ -11,14 +11,14 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from ops.distances.annotation import TOLERANCE
-from ops.distances.costs import F64, I32, I64, CodedWords, encode, lay_out
-from ops.distances.dtw import check_ranges
-from ops.distances.pruning import Coarse, bounds_below, coarse_bound, possible_minima
-from ops.distances.windows import sum_window, walk_back, workspace
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
-from ops.words import U64
+from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, encode, lay_out
+from kinedex.ops.distances.dtw import check_ranges
+from kinedex.ops.distances.pruning import Coarse, bounds_below, coarse_bound, possible_minima
+from kinedex.ops.distances.windows import sum_window, walk_back, workspace
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import U64
 
 _TABLE_CELLS = 4_000_000  # of a window's sums: 32 MB
 

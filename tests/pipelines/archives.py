@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from catalog.features import load_feature_set
-from pipelines.context import StageContext
-from pipelines.executors import make_executor
-from pipelines.terminal import Terminal
+from kinedex.catalog.features import load_feature_set
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.executors import make_executor
+from kinedex.pipelines.terminal import Terminal
 
 PARENTS = {
     "lhipjoint": "root", "lfemur": "lhipjoint", "ltibia": "lfemur", "lfoot": "ltibia", "ltoes": "lfoot",

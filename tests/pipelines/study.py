@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from pipelines.report.data import (
+from kinedex.pipelines.report.data import (
     Curve,
     Failure,
     FeatureNames,

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from pipelines.cli import app
+from kinedex.pipelines.cli import app
 from tests.pipelines.archives import write_archive
 
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from catalog.configs import config_names, config_path, load_yaml
-from ops.errors import ConfigError, KinedexError
-from pipelines.config import STAGES, load_pipeline, stage_module
+from kinedex.catalog.configs import config_names, config_path, load_yaml
+from kinedex.ops.errors import ConfigError, KinedexError
+from kinedex.pipelines.config import STAGES, load_pipeline, stage_module
 
 GOOD = """
 name: small

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from ops.errors import KinedexError
-from ops.measures.metrics import Counts
-from pipelines.cli import app
-from pipelines.evaluation.differences import compared, content, difference_interval, without_repeats
-from pipelines.evaluation.differencetables import markdown, page
-from pipelines.evaluation.evaluating import Evaluation, Row, write_metrics
-from pipelines.evaluation.runs import Scored, pairs, read_run
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.measures.metrics import Counts
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.evaluation.differences import compared, content, difference_interval, without_repeats
+from kinedex.pipelines.evaluation.differencetables import markdown, page
+from kinedex.pipelines.evaluation.evaluating import Evaluation, Row, write_metrics
+from kinedex.pipelines.evaluation.runs import Scored, pairs, read_run
 from tests.pipelines.study import Reading
 
 

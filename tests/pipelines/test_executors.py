@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from ops.errors import KinedexError, ParameterError
-from pipelines import executors
-from pipelines.executors import DaskExecutor, ProcessExecutor, SerialExecutor, make_executor
-from pipelines.runner import run_pipeline
-from storage.store import open_store
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines import executors
+from kinedex.pipelines.executors import DaskExecutor, ProcessExecutor, SerialExecutor, make_executor
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.storage.store import open_store
 from tests.pipelines.archives import write_archive
 
 
@@ -101,7 +101,7 @@ def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
 
 ORPHANS = """
 import os, time
-from pipelines.executors import ProcessExecutor
+from kinedex.pipelines.executors import ProcessExecutor
 
 def who(_):
     time.sleep(0.2)

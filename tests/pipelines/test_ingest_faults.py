@@ -14,16 +14,16 @@ from typing import Any
 
 import pytest
 
-from ops.errors import KinedexError, StoreError
-from pipelines.cli import app
-from pipelines.executors import SerialExecutor, WorkerDied
-from pipelines.ingesting import reading
-from pipelines.stages import ingest
-from storage import index
-from storage.bodies import Body, read_body
-from storage.compaction import FANOUT
-from storage.store import Store, open_store
-from storage.verify import verify
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.executors import SerialExecutor, WorkerDied
+from kinedex.pipelines.ingesting import reading
+from kinedex.pipelines.stages import ingest
+from kinedex.storage import index
+from kinedex.storage.bodies import Body, read_body
+from kinedex.storage.compaction import FANOUT
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
 from tests.pipelines.archives import context, human_amc, write_archive
 
 ROOT = Path(__file__).resolve().parents[2]

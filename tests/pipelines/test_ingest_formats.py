@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_skeleton
-from ops.errors import KinedexError
-from pipelines.stages import ingest
-from pipelines.terminal import Terminal
-from storage.bodymodel import BODY
-from storage.export import export_take
-from storage.parts import joint_positions
-from storage.store import Store, open_store
-from storage.verify import verify
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_skeleton
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.bodymodel import BODY
+from kinedex.storage.export import export_take
+from kinedex.storage.parts import joint_positions
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.pipelines.archives import context, write_archive

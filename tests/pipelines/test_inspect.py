@@ -13,16 +13,16 @@ import pytest
 from PIL import Image, ImageColor
 from typer.testing import CliRunner
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings
-from ops.errors import KinedexError, SourceError
-from ops.words import NO_WORD
-from pipelines.cli import app
-from pipelines.holding import holding
-from pipelines.ingesting.analysis import analyse
-from pipelines.inspect import Inspection, inspect_file, write_picture
-from pipelines.picture import LEFT, MIDDLE, RIGHT
-from storage.bodies import Given, read_body
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.holding import holding
+from kinedex.pipelines.ingesting.analysis import analyse
+from kinedex.pipelines.inspect import Inspection, inspect_file, write_picture
+from kinedex.pipelines.picture import LEFT, MIDDLE, RIGHT
+from kinedex.storage.bodies import Given, read_body
 from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
@@ -222,7 +222,7 @@ def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Pat
         app, ["inspect", str(write_bvh(tmp_path / "w.bvh")), "--features", "--picture", str(tmp_path / "w.png")]
     )
     assert re.search(r"F13 +rhand_fast +100 +1 +1\.333 +–", shown.stdout)
-    command = [sys.executable, "-m", "pipelines.cli", "inspect", str(tmp_path / "odd.bvh"), "--picture"]
+    command = [sys.executable, "-m", "kinedex.pipelines.cli", "inspect", str(tmp_path / "odd.bvh"), "--picture"]
     done = subprocess.run([*command, str(tmp_path / "o.png")], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "lacks LeftUpLeg, for joint 'lhip'" in done.stdout

@@ -10,12 +10,12 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from ops.errors import KinedexError
-from pipelines.runner import Outcome, run_pipeline
-from pipelines.terminal import Terminal
-from storage.export import export_take
-from storage.store import open_store
-from storage.verify import verify
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.runner import Outcome, run_pipeline
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.export import export_take
+from kinedex.storage.store import open_store
+from kinedex.storage.verify import verify
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 
 TAKE = "X_ann_take1"

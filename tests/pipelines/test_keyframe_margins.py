@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.learning.queries import Query
-from pipelines.keyframes.margins import ALONE, clips_hit, margins_of
+from kinedex.ops.learning.queries import Query
+from kinedex.pipelines.keyframes.margins import ALONE, clips_hit, margins_of
 
 FEATURES = 3
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ops.learning.consensus import Consensus
-from ops.learning.lessons import Run
-from ops.learning.queries import Query
-from pipelines.keyframes.learning import Chosen, Outcome
-from pipelines.report.keyframes import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
+from kinedex.ops.learning.consensus import Consensus
+from kinedex.ops.learning.lessons import Run
+from kinedex.ops.learning.queries import Query
+from kinedex.pipelines.keyframes.learning import Chosen, Outcome
+from kinedex.pipelines.report.keyframes import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY
 from tests.pipelines.study import Reading
 

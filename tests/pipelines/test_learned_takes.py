@@ -10,16 +10,16 @@ import yaml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from ops.errors import KinedexError
-from pipelines import plan
-from pipelines.cli import app
-from pipelines.config import load_pipeline
-from pipelines.plan import make_plan
-from pipelines.runner import Outcome, run_pipeline
-from pipelines.stages import learn_keyframes
-from pipelines.terminal import Terminal
-from storage.store import open_store
-from storage.writer import StoreWriter
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines import plan
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.plan import make_plan
+from kinedex.pipelines.runner import Outcome, run_pipeline
+from kinedex.pipelines.stages import learn_keyframes
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.store import open_store
+from kinedex.storage.writer import StoreWriter
 from tests.pipelines.archives import human_amc, write_archive
 from tests.pipelines.labelled import BODY, POSES, clip, long_take, write_store
 

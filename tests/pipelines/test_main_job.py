@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from pipelines.demo import run_demo
-from pipelines.runner import Outcome
-from pipelines.searching.search import load_query_file, search_store
-from storage.store import open_store
-from storage.verify import verify
+from kinedex.pipelines.demo import run_demo
+from kinedex.pipelines.runner import Outcome
+from kinedex.pipelines.searching.search import load_query_file, search_store
+from kinedex.storage.store import open_store
+from kinedex.storage.verify import verify
 
 pytestmark = pytest.mark.slow
 

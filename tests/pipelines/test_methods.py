@@ -12,21 +12,21 @@ from typing import ClassVar
 import pytest
 from rich.console import Console
 
-from ops.errors import KinedexError
-from ops.measures.metrics import Counts
-from pipelines.config import load_pipeline
-from pipelines.evaluation import cells as grid
-from pipelines.evaluation.cells import Segment
-from pipelines.evaluation.exams import Exam, Fold
-from pipelines.evaluation.judging import chosen_takes, fates, joined, judge
-from pipelines.evaluation.scheme import METRICS, Method, Split
-from pipelines.evaluation.study import SplitResult, Study
-from pipelines.evaluation.tables import overview
-from pipelines.keyframes import runs as keyframe_runs
-from pipelines.runner import run_pipeline
-from pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
-from pipelines.terminal import Terminal
-from storage.store import open_store
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.measures.metrics import Counts
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.evaluation import cells as grid
+from kinedex.pipelines.evaluation.cells import Segment
+from kinedex.pipelines.evaluation.exams import Exam, Fold
+from kinedex.pipelines.evaluation.judging import chosen_takes, fates, joined, judge
+from kinedex.pipelines.evaluation.scheme import METRICS, Method, Split
+from kinedex.pipelines.evaluation.study import SplitResult, Study
+from kinedex.pipelines.evaluation.tables import overview
+from kinedex.pipelines.keyframes import runs as keyframe_runs
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
 from tests.pipelines.study import Reading
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.configs import config_path
-from pipelines.runner import StageFailed, run_pipeline
-from storage.store import open_store
+from kinedex.catalog.configs import config_path
+from kinedex.pipelines.runner import StageFailed, run_pipeline
+from kinedex.storage.store import open_store
 from tests.pipelines.archives import write_archive
 
 

@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from catalog.configs import shipped_configs
-from ops.errors import ConfigError, KinedexError, NewStoreError, ParameterError, SourceError
-from pipelines.config import load_pipeline
-from pipelines.executors import SerialExecutor
-from pipelines.plan import imports_of, make_plan
-from pipelines.runner import StageFailed, run_pipeline
-from pipelines.stages import index, ingest
-from pipelines.terminal import Terminal
-from storage.store import open_store
-from storage.writer import StoreWriter
+from kinedex.catalog.configs import shipped_configs
+from kinedex.ops.errors import ConfigError, KinedexError, NewStoreError, ParameterError, SourceError
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.executors import SerialExecutor
+from kinedex.pipelines.plan import imports_of, make_plan
+from kinedex.pipelines.runner import StageFailed, run_pipeline
+from kinedex.pipelines.stages import index, ingest
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.store import open_store
+from kinedex.storage.writer import StoreWriter
 from tests.pipelines.archives import human_amc, write_archive
 
 
@@ -198,17 +198,17 @@ def test_errors_cross_from_a_worker_process_whole(error: KinedexError) -> None:
 
 def test_imports_are_found_at_any_depth() -> None:
     source = """
-import ops.a
+import kinedex.ops.a
 def f():
-    from catalog import b
+    from kinedex.catalog import b
     try:
         pass
     except ValueError:
-        import storage.c
+        import kinedex.storage.c
     else:
-        import storage.d
+        import kinedex.storage.d
     finally:
-        import storage.e
+        import kinedex.storage.e
     match 1:
         case 2:
             with open("x"):
@@ -218,7 +218,8 @@ def f():
     else:
         from .h import i
 """
-    assert imports_of(source, "pipelines.stages.z") == [
-        "catalog", "catalog.b", "ops.a", "pipelines.stages", "pipelines.stages.g", "pipelines.stages.h",
-        "pipelines.stages.h.i", "storage.c", "storage.d", "storage.e",
+    assert imports_of(source, "kinedex.pipelines.stages.z") == [
+        "kinedex.catalog", "kinedex.catalog.b", "kinedex.ops.a", "kinedex.pipelines.stages",
+        "kinedex.pipelines.stages.g", "kinedex.pipelines.stages.h", "kinedex.pipelines.stages.h.i",
+        "kinedex.storage.c", "kinedex.storage.d", "kinedex.storage.e",
     ]  # fmt: skip

@@ -7,9 +7,9 @@ import io
 import pytest
 from rich.console import Console
 
-from pipelines.prompt import completer, run_prompt
-from pipelines.stages import index, ingest
-from storage.store import Store, open_store
+from kinedex.pipelines.prompt import completer, run_prompt
+from kinedex.pipelines.stages import index, ingest
+from kinedex.storage.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 
 

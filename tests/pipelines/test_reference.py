@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipelines.stages import ingest
-from storage.parts import joint_positions
-from storage.store import Store, open_store
+from kinedex.pipelines.stages import ingest
+from kinedex.storage.parts import joint_positions
+from kinedex.storage.store import Store, open_store
 from tests.pipelines.archives import context
 
 pytestmark = [pytest.mark.shared, pytest.mark.slow]

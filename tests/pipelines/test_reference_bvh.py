@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings
-from ops.body import features
-from pipelines.stages import ingest
-from storage.bodies import Body, read_acclaim, read_bvh
-from storage.store import Store, open_store
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings
+from kinedex.ops.body import features
+from kinedex.pipelines.stages import ingest
+from kinedex.storage.bodies import Body, read_acclaim, read_bvh
+from kinedex.storage.store import Store, open_store
 from tests.pipelines.archives import context
 
 pytestmark = pytest.mark.shared

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from ops.errors import KinedexError
-from pipelines.report.data import (
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.report.data import (
     Curve,
     Failure,
     HitCount,
@@ -20,7 +20,7 @@ from pipelines.report.data import (
     TakeRow,
     Template,
 )
-from pipelines.report.render import render
+from kinedex.pipelines.report.render import render
 from tests.pipelines.study import FRAMES, Reading, study
 
 

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ops.errors import ParameterError
-from pipelines.report.axes import time_axis
-from pipelines.report.choice import choose_takes, median_take, worst_middle_best
-from pipelines.report.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
-from pipelines.report.data import (
+from kinedex.ops.errors import ParameterError
+from kinedex.pipelines.report.axes import time_axis
+from kinedex.pipelines.report.choice import choose_takes, median_take, worst_middle_best
+from kinedex.pipelines.report.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
+from kinedex.pipelines.report.data import (
     Curve,
     Score,
     Segment,
     TakeRow,
 )
-from pipelines.report.palette import CLASS_COLOURS
-from pipelines.report.pixels import SCALE, quantised_image, soft_image, wildcard_share
-from pipelines.report.timelines import timeline
-from pipelines.report.write import write_page
+from kinedex.pipelines.report.palette import CLASS_COLOURS
+from kinedex.pipelines.report.pixels import SCALE, quantised_image, soft_image, wildcard_share
+from kinedex.pipelines.report.timelines import timeline
+from kinedex.pipelines.report.write import write_page
 from tests.pipelines.study import FRAMES, study
 
 

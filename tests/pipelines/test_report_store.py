@@ -8,22 +8,22 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from catalog.features import load_feature_set
-from ops.errors import KinedexError
-from pipelines.context import StageContext
-from pipelines.executors import make_executor
-from pipelines.report.data import (
+from kinedex.catalog.features import load_feature_set
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.executors import make_executor
+from kinedex.pipelines.report.data import (
     Failure,
     Segment,
 )
-from pipelines.report.gather import gather
-from pipelines.report.render import render
-from pipelines.stages import report as stage
-from pipelines.terminal import Terminal
-from storage.manifest import StageRecord
-from storage.schemas import frames_schema, result_schema, takes_schema
-from storage.store import open_store
-from storage.writer import StoreWriter
+from kinedex.pipelines.report.gather import gather
+from kinedex.pipelines.report.render import render
+from kinedex.pipelines.stages import report as stage
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage.manifest import StageRecord
+from kinedex.storage.schemas import frames_schema, result_schema, takes_schema
+from kinedex.storage.store import open_store
+from kinedex.storage.writer import StoreWriter
 from tests.pipelines.study import FRAMES, MOMENT, Reading
 
 

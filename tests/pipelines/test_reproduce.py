@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.config import load_pipeline
-from pipelines.report.data import StageRow
-from pipelines.report.reproduce import command
+from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.report.data import StageRow
+from kinedex.pipelines.report.reproduce import command
 
 
 @pytest.mark.parametrize("source", ["/archive", "/my archive #1", "/a: b", "/it's 'here'", "2024"])

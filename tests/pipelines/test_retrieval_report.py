@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
-from ops.search.gaps import UNBOUNDED
-from pipelines.report.retrieval import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
-from pipelines.retrieval.retrieval import Judged
-from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
-from pipelines.runner import run_pipeline
-from storage.store import open_store
+from kinedex.catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.pipelines.report.retrieval import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
+from kinedex.pipelines.retrieval.retrieval import Judged
+from kinedex.pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.storage.store import open_store
 from tests.pipelines.study import Reading
 
 

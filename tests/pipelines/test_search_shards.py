@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.queries import KeyframeQuery
-from catalog.queryfiles import parse_queries
-from pipelines.searching.search import search_store
-from storage import index
-from storage.parts import FramesWriter
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.catalog.queryfiles import parse_queries
+from kinedex.pipelines.searching.search import search_store
+from kinedex.storage import index
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import BODY, take_row, takes_table
 
 QUERIES: tuple[KeyframeQuery, ...] = parse_queries(

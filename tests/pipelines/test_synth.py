@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from benchmarks.synth_calibration import HDM05, HDM05_FRAMES, SETS, figures, within, words_of
-from catalog.classes import load_classes
-from ops.errors import KinedexError, ParameterError
-from ops.synth.motions import MOTIONS
-from pipelines.synth import Summary, write_archive
-from storage.acclaim import read_amc, read_asf
-from storage.sources import scan, skeleton_of
+from kinedex.catalog.classes import load_classes
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.synth.motions import MOTIONS
+from kinedex.pipelines.synth import Summary, write_archive
+from kinedex.storage.acclaim import read_amc, read_asf
+from kinedex.storage.sources import scan, skeleton_of
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from ops.errors import KinedexError
-from pipelines.tables import Shown, encode, rich_table
-from pipelines.terminal import Terminal
-from storage import duck
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.tables import Shown, encode, rich_table
+from kinedex.pipelines.terminal import Terminal
+from kinedex.storage import duck
 
 
 def asked(query: str) -> pa.Table:

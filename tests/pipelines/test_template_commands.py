@@ -11,13 +11,13 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from catalog.configs import parse_yaml
-from catalog.templatefiles import read_templates
-from ops.errors import ConfigError
-from ops.words import NO_WORD
-from pipelines.cli import app
-from pipelines.stages import learn_templates
-from pipelines.templates.recipes import Combination
+from kinedex.catalog.configs import parse_yaml
+from kinedex.catalog.templatefiles import read_templates
+from kinedex.ops.errors import ConfigError
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.stages import learn_templates
+from kinedex.pipelines.templates.recipes import Combination
 from tests.pipelines.labelled import BODY, POSES, Line, clip, motion, write_store
 
 CLIPS = [

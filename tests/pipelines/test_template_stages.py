@@ -13,10 +13,10 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from ops.errors import ConfigError, KinedexError, SourceError
-from pipelines.annotation.annotating import TakeAnnotation, annotate_takes
-from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
-from storage.store import open_store
+from kinedex.ops.errors import ConfigError, KinedexError, SourceError
+from kinedex.pipelines.annotation.annotating import TakeAnnotation, annotate_takes
+from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from kinedex.storage.store import open_store
 from tests.pipelines.labelled import TRUTH, Line, labelled_line, long_take, write_store
 
 
@@ -39,7 +39,7 @@ def test_every_subclass_gets_a_soft_and_a_hard_template_with_its_clips(line: Lin
 def test_templates_do_not_depend_on_the_executor(line: Line, monkeypatch: pytest.MonkeyPatch):
     line.run(learn_templates)
     alone = open_store(line.store).result("templates").drop_columns(["run"])
-    monkeypatch.setattr("pipelines.templates.learning._TASK_CELLS", 1)
+    monkeypatch.setattr("kinedex.pipelines.templates.learning._TASK_CELLS", 1)
     spread = Line(line.store, "processes")
     spread.run(learn_templates)
     spread.executor.close()
@@ -118,7 +118,7 @@ def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch:
     line.run(learn_templates, methods=["soft"])
     line.run(annotate, where="true")
     whole = open_store(line.store).result("distance_curves").sort_by([("take", "ascending"), ("subclass", "ascending")])
-    monkeypatch.setattr("pipelines.annotation.annotating.BATCH_FRAMES", 1)
+    monkeypatch.setattr("kinedex.pipelines.annotation.annotating.BATCH_FRAMES", 1)
     alive: list[weakref.ref[np.ndarray]] = []
     most = []
 

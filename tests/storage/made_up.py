@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from catalog.features import load_feature_set
-from storage.manifest import Part
-from storage.parts import FramesWriter
-from storage.schemas import takes_schema
-from storage.writer import StoreWriter
+from kinedex.catalog.features import load_feature_set
+from kinedex.storage.manifest import Part
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.schemas import takes_schema
+from kinedex.storage.writer import StoreWriter
 
 BODY = load_feature_set("body40")
 

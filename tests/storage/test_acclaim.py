@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops import textnumbers
-from ops.body import kinematics
-from ops.errors import SourceError
-from storage.acclaim import read_amc, read_asf
+from kinedex.ops import textnumbers
+from kinedex.ops.body import kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.storage.acclaim import read_amc, read_asf
 from tests.acclaim_files import SKELETON, amc_text, asf_text, rest
 from tests.oracles import kinematics as oracle
 

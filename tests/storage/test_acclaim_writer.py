@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.body import kinematics
-from ops.errors import ParameterError
-from ops.synth.actors import cast
-from ops.synth.performance import perform_clip
-from ops.synth.solve import columns
-from storage.acclaim import read_amc, read_asf
-from storage.acclaim_writer import Dialect, _fixed, _scientific, write_amc, write_asf
+from kinedex.ops.body import kinematics
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.synth.actors import cast
+from kinedex.ops.synth.performance import perform_clip
+from kinedex.ops.synth.solve import columns
+from kinedex.storage.acclaim import read_amc, read_asf
+from kinedex.storage.acclaim_writer import Dialect, _fixed, _scientific, write_amc, write_asf
 from tests.ops.synth.bodies import places
 
 DIALECTS = (

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings
-from ops.errors import ConfigError, SourceError
-from storage.amass import parse_amass
-from storage.bodies import Body, Given, form_of, read_body
-from storage.bodymodel import BODY, FACE, HANDS, load_body_model
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings
+from kinedex.ops.errors import ConfigError, SourceError
+from kinedex.storage.amass import parse_amass
+from kinedex.storage.bodies import Body, Given, form_of, read_body
+from kinedex.storage.bodymodel import BODY, FACE, HANDS, load_body_model
 from tests.bodies import STANDING
 from tests.oracles import axisangle as oracle
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings, load_skeleton
-from ops.body import features
-from ops.errors import SourceError
-from storage import bodies
-from storage.bodies import Body, Given, read_body, read_bvh
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings, load_skeleton
+from kinedex.ops.body import features
+from kinedex.ops.errors import SourceError
+from kinedex.storage import bodies
+from kinedex.storage.bodies import Body, Given, read_body, read_bvh
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
 from tests.oracles import bvh as oracle
 

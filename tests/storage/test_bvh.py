@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.body import kinematics
-from ops.errors import SourceError
-from storage.bvh import Bvh, frame_rate, parse_bvh
+from kinedex.ops.body import kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.storage.bvh import Bvh, frame_rate, parse_bvh
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, small, still
 from tests.oracles import bvh as oracle
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings
-from ops.errors import SourceError
-from storage import c3d
-from storage.bodies import Body, Given, read_body
-from storage.c3d import parse_c3d
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings
+from kinedex.ops.errors import SourceError
+from kinedex.storage import c3d
+from kinedex.storage.bodies import Body, Given, read_body
+from kinedex.storage.c3d import parse_c3d
 from tests.bodies import STANDING
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 

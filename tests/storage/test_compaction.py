@@ -14,15 +14,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.errors import StoreError
-from storage import compaction, index
-from storage import writer as writers
-from storage.compaction import FANOUT, compact, divided, worthwhile
-from storage.manifest import Part, versions
-from storage.parts import ROW_GROUP, FramesWriter
-from storage.store import Store, open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
+from kinedex.ops.errors import StoreError
+from kinedex.storage import compaction, index
+from kinedex.storage import writer as writers
+from kinedex.storage.compaction import FANOUT, compact, divided, worthwhile
+from kinedex.storage.manifest import Part, versions
+from kinedex.storage.parts import ROW_GROUP, FramesWriter
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
+from kinedex.storage.writer import StoreWriter
 from tests import killing
 from tests.storage.made_up import BODY, add, arrays, take_row, takes_table
 
@@ -142,13 +142,13 @@ def test_takes_that_interleave_over_parts_and_row_groups_come_out_in_order(
     with StoreWriter.open(tmp_path, BODY) as writer:
         ids = writer.assign_take_ids([f"t{take:03}" for take in lengths])
         for place in range(FANOUT):
-            monkeypatch.setattr("storage.parts.ROW_GROUP", 25)
+            monkeypatch.setattr("kinedex.storage.parts.ROW_GROUP", 25)
             with FramesWriter(tmp_path, BODY) as part:
                 mine = [take for take in lengths if take % FANOUT == place]
                 for take in mine:
                     part.add(take, *arrays(f"t{take:03}", lengths[take]))
                 written = part.close()
-            monkeypatch.setattr("storage.parts.ROW_GROUP", ROW_GROUP)
+            monkeypatch.setattr("kinedex.storage.parts.ROW_GROUP", ROW_GROUP)
             assert sorted(ids.values()) == sorted(lengths)
             writer.add_takes(takes_table([take_row(take, f"t{take:03}", lengths[take]) for take in mine]), written)
         before = Store(tmp_path, writer.commit())

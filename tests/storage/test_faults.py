@@ -15,15 +15,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import StoreError
-from storage import garbage
-from storage.compaction import FANOUT, compact
-from storage.lock import Lock
-from storage.manifest import Manifest, _checksum, manifest_path, named_files, publish, ranges, read_version
-from storage.parts import FramesWriter
-from storage.store import open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
+from kinedex.ops.errors import StoreError
+from kinedex.storage import garbage
+from kinedex.storage.compaction import FANOUT, compact
+from kinedex.storage.lock import Lock
+from kinedex.storage.manifest import Manifest, _checksum, manifest_path, named_files, publish, ranges, read_version
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.store import open_store
+from kinedex.storage.verify import verify
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store
 
 FULL = Path("/dev/full")
@@ -115,7 +115,7 @@ def test_garbage_can_be_collected_on_a_full_disk(tmp_path: Path, monkeypatch: py
     with StoreWriter.open(tmp_path, BODY) as writer:
         add(writer, {"a": 6}, edition=1)
         writer.commit()
-    monkeypatch.setattr("storage.lock.open", FullFile, raising=False)
+    monkeypatch.setattr("kinedex.storage.lock.open", FullFile, raising=False)
     assert [item.what for item in garbage.collect(tmp_path, keep=1)].count("frames part") == 1
 
 

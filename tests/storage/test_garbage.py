@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from ops.errors import ParameterError, StoreError
-from storage import garbage, index
-from storage.compaction import FANOUT, compact
-from storage.garbage import collect, shown_bytes, summary
-from storage.lock import Lock
-from storage.manifest import manifest_path, named_files, read_version, versions
-from storage.store import Store, open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
+from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.storage import garbage, index
+from kinedex.storage.compaction import FANOUT, compact
+from kinedex.storage.garbage import collect, shown_bytes, summary
+from kinedex.storage.lock import Lock
+from kinedex.storage.manifest import manifest_path, named_files, read_version, versions
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store, write_frames
 from tests.storage.test_writer import hits
 

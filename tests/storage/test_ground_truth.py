@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ops.errors import KinedexError, SourceError
-from storage.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.storage.ground_truth import ground_truth_files, read_ground_truth
 
 
 def written(folder: Path, text: str | bytes) -> Path:

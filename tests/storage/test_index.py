@@ -16,16 +16,16 @@ import duckdb
 import numpy as np
 import pytest
 
-from ops.errors import StoreError
-from ops.words import NO_WORD, cut
-from storage import index
-from storage.index import generations, tables
-from storage.index.generations import KEPT
-from storage.lock import Lock
-from storage.parts import FramesWriter
-from storage.store import Store, open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
+from kinedex.ops.errors import StoreError
+from kinedex.ops.words import NO_WORD, cut
+from kinedex.storage import index
+from kinedex.storage.index import generations, tables
+from kinedex.storage.index.generations import KEPT
+from kinedex.storage.lock import Lock
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
+from kinedex.storage.writer import StoreWriter
 from tests.oracles import runs as naive
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table
 
@@ -103,7 +103,7 @@ def test_an_index_is_built_once(store: Store) -> None:
 
 
 def test_results_do_not_make_an_index_stale(store: Store) -> None:
-    from storage.manifest import StageRecord
+    from kinedex.storage.manifest import StageRecord
 
     with StoreWriter.open(store.path, BODY) as writer:
         writer.record_stage(StageRecord("p/index", "f", "r", "2026-01-01T00:00:00Z", 1.0))
@@ -268,9 +268,9 @@ def test_a_killed_build_leaves_nothing_visible_and_the_next_cleans_up(store: Sto
 
 KILLED = """
 import os, signal, sys
-from storage import index
-from storage.index import tables
-from storage.store import open_store
+from kinedex.storage import index
+from kinedex.storage.index import tables
+from kinedex.storage.store import open_store
 tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 index.build(open_store(sys.argv[1]))
 """
@@ -292,9 +292,9 @@ def test_a_disk_that_fills_is_a_clear_error_and_leaves_the_generation_before(sto
 
 FULL = """
 import resource, signal, sys
-from ops.errors import StoreError
-from storage import index
-from storage.store import open_store
+from kinedex.ops.errors import StoreError
+from kinedex.storage import index
+from kinedex.storage.store import open_store
 store = open_store(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from catalog.views import MACROS
-from storage import index
-from storage.compaction import compact
-from storage.index import tables
-from storage.index.generations import Generation
-from storage.index.plan import FANOUT
-from storage.store import Store, open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
+from kinedex.catalog.views import MACROS
+from kinedex.storage import index
+from kinedex.storage.compaction import compact
+from kinedex.storage.index import tables
+from kinedex.storage.index.generations import Generation
+from kinedex.storage.index.plan import FANOUT
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
+from kinedex.storage.writer import StoreWriter
 from tests.oracles import index_tables
 from tests.storage.made_up import BODY, add, make_store
 

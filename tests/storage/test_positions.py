@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.features import load_feature_set
-from catalog.skeletons import load_mappings, load_skeleton
-from ops.body import features, kinematics
-from ops.errors import SourceError
-from storage import arrays as stored
-from storage.bodies import Body, Given, read_body
-from storage.positions import is_positions_csv, parse_positions
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons import load_mappings, load_skeleton
+from kinedex.ops.body import features, kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.storage import arrays as stored
+from kinedex.storage.bodies import Body, Given, read_body
+from kinedex.storage.positions import is_positions_csv, parse_positions
 from tests.bodies import STANDING, index, standing, turned
 
 FEATURES = load_feature_set()

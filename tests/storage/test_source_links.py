@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from ops.errors import SourceError, StoreError
-from storage.sources import checksum, readable, scan
+from kinedex.ops.errors import SourceError, StoreError
+from kinedex.storage.sources import checksum, readable, scan
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and raw bytes in names")
 

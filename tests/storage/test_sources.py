@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ops.errors import SourceError, StoreError
-from storage.sources import SourceFile, path_groups, scan, skeleton_of
+from kinedex.ops.errors import SourceError, StoreError
+from kinedex.storage.sources import SourceFile, path_groups, scan, skeleton_of
 
 
 def files(*paths: str) -> list[SourceFile]:

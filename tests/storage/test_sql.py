@@ -14,13 +14,13 @@ import duckdb
 import pyarrow as pa
 import pytest
 
-from ops.errors import KinedexError, StoreError
-from storage import index
-from storage.duck import statements
-from storage.manifest import Manifest
-from storage.schemas import RESULT_KINDS, result_schema
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.storage import index
+from kinedex.storage.duck import statements
+from kinedex.storage.manifest import Manifest
+from kinedex.storage.schemas import RESULT_KINDS, result_schema
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store
 
 

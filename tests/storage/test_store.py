@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ops.errors import KinedexError, ParameterError, StoreError
-from storage.manifest import manifest_path
-from storage.parts import ROW_GROUP, joint_positions
-from storage.schemas import FORMAT_VERSION
-from storage.store import open_store
-from storage.writer import StoreWriter
+from kinedex.ops.errors import KinedexError, ParameterError, StoreError
+from kinedex.storage.manifest import manifest_path
+from kinedex.storage.parts import ROW_GROUP, joint_positions
+from kinedex.storage.schemas import FORMAT_VERSION
+from kinedex.storage.store import open_store
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
 
 TAKES = {"bd_walk": 50, "bk_kick": 7, "dg_still": 1, "mm_empty": 0}
@@ -113,7 +113,7 @@ def test_words_survive_many_parts_and_row_groups(tmp_path: Path) -> None:
 
 
 def write_words(store: Path, takes: dict[int, int]):
-    from storage.parts import FramesWriter
+    from kinedex.storage.parts import FramesWriter
 
     with FramesWriter(store, BODY) as writer:
         for take, frames in sorted(takes.items()):

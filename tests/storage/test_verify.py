@@ -10,12 +10,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from storage import index
-from storage.manifest import Manifest, Part, manifest_path
-from storage.parts import publish_part
-from storage.store import Store, open_store
-from storage.verify import verify
-from storage.writer import StoreWriter
+from kinedex.storage import index
+from kinedex.storage.manifest import Manifest, Part, manifest_path
+from kinedex.storage.parts import publish_part
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store, write_frames
 
 

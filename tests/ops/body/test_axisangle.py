@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.body import axisangle
-from ops.errors import ParameterError
+from kinedex.ops.body import axisangle
+from kinedex.ops.errors import ParameterError
 from tests.oracles import axisangle as oracle
 
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalog.features import load_feature_set
-from ops.body import features
-from ops.errors import ParameterError
-from ops.words import NO_WORD
+from kinedex.catalog.features import load_feature_set
+from kinedex.ops.body import features
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import NO_WORD
 from tests.bodies import index, standing, turned, upright, x_axes
 from tests.oracles import features as oracle
 

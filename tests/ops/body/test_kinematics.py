@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ops.body import kinematics as k
-from ops.errors import ParameterError
+from kinedex.ops.body import kinematics as k
+from kinedex.ops.errors import ParameterError
 
 
 def chain(seed: int = 0) -> tuple[tuple[k.Node, ...], int]:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.body import primitives as p
+from kinedex.ops.body import primitives as p
 
 LIMITS = st.floats(-1e300, 1e300)
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.body.resample import feature_rate, resample
-from ops.errors import ParameterError
+from kinedex.ops.body.resample import feature_rate, resample
+from kinedex.ops.errors import ParameterError
 from tests.bodies import standing, turned, upright
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances.annotation import Matches, Segment, annotate, local_minima
-from ops.errors import ParameterError
+from kinedex.ops.distances.annotation import Matches, Segment, annotate, local_minima
+from kinedex.ops.errors import ParameterError
 from tests.oracles import annotation as naive
 
 INF = math.inf

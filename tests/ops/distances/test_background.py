@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.distances.background import background, log_likelihoods
-from ops.errors import ParameterError
-from ops.words import NO_WORD, bits, pack
+from kinedex.ops.distances.background import background, log_likelihoods
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import NO_WORD, bits, pack
 from tests.oracles.decoding import likelihood
 
 FEATURES = 4

@@ -6,12 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances import ranking
-from ops.distances.blockwise import gather_blocks
-from ops.distances.costs import encode, lay_out
-from ops.distances.pruning import coarse_bounds
-from ops.distances.stripes import BLOCK
-from ops.words import TakeWords
+from kinedex.ops.distances import ranking
+from kinedex.ops.distances.blockwise import gather_blocks
+from kinedex.ops.distances.costs import encode, lay_out
+from kinedex.ops.distances.pruning import coarse_bounds
+from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.words import TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances.calibration import best_threshold
-from ops.errors import ParameterError
+from kinedex.ops.distances.calibration import best_threshold
+from kinedex.ops.errors import ParameterError
 
 costs = st.lists(st.integers(0, 40).map(lambda n: n / 40) | st.just(np.inf), max_size=12)
 

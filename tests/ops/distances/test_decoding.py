@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.distances.decoding import (
+from kinedex.ops.distances.decoding import (
     STANDING_OUT,
     Decoding,
     Explained,
@@ -19,9 +19,9 @@ from ops.distances.decoding import (
     log_ratios,
     margins,
 )
-from ops.errors import ParameterError
-from ops.templates.templates import Template
-from ops.words import NO_WORD, bits, pack
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import Template
+from kinedex.ops.words import NO_WORD, bits, pack
 from tests.oracles import decoding as oracle
 
 FEATURES = 3

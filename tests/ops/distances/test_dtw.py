@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances.costs import cost_table, error_bound
-from ops.distances.dtw import distance_curves
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate, Template, quantise
-from ops.words import NO_WORD, pack
+from kinedex.ops.distances.costs import cost_table, error_bound
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
+from kinedex.ops.words import NO_WORD, pack
 from tests.oracles import dtw as naive
 from tests.oracles.minima import best_paths, start_frames
 
@@ -159,7 +159,7 @@ def test_takes_laid_end_to_end_are_kept_apart_however_many_there_are(monkeypatch
     ranges = np.array([[0, 20], [20, 23], [23, 60]])
     template = QuantisedTemplate(np.full(5, 7, np.uint64), words[25:30])
     whole = distance_curves([template], words, ranges)
-    monkeypatch.setattr("ops.distances.dtw._TABLE_CELLS", 1)  # every stretch gets a cost table of its own
+    monkeypatch.setattr("kinedex.ops.distances.dtw._TABLE_CELLS", 1)  # every stretch gets a cost table of its own
     np.testing.assert_array_equal(distance_curves([template], words, ranges), whole)
     for start, stop in ranges.tolist():
         np.testing.assert_array_equal(distance_curves([template], words[start:stop])[0], whole[0, start:stop])
@@ -177,7 +177,7 @@ def test_curves_and_starts_do_not_depend_on_the_blocks_that_a_take_is_computed_i
     ends = np.flatnonzero(np.isfinite(whole[0])).astype(np.int64)
     starts = start_frames(chosen[0], words, ends, ranges)
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("ops.distances.dtw", "tests.oracles.minima"):
+        for module in ("kinedex.ops.distances.dtw", "tests.oracles.minima"):
             patch.setattr(f"{module}._TABLE_CELLS", block * sum(map(len, chosen)))
         np.testing.assert_array_equal(distance_curves(chosen, words, ranges), whole)
         np.testing.assert_array_equal(start_frames(chosen[0], words, ends, ranges), starts)
@@ -187,8 +187,10 @@ def test_the_table_of_costs_stays_small_however_long_the_take_and_however_far_ap
     monkeypatch: pytest.MonkeyPatch,
 ):
     tables = []
-    monkeypatch.setattr("ops.distances.dtw._TABLE_CELLS", 32 * 50)
-    monkeypatch.setattr("ops.distances.dtw.cost_table", lambda *given: tables.append(cost_table(*given)) or tables[-1])
+    monkeypatch.setattr("kinedex.ops.distances.dtw._TABLE_CELLS", 32 * 50)
+    monkeypatch.setattr(
+        "kinedex.ops.distances.dtw.cost_table", lambda *given: tables.append(cost_table(*given)) or tables[-1]
+    )
     words = np.arange(1000, dtype=np.uint64)
     template = QuantisedTemplate(np.full(8, 1023, np.uint64), words[500:508])
     (curve,) = distance_curves([template], words)

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.distances.dtw import distance_curves
-from ops.distances.leastcosts import least_costs
-from ops.templates.templates import QuantisedTemplate
-from ops.words import NO_WORD, U64
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.leastcosts import least_costs
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import NO_WORD, U64
 
 WORDS = st.lists(st.sampled_from([*range(8), int(NO_WORD)]), min_size=4, max_size=40)
 COLUMNS = st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1, max_size=5)

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances import pruning, ranking
-from ops.distances.annotation import local_minima
-from ops.distances.costs import encode
-from ops.distances.dtw import distance_curves
-from ops.distances.pruning import coarse_bounds
-from ops.distances.ranking import Hits, rank, rank_together
-from ops.distances.stripes import BLOCK
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate, learn_soft, quantise
-from ops.words import NO_WORD, TakeWords
+from kinedex.ops.distances import pruning, ranking
+from kinedex.ops.distances.annotation import local_minima
+from kinedex.ops.distances.costs import encode
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.pruning import coarse_bounds
+from kinedex.ops.distances.ranking import Hits, rank, rank_together
+from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
+from kinedex.ops.words import NO_WORD, TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
 from tests.oracles.minima import minima_below, start_frames

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances import pruning
-from ops.distances.costs import encode, lay_out
-from ops.distances.pruning import coarse_bounds
-from ops.distances.stripes import BLOCK, SLOTS, aligned, deal, least_sums
-from ops.distances.sweep import pieces_of
+from kinedex.ops.distances import pruning
+from kinedex.ops.distances.costs import encode, lay_out
+from kinedex.ops.distances.pruning import coarse_bounds
+from kinedex.ops.distances.stripes import BLOCK, SLOTS, aligned, deal, least_sums
+from kinedex.ops.distances.sweep import pieces_of
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles.stripes import CAP, coarse_sums
 

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances.costs import encode, lay_out
-from ops.distances.dtw import distance_curves
-from ops.distances.windows import sum_window, walk_back, workspace
+from kinedex.ops.distances.costs import encode, lay_out
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.windows import sum_window, walk_back, workspace
 from tests.ops.distances.test_dtw import as_words_with_gaps, quantised, takes_with_gaps, templates
 from tests.oracles.dtw import curve_and_starts
 

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.distances import within
-from ops.distances.annotation import local_minima
-from ops.distances.costs import encode
-from ops.distances.dtw import distance_curves
-from ops.distances.pruning import coarse_bounds
-from ops.distances.within import minima_within, ranges_around, united
-from ops.errors import ParameterError
-from ops.templates.templates import QuantisedTemplate
-from ops.words import NO_WORD
+from kinedex.ops.distances import within
+from kinedex.ops.distances.annotation import local_minima
+from kinedex.ops.distances.costs import encode
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.distances.pruning import coarse_bounds
+from kinedex.ops.distances.within import minima_within, ranges_around, united
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import NO_WORD
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.ops.distances.test_ranking import spoiled, walk
 from tests.oracles.minima import start_frames

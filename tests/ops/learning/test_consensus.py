@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ops.errors import ParameterError
-from ops.learning.consensus import AGREEMENTS, agreement_matrix, consent, recurring
-from ops.learning.genetics import highest_rank, tune_gaps
-from ops.learning.lessons import Evolution, Material
-from ops.learning.queries import Query
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.learning.consensus import AGREEMENTS, agreement_matrix, consent, recurring
+from kinedex.ops.learning.genetics import highest_rank, tune_gaps
+from kinedex.ops.learning.lessons import Evolution, Material
+from kinedex.ops.learning.queries import Query
 from tests.ops.learning.test_genetics import check_consensus, material
 
 

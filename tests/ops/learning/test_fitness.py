@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.learning.fitness import RESIDENT, find_bitmaps, retrieved, room_for, score, training_frames
-from ops.learning.queries import Query
-from ops.search.gaps import UNBOUNDED
-from ops.search.keyframes import keyframe_list, search
-from ops.search.runs import word_runs
-from ops.search.segments import from_axis, to_axis
-from ops.words import NO_WORD
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.learning.fitness import RESIDENT, find_bitmaps, retrieved, room_for, score, training_frames
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.ops.search.keyframes import keyframe_list, search
+from kinedex.ops.search.runs import word_runs
+from kinedex.ops.search.segments import from_axis, to_axis
+from kinedex.ops.words import NO_WORD
 from tests.oracles import learning as naive
 
 WORDS = st.one_of(st.integers(0, 15), st.integers(0, 15), st.just(int(NO_WORD)))

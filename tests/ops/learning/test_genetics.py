@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.learning import genetics
-from ops.learning.breeding import (
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.learning import genetics
+from kinedex.ops.learning.breeding import (
     Breeding,
     Columns,
     change_gaps,
@@ -19,12 +19,12 @@ from ops.learning.breeding import (
     room_for_people,
     sample_universally,
 )
-from ops.learning.consensus import Consensus, consent
-from ops.learning.fitness import retrieved, score, training_frames
-from ops.learning.genetics import evolve, judge, random_search, tune_gaps
-from ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
-from ops.learning.queries import Query
-from ops.templates.templates import QuantisedTemplate
+from kinedex.ops.learning.consensus import Consensus, consent
+from kinedex.ops.learning.fitness import retrieved, score, training_frames
+from kinedex.ops.learning.genetics import evolve, judge, random_search, tune_gaps
+from kinedex.ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
+from kinedex.ops.learning.queries import Query
+from kinedex.ops.templates.templates import QuantisedTemplate
 from tests.oracles import learning as naive
 
 MOST = 6

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ops.learning.genetics import judge
-from ops.learning.greedy import forward_selection
-from ops.learning.lessons import Evolution
+from kinedex.ops.learning.genetics import judge
+from kinedex.ops.learning.greedy import forward_selection
+from kinedex.ops.learning.lessons import Evolution
 from tests.ops.learning.test_genetics import material
 
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.measures.detection import Found, Known, average_precision, bootstrap, boundary_errors, overlap
-from ops.measures.metrics import Counts
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.measures.detection import Found, Known, average_precision, bootstrap, boundary_errors, overlap
+from kinedex.ops.measures.metrics import Counts
 from tests.oracles import detection as oracle
 
 RANGES = st.tuples(st.sampled_from("ab"), st.integers(0, 12), st.integers(1, 8)).map(

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.measures.intervals import two_stage_interval, wilson
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.measures.intervals import two_stage_interval, wilson
 
 
 @given(st.integers(1, 300).flatmap(lambda total: st.tuples(st.integers(0, total), st.just(total))))

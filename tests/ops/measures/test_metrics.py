@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.measures.metrics import Counts, compare, f_measure, pooled
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.measures.metrics import Counts, compare, f_measure, pooled
 from tests.oracles import metrics as naive
 
 segment = st.tuples(st.integers(0, 20), st.integers(1, 6)).map(lambda drawn: (drawn[0], sum(drawn)))

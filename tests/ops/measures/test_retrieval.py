@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.measures.retrieval import average_precision, precision_recall
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.measures.retrieval import average_precision, precision_recall
 from tests.oracles import ranking as naive
 
 

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.search import slicesearch
-from ops.search.bitslices import GRANULE, BitSlices, slice_words
-from ops.search.gaps import UNBOUNDED, gap_bounds
-from ops.search.keyframes import keyframe_list, search
-from ops.search.runs import word_runs
-from ops.search.segments import Segments, from_axis, to_axis
-from ops.search.slicesearch import search_slices
-from ops.words import NO_WORD, U64, bits, cut
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search import slicesearch
+from kinedex.ops.search.bitslices import GRANULE, BitSlices, slice_words
+from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds
+from kinedex.ops.search.keyframes import keyframe_list, search
+from kinedex.ops.search.runs import word_runs
+from kinedex.ops.search.segments import Segments, from_axis, to_axis
+from kinedex.ops.search.slicesearch import search_slices
+from kinedex.ops.words import NO_WORD, U64, bits, cut
 from tests.oracles.keyframes import ranges_by_enumeration, ranges_by_sets
 
 FEATURES = 5

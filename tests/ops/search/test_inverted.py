@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
-from ops.words import NO_WORD, cut
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
+from kinedex.ops.words import NO_WORD, cut
 from tests.oracles import runs as naive
 
 WORDS = st.sampled_from([0, 1, 2, 3, 2**13, 2**25, 2**39 | 5, 2**62, int(NO_WORD)])

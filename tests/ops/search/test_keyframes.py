@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
-from ops.search.keyframes import keyframe_list, search, survivors
-from ops.search.segments import Segments, from_axis, merge, to_axis
-from ops.words import I64, U64, cut
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
+from kinedex.ops.search.keyframes import keyframe_list, search, survivors
+from kinedex.ops.search.segments import Segments, from_axis, merge, to_axis
+from kinedex.ops.words import I64, U64, cut
 from tests.oracles.keyframes import algorithm_1, all_hits, covered, ranges_by_enumeration, ranges_by_sets
 
 EXAMPLE = ([(3, 4), (6, 7)], [(1, 2), (4, 6), (9, 10)], [(1, 3), (5, 8), (11, 12), (14, 15)])

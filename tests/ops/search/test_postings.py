@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.search.keyframes import keyframe_list
-from ops.search.postings import make_postings
-from ops.search.runs import word_runs
-from ops.search.segments import to_axis
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.keyframes import keyframe_list
+from kinedex.ops.search.postings import make_postings
+from kinedex.ops.search.runs import word_runs
+from kinedex.ops.search.segments import to_axis
 
 
 @given(st.lists(st.lists(st.integers(0, 7), max_size=30), max_size=4), st.integers(0, 7), st.integers(0, 7))

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.search.gaps import UNBOUNDED
-from ops.search.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
-from ops.search.segments import Segments
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.ops.search.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
+from kinedex.ops.search.segments import Segments
 from tests.oracles.preselection import best_placement
 
 

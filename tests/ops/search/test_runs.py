@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.search.runs import feature_runs, word_runs
-from ops.words import NO_WORD
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.runs import feature_runs, word_runs
+from kinedex.ops.words import NO_WORD
 from tests.oracles import runs as naive
 
 # few distinct words, so that runs are long enough to be runs

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ops.synth.body import Body
-from ops.synth.solve import columns
+from kinedex.ops.synth.body import Body
+from kinedex.ops.synth.solve import columns
 from tests.oracles.kinematics import pose
 
 

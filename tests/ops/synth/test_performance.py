@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ops.errors import ParameterError
-from ops.synth.actors import actor_name, cast
-from ops.synth.motions import MOTIONS
-from ops.synth.performance import RATE_HZ, perform_clip, perform_take
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.synth.actors import actor_name, cast
+from kinedex.ops.synth.motions import MOTIONS
+from kinedex.ops.synth.performance import RATE_HZ, perform_clip, perform_take
 from tests.ops.synth.bodies import places
 
 SEED = 5

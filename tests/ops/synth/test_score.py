@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.synth.actors import cast
-from ops.synth.channels import INDEX
-from ops.synth.noise import coloured
-from ops.synth.score import Score, curves
+from kinedex.ops.synth.actors import cast
+from kinedex.ops.synth.channels import INDEX
+from kinedex.ops.synth.noise import coloured
+from kinedex.ops.synth.score import Score, curves
 
 
 def blank() -> Score:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ops.synth.actors import cast
-from ops.synth.body import BALL_HEIGHT, PARENTS
-from ops.synth.channels import CHANNELS, INDEX
-from ops.synth.solve import columns, solve
+from kinedex.ops.synth.actors import cast
+from kinedex.ops.synth.body import BALL_HEIGHT, PARENTS
+from kinedex.ops.synth.channels import CHANNELS, INDEX
+from kinedex.ops.synth.solve import columns, solve
 from tests.ops.synth.bodies import places
 
 BODY = cast(0, 1).body

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.templates.mirroring import rearrange
-from ops.words import NO_WORD, bits, pack
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.mirroring import rearrange
+from kinedex.ops.words import NO_WORD, bits, pack
 
 
 @given(st.data())

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from ops.errors import ParameterError
-from ops.templates.mirroring import rearrange
-from ops.templates.shaping import consistency, contrast, joined, mirrored
-from ops.templates.templates import Template, learn, quantise
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.mirroring import rearrange
+from kinedex.ops.templates.shaping import consistency, contrast, joined, mirrored
+from kinedex.ops.templates.templates import Template, learn, quantise
 
 SWAP = np.array([1, 0, 2, 4, 3])
 VALUES = st.sampled_from([0.0, 0.25, 0.5, 1.0])

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.templates.averaging import Hard, rebalance
-from ops.templates.pairs import Stack, Weighted, all_pairs
-from ops.templates.templates import Kind, QuantisedTemplate, Template, learn, learn_hard, learn_soft, quantise
-from ops.templates.warping import align
-from ops.words import NO_WORD, bits, pack
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.averaging import Hard, rebalance
+from kinedex.ops.templates.pairs import Stack, Weighted, all_pairs
+from kinedex.ops.templates.templates import Kind, QuantisedTemplate, Template, learn, learn_hard, learn_soft, quantise
+from kinedex.ops.templates.warping import align
+from kinedex.ops.words import NO_WORD, bits, pack
 from tests.oracles import templates as naive
 
 Clip = list[list[float]]

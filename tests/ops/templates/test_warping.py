@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ops.errors import ParameterError
-from ops.templates.warping import align
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.warping import align
 from tests.oracles import warping as naive
 
 coarse = st.sampled_from([0.0, 0.25, 0.5, 1.0])  # few values, so that ties are common

@@ -10,20 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalog.classes import Classes, MotionClass, load_classes
-from catalog.queries import Gap, Keyframe, KeyframeQuery
-from ops.distances.annotation import local_minima
-from ops.distances.decoding import background
-from ops.distances.dtw import distance_curves
-from ops.errors import KinedexError
-from ops.templates.templates import Learned, Template, learn_soft
-from ops.words import TakeWords
-from pipelines.annotation import annotating
-from pipelines.annotation.annotating import annotate_words, split_takes
-from pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
-from pipelines.searching.search import preselect
-from pipelines.searching.windows import template_ranges
-from pipelines.templates.learning import SubclassTemplate
+from kinedex.catalog.classes import Classes, MotionClass, load_classes
+from kinedex.catalog.queries import Gap, Keyframe, KeyframeQuery
+from kinedex.ops.distances.annotation import local_minima
+from kinedex.ops.distances.decoding import background
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import Learned, Template, learn_soft
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.annotation import annotating
+from kinedex.pipelines.annotation.annotating import annotate_words, split_takes
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
+from kinedex.pipelines.searching.search import preselect
+from kinedex.pipelines.searching.windows import template_ranges
+from kinedex.pipelines.templates.learning import SubclassTemplate
 from tests.oracles import annotation as naive
 from tests.oracles.minima import start_frames
 from tests.pipelines.labelled import BODY, POSES, motion

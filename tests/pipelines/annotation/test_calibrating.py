@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.classes import Classes, MotionClass, load_classes
-from ops.errors import KinedexError
-from ops.templates.templates import learn_soft
-from pipelines.annotation import annotating, calibrating
-from pipelines.annotation.calibrating import Calibration, calibrate
-from pipelines.executors import make_executor
-from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
-from pipelines.templates.learning import SubclassTemplate, TrainingClips
-from storage.store import open_store
+from kinedex.catalog.classes import Classes, MotionClass, load_classes
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import learn_soft
+from kinedex.pipelines.annotation import annotating, calibrating
+from kinedex.pipelines.annotation.calibrating import Calibration, calibrate
+from kinedex.pipelines.executors import make_executor
+from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.storage.store import open_store
 from tests.oracles.dtw import accumulated
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
 

@@ -10,15 +10,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from ops.errors import KinedexError
-from pipelines.annotation.annotators import Annotator, make_annotator
-from pipelines.annotation.kept import setting_digest
-from pipelines.context import StageContext
-from pipelines.stages import annotate, learn_templates
-from storage.compaction import FANOUT
-from storage.garbage import collect
-from storage.store import Store, open_store
-from storage.verify import verify
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.kept import setting_digest
+from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.stages import annotate, learn_templates
+from kinedex.storage.compaction import FANOUT
+from kinedex.storage.garbage import collect
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.verify import verify
 from tests.pipelines.annotation.test_annotating import KICK, annotator, template
 from tests.pipelines.labelled import BODY, Line, clip, long_take, motion, write_store
 

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from ops.errors import KinedexError
-from pipelines.annotation.labels import annotate_stage, labels_of, source_frame
-from pipelines.cli import app
-from pipelines.evaluation.groundtruth import analysis_frame
-from pipelines.stages import annotate, evaluate, learn_templates
-from storage.store import open_store
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation.labels import annotate_stage, labels_of, source_frame
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.evaluation.groundtruth import analysis_frame
+from kinedex.pipelines.stages import annotate, evaluate, learn_templates
+from kinedex.storage.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, write_store
 
 

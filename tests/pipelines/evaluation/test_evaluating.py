@@ -13,10 +13,10 @@ import pyarrow as pa
 import pytest
 from rich.console import Console
 
-from catalog.classes import Classes, MotionClass
-from ops.errors import KinedexError, SourceError
-from ops.measures.metrics import Counts
-from pipelines.evaluation.evaluating import (
+from kinedex.catalog.classes import Classes, MotionClass
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.ops.measures.metrics import Counts
+from kinedex.pipelines.evaluation.evaluating import (
     Evaluation,
     evaluate,
     metrics_rows,
@@ -24,7 +24,7 @@ from pipelines.evaluation.evaluating import (
     pool_folds,
     write_metrics,
 )
-from pipelines.evaluation.groundtruth import (
+from kinedex.pipelines.evaluation.groundtruth import (
     GroundTruth,
     UnknownLabels,
     analysis_frame,
@@ -32,8 +32,8 @@ from pipelines.evaluation.groundtruth import (
     ground_truth_rows,
     place_ground_truth,
 )
-from storage.ground_truth import LabelFile, ManualSegment
-from storage.schemas import result_schema
+from kinedex.storage.ground_truth import LabelFile, ManualSegment
+from kinedex.storage.schemas import result_schema
 from tests.storage.made_up import take_row, takes_table
 
 CLASSES = Classes((MotionClass("legs", "", ("kick", "walk")), MotionClass("arms", "", ("wave",))))

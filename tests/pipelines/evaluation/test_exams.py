@@ -7,12 +7,12 @@ from collections import Counter
 import numpy as np
 import polars as pl
 
-from catalog.classes import Classes, MotionClass
-from pipelines.evaluation.exams import Fold
-from pipelines.evaluation.folds import Material, make_folds
-from pipelines.evaluation.groundtruth import GroundTruth, Manual
-from pipelines.evaluation.scheme import Split
-from pipelines.templates.learning import TrainingClips
+from kinedex.catalog.classes import Classes, MotionClass
+from kinedex.pipelines.evaluation.exams import Fold
+from kinedex.pipelines.evaluation.folds import Material, make_folds
+from kinedex.pipelines.evaluation.groundtruth import GroundTruth, Manual
+from kinedex.pipelines.evaluation.scheme import Split
+from kinedex.pipelines.templates.learning import TrainingClips
 
 CLASSES = Classes(tuple(MotionClass(name, name, (name,)) for name in ("walk", "kick")))
 

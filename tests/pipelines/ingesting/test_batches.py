@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from ops.errors import KinedexError, StoreError
-from pipelines.executors import ProcessExecutor, SerialExecutor, WorkerDied
-from pipelines.ingesting.batches import run_batches
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.pipelines.executors import ProcessExecutor, SerialExecutor, WorkerDied
+from kinedex.pipelines.ingesting.batches import run_batches
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ops.errors import KinedexError, NewStoreError
-from pipelines.stages import ingest
-from storage.store import open_store
-from storage.verify import verify
+from kinedex.ops.errors import KinedexError, NewStoreError
+from kinedex.pipelines.stages import ingest
+from kinedex.storage.store import open_store
+from kinedex.storage.verify import verify
 from tests.pipelines.archives import context, write_archive
 from tests.pipelines.test_ingest import TAKES, bring_in
 

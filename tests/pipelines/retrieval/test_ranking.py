@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from catalog.queries import Keyframe, KeyframeQuery
-from catalog.queryfiles import read_query_files
-from ops.distances.ranking import rank
-from ops.errors import KinedexError
-from ops.templates.templates import QuantisedTemplate
-from ops.words import TakeWords
-from pipelines.cli import app
-from pipelines.evaluation.groundtruth import Manual
-from pipelines.retrieval import ranking
-from pipelines.retrieval.ranking import Hit, Searched, rank_store, ranking_table
-from pipelines.retrieval.retrieval import Judged, judge_clips, judge_hits, mean_average_precision, recall_at_tau
-from pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial
-from pipelines.runner import run_pipeline
-from pipelines.stages import evaluate_ranking, vary_stiffness
-from pipelines.stages import rank as rank_stage
-from storage.store import Store, open_store
+from kinedex.catalog.queries import Keyframe, KeyframeQuery
+from kinedex.catalog.queryfiles import read_query_files
+from kinedex.ops.distances.ranking import rank
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.evaluation.groundtruth import Manual
+from kinedex.pipelines.retrieval import ranking
+from kinedex.pipelines.retrieval.ranking import Hit, Searched, rank_store, ranking_table
+from kinedex.pipelines.retrieval.retrieval import Judged, judge_clips, judge_hits, mean_average_precision, recall_at_tau
+from kinedex.pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial
+from kinedex.pipelines.runner import run_pipeline
+from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
+from kinedex.pipelines.stages import rank as rank_stage
+from kinedex.storage.store import Store, open_store
 from tests.pipelines.archives import write_archive
 
 

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from catalog.features import load_feature_set
-from catalog.queryfiles import parse_queries
-from ops.errors import KinedexError, ParameterError, StoreError
-from ops.search.proposals import SetCounts, propose_poses
-from ops.words import NO_WORD, U64, cut
-from pipelines.cli import app
-from pipelines.searching.proposing import propose_query
-from pipelines.searching.search import search_store
-from storage.store import Store, open_store
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queryfiles import parse_queries
+from kinedex.ops.errors import KinedexError, ParameterError, StoreError
+from kinedex.ops.search.proposals import SetCounts, propose_poses
+from kinedex.ops.words import NO_WORD, U64, cut
+from kinedex.pipelines.cli import app
+from kinedex.pipelines.searching.proposing import propose_query
+from kinedex.pipelines.searching.search import search_store
+from kinedex.storage.store import Store, open_store
 from tests.pipelines.searching.test_search import make_store, motion, real_words
 
 BODY = load_feature_set("body40")

@@ -12,19 +12,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from catalog.features import load_feature_set
-from catalog.queries import KeyframeQuery
-from catalog.queryfiles import parse_queries
-from ops.errors import StoreError
-from ops.search.bitslices import slice_words
-from ops.search.preselection import TakeRanges
-from ops.words import NO_WORD, U64, TakeWords
-from pipelines.searching import resident
-from pipelines.searching.resident import Shard, SharedWords, resident_store, resident_words
-from storage import index
-from storage.garbage import collect
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queries import KeyframeQuery
+from kinedex.catalog.queryfiles import parse_queries
+from kinedex.ops.errors import StoreError
+from kinedex.ops.search.bitslices import slice_words
+from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.words import NO_WORD, U64, TakeWords
+from kinedex.pipelines.searching import resident
+from kinedex.pipelines.searching.resident import Shard, SharedWords, resident_store, resident_words
+from kinedex.storage import index
+from kinedex.storage.garbage import collect
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 from tests.storage.made_up import add, make_store
 
 ROOT = Path(__file__).parents[3]
@@ -113,10 +113,10 @@ def test_a_take_that_is_not_there_cannot_be_searched(tmp_path: Path) -> None:
 _READER = """
 import sys
 from pathlib import Path
-from catalog.features import load_feature_set
-from catalog.queryfiles import parse_queries
-from pipelines.searching.resident import resident_store
-from storage.store import open_store
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queryfiles import parse_queries
+from kinedex.pipelines.searching.resident import resident_store
+from kinedex.storage.store import open_store
 from tests.pipelines.searching.test_resident import QUERIES, told
 
 shared = resident_store(open_store(sys.argv[1]))

@@ -10,22 +10,22 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from catalog.features import load_feature_set
-from catalog.queries import KeyframeQuery, choose_queries
-from catalog.queryfiles import parse_queries, read_queries
-from ops.errors import KinedexError, StoreError
-from ops.search.preselection import TakeRanges
-from ops.words import U64, TakeWords, pack
-from pipelines.searching.explaining import explain_search, explain_store
-from pipelines.searching.lists import lists_of_store, lists_of_words
-from pipelines.searching.resident import resident_store, resident_words
-from pipelines.searching.search import load_query_file, preselect, preselect_stored, save_hits, search_store
-from pipelines.searching.windows import template_ranges, template_window
-from storage import index
-from storage.parts import FramesWriter
-from storage.schemas import result_schema
-from storage.store import Store, open_store
-from storage.writer import StoreWriter
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queries import KeyframeQuery, choose_queries
+from kinedex.catalog.queryfiles import parse_queries, read_queries
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.words import U64, TakeWords, pack
+from kinedex.pipelines.searching.explaining import explain_search, explain_store
+from kinedex.pipelines.searching.lists import lists_of_store, lists_of_words
+from kinedex.pipelines.searching.resident import resident_store, resident_words
+from kinedex.pipelines.searching.search import load_query_file, preselect, preselect_stored, save_hits, search_store
+from kinedex.pipelines.searching.windows import template_ranges, template_window
+from kinedex.storage import index
+from kinedex.storage.parts import FramesWriter
+from kinedex.storage.schemas import result_schema
+from kinedex.storage.store import Store, open_store
+from kinedex.storage.writer import StoreWriter
 from tests.oracles.keyframes import ranges_by_sets
 from tests.storage.made_up import take_row, takes_table
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipelines.templates.clipchecks import clip_remarks, far_clips
+from kinedex.pipelines.templates.clipchecks import clip_remarks, far_clips
 
 
 def test_nothing_is_said_of_clips_that_are_alike():

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog.templatefiles import NamedTemplate, write_yaml
-from ops.errors import KinedexError
-from ops.templates.templates import Kind, Learned, Template, quantise
-from ops.words import NO_WORD
-from pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
-from pipelines.templates.learning import SubclassTemplate, read_templates
-from storage.store import open_store
+from kinedex.catalog.templatefiles import NamedTemplate, write_yaml
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import Kind, Learned, Template, quantise
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
+from kinedex.storage.store import open_store
 from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
 
 
@@ -27,7 +27,7 @@ def test_a_large_subclass_is_divided_among_the_workers_without_a_difference(
 ):
     line.run(learn_templates)
     alone = open_store(line.store).result("templates").drop_columns(["run"])
-    monkeypatch.setattr("pipelines.templates.learning._SPLIT_CELLS", 1)
+    monkeypatch.setattr("kinedex.pipelines.templates.learning._SPLIT_CELLS", 1)
     spread = Line(line.store, "processes")
     spread.run(learn_templates)
     spread.executor.close()
