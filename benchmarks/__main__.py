@@ -9,8 +9,8 @@ from benchmarks import annotating, indexing, keyframes, learning, ranking, readi
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import Figure, calibrate, show, write
 from kinedex.ops.errors import did_you_mean
-from kinedex.pipelines.terminal import make_console
-from kinedex.storage.store import Store
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.storage.store.store import Store
 
 PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "reading": lambda _: list(reading.figures()),

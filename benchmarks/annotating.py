@@ -18,14 +18,14 @@ import polars as pl
 from benchmarks.harness import Figure, seconds
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries import Gap, Keyframe, KeyframeQuery
-from kinedex.ops.distances.decoding import background
+from kinedex.catalog.queries.queries import Gap, Keyframe, KeyframeQuery
+from kinedex.ops.annotation.decoding import background
 from kinedex.ops.templates.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.annotation.annotating import BATCH_FRAMES, annotate_words, ranges_of
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words, ranges_of
 from kinedex.pipelines.templates.learning import SubclassTemplate
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 FRAMES, SUBCLASSES, COLUMNS = 133_019, 69, 50
 DELTA, TAU = 0.05, 0.13

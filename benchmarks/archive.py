@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from benchmarks.harness import silent
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.pipelines.synth import write_archive
-from kinedex.storage.store import Store, open_store
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.synth.archive import write_archive
+from kinedex.storage.store.store import Store, open_store
 
 BUILD = Path(__file__).resolve().parents[1] / "build" / "bench"
 MINUTES = 12.0

@@ -21,13 +21,13 @@ import polars as pl
 from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.distances.decoding import background
-from kinedex.pipelines.annotation.annotating import annotate_takes
+from kinedex.ops.annotation.decoding import background
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
-from kinedex.pipelines.executors import Executor, make_executor
-from kinedex.pipelines.runner import run_pipeline
+from kinedex.pipelines.annotation.batches import annotate_takes
+from kinedex.pipelines.engine.executors import Executor, make_executor
+from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.templates.learning import learn_templates, training_clips
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 
 PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."  # the style stands in `actor`
 Bool = npt.NDArray[np.bool_]

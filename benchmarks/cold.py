@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 import time
 
-from kinedex.catalog.queryfiles import read_queries
-from kinedex.pipelines.searching.search import search_store
-from kinedex.storage.store import open_store
+from kinedex.catalog.queries.query_files import read_queries
+from kinedex.pipelines.search.search import search_store
+from kinedex.storage.store.store import open_store
 
 
 def main(store: str, file: str) -> None:

@@ -18,17 +18,17 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes, load_classes
-from kinedex.ops.distances.decoding import explain
+from kinedex.ops.annotation.decoding import explain
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64, TakeWords, bits
-from kinedex.pipelines.annotation.annotating import annotate_words
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
-from kinedex.pipelines.evaluation.groundtruth import Manual, place_ground_truth
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.evaluation.ground_truth import Manual, place_ground_truth
 from kinedex.pipelines.stages.annotate import usual_features
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.storage.ground_truth import read_ground_truth
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.store.store import Store, open_store
 
 F64 = npt.NDArray[np.float64]
 

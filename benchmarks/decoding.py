@@ -22,16 +22,16 @@ from rich.table import Table
 
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.ops.distances.background import SPLITS, background
-from kinedex.ops.distances.decoding import Decoding, Explained, confidences, explain, lay_columns
-from kinedex.ops.measures.metrics import Counts, compare, pooled
+from kinedex.ops.annotation.background import SPLITS, background
+from kinedex.ops.annotation.decoding import Decoding, Explained, confidences, explain, lay_columns
+from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.templates.templates import Learned, learn_soft
 from kinedex.ops.words import NO_WORD, U64, TakeWords
-from kinedex.pipelines.annotation.annotating import annotate_words
 from kinedex.pipelines.annotation.annotators import make_annotator
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.templates.learning import SubclassTemplate
-from kinedex.pipelines.terminal import make_console
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 
 F64 = npt.NDArray[np.float64]
 

@@ -16,14 +16,14 @@ import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.distances.background import background
-from kinedex.ops.measures.metrics import Counts, compare, pooled
+from kinedex.ops.annotation.background import background
+from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.annotation.annotating import annotate_words
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
-from kinedex.pipelines.executors import Executor, make_executor
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.templates.learning import learn_templates, training_clips
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 
 METHODS = ("thesis", "best")
 DELTA, TAU = 0.05, 0.13

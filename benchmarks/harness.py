@@ -17,7 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from kinedex.pipelines.terminal import Terminal
+from kinedex.pipelines.console.terminal import Terminal
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from benchmarks.harness import Figure, seconds
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.words import TakeWords
 from kinedex.storage import index
-from kinedex.storage.duck import connect, quote
-from kinedex.storage.parts import FramesWriter
-from kinedex.storage.schemas import takes_schema
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.sql.duck import connect, quote
+from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.store.schemas import takes_schema
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
 
 HOURS = 20.0
 TAKES_A_PART = 2000

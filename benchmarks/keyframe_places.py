@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.measures.metrics import Counts, compare
+from kinedex.ops.evaluation.metrics import Counts, compare
 from kinedex.ops.words import I64, TakeWords
-from kinedex.pipelines.annotation.annotating import annotate_words
 from kinedex.pipelines.annotation.annotators import make_annotator
-from kinedex.pipelines.executors import Executor
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
 from kinedex.pipelines.keyframes.margins import hit_ranges
 from kinedex.pipelines.templates.learning import TrainingClips, learn_templates
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 CLIPS_A_TAKE = 9
 DELTA, TAU = 0.05, 0.13

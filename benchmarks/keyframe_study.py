@@ -19,17 +19,17 @@ import numpy as np
 
 from benchmarks.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.measures.intervals import two_stage_interval, wilson
-from kinedex.ops.measures.metrics import Counts, pooled
-from kinedex.pipelines.config import load_pipeline
-from kinedex.pipelines.executors import Executor, make_executor
+from kinedex.ops.evaluation.confidence_intervals import two_stage_interval, wilson
+from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.keyframes.background import mine
 from kinedex.pipelines.keyframes.learning import Lesson, Outcome, lessons
 from kinedex.pipelines.keyframes.runs import Rounds, learn
 from kinedex.pipelines.stages.learn_keyframes import Params, setting_of
 from kinedex.pipelines.stages.leave_one_out import without
 from kinedex.pipelines.templates.learning import TrainingClips, training_clips
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 
 THESIS = "numbers of the thesis"
 NO_QUERIES = "no queries"

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Figure, seconds
-from kinedex.ops.learning.fitness import training_frames
-from kinedex.ops.learning.genetics import evolve
-from kinedex.ops.learning.lessons import Evolution, Material, make_material
+from kinedex.ops.keyframes.fitness import training_frames
+from kinedex.ops.keyframes.genetic_algorithm import evolve
+from kinedex.ops.keyframes.training_task import Evolution, Material, make_material
 from kinedex.ops.search.keyframes import keyframe_list, search
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.search.segments import to_axis
 from kinedex.ops.templates.templates import learn_soft, quantise
 from kinedex.ops.words import U64, TakeWords
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 CLASSES, CLIPS, FRAMES = 69, 9, 42_586
 """The thesis's training set: nine clips of each of 69 classes, 24 minutes at 30 Hz."""

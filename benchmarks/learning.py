@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.harness import Figure, seconds
 from kinedex.ops.templates.templates import learn
 from kinedex.ops.words import U64, bits
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 from tests.oracles import warping as naive
 
 CLIPS, COLUMNS = 20, 100

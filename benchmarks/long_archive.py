@@ -26,13 +26,13 @@ import yaml
 from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from benchmarks.scaling import Watched, peak_mib, watched
-from kinedex.ops.measures.detection import bootstrap
-from kinedex.ops.measures.metrics import Counts
-from kinedex.pipelines.config import load_pipeline
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.pipelines.synth import RECORD, write_archive
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.writer import StoreWriter
+from kinedex.ops.evaluation.detection import bootstrap
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.synth.archive import RECORD, write_archive
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
 
 NAME = "long-archive"
 CLIP_MINUTES = 30.0

@@ -20,15 +20,15 @@ from benchmarks.ranking_memory import made_up, searched_classes
 from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import bounds_below, coarse_bounds, surviving
-from kinedex.ops.distances.ranking import rank, rank_together
 from kinedex.ops.distances.stripes import BLOCK
 from kinedex.ops.distances.sweep import CAP, pieces_of, sweep
+from kinedex.ops.ranking.ranking import rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import TakeWords, bits
-from kinedex.pipelines.retrieval.ranking import rank_store
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.pipelines.terminal import make_console
-from kinedex.storage.store import Store, open_store
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.ranking.ranking import rank_store
+from kinedex.storage.store.store import Store, open_store
 
 COLUMNS, FRAMES, WORDS = 60, 400_000, 4_000
 """The size that a curve is timed at."""

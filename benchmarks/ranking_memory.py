@@ -20,9 +20,9 @@ from benchmarks.archive import store
 from benchmarks.indexing import own_peak_mb, store_of_words
 from kinedex.ops.templates.templates import learn_soft, quantise
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.retrieval.ranking import Searched, rank_store
-from kinedex.pipelines.terminal import make_console
-from kinedex.storage.store import Store, open_store
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.ranking.ranking import Searched, rank_store
+from kinedex.storage.store.store import Store, open_store
 
 RATE_HZ = 30
 SPOILED = 0.05

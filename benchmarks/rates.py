@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.storage.export import export_take
-from kinedex.storage.store import Store, open_store
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.storage.formats.motion.export import export_take
+from kinedex.storage.store.store import Store, open_store
 
 
 def compare(store: Store, where: str, folder: Path) -> str:

@@ -12,12 +12,12 @@ from benchmarks import packages
 from benchmarks.archive import BUILD, archive
 from benchmarks.harness import Figure, seconds, silent
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons import load_skeleton
+from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.storage.acclaim import Skeleton, read_amc, read_asf
-from kinedex.storage.bvh import parse_bvh
-from kinedex.storage.c3d import parse_c3d
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.storage.formats.motion.acclaim import Skeleton, read_amc, read_asf
+from kinedex.storage.formats.motion.bvh import parse_bvh
+from kinedex.storage.formats.motion.c3d import parse_c3d
 from tests.oracles import features as naive
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.harness import silent
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons import load_mappings
+from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.storage.bodies import Body, read_acclaim, read_bvh
-from kinedex.storage.export import export_take
-from kinedex.storage.store import open_store
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.storage.formats.motion.bodies import Body, read_acclaim, read_bvh
+from kinedex.storage.formats.motion.export import export_take
+from kinedex.storage.store.store import open_store
 
 FEATURES = load_feature_set()
 LOWER = ("root", "lhip", "lknee", "lankle", "ltoes", "rhip", "rknee", "rankle", "rtoes", "belly", "chest")

@@ -23,10 +23,10 @@ from rich.table import Table
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import calibrate, silent
-from kinedex.pipelines.executors import ProcessExecutor
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.pipelines.synth import write_archive
-from kinedex.pipelines.terminal import make_console
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.engine.executors import ProcessExecutor
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.synth.archive import write_archive
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def ingest(source: Path, store: Path, workers: int) -> Ingest:
             terminal=silent(),
         )  # fmt: skip
         seconds = time.perf_counter() - begin
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     records = open_store(store).manifest.stages
     stages = {name.split("/")[1]: record.seconds for name, record in records.items()}
@@ -110,7 +110,7 @@ def _on_cores(count: int) -> Iterator[None]:
 @contextmanager
 def watched(pools: list[Watched]) -> Iterator[None]:
     """Let a run of more than one worker use `Watched` ones."""
-    from kinedex.pipelines import runner
+    from kinedex.pipelines.engine import runner
 
     really = runner.make_executor
 

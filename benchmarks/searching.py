@@ -27,17 +27,17 @@ from benchmarks.costplot import write_plot
 from benchmarks.harness import Figure, seconds
 from benchmarks.rivals import recursion, sql
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries import KeyframeQuery, word_pattern
-from kinedex.catalog.queryfiles import read_queries
-from kinedex.catalog.querywriting import write_queries
+from kinedex.catalog.queries.queries import KeyframeQuery, word_pattern
+from kinedex.catalog.queries.query_files import read_queries
+from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.search.keyframes import search
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.search.segments import Segments
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.searching.lists import RunLists, lists_of_words
-from kinedex.pipelines.searching.resident import ResidentWords, resident_words
+from kinedex.pipelines.search.inverted_lists import RunLists, lists_of_words
+from kinedex.pipelines.search.resident_slices import ResidentWords, resident_words
 from kinedex.storage import index
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 from tests.oracles import runs as naive_runs
 
 HOURS = 4.0

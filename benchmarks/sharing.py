@@ -14,11 +14,11 @@ import numpy as np
 
 from benchmarks.harness import Figure
 from benchmarks.indexing import HOURS, twenty_hours
-from kinedex.catalog.queryfiles import read_queries
+from kinedex.catalog.queries.query_files import read_queries
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.searching.resident import resident_store, resident_words
+from kinedex.pipelines.search.resident_slices import resident_store, resident_words
 from kinedex.storage import index
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 
 PROCESSES = 2
 

@@ -20,9 +20,9 @@ from rich.table import Table
 from benchmarks.archive import archive
 from benchmarks.harness import silent
 from kinedex.ops.words import TakeWords, cut
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.pipelines.terminal import make_console
-from kinedex.storage.store import open_store
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.storage.store.store import open_store
 
 SETS: dict[str, tuple[int, int]] = {"whole word": (1, 40), "upper": (1, 14), "lower": (15, 12), "mix": (27, 14)}
 """First feature and number of features of what is counted; F40 belongs to mix."""

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.ops.body.features import COMPARISONS, JOINTS_OF, Rule, Term
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.templates.mirroring import rearrange
+from kinedex.ops.templates.mirror import rearrange
 from kinedex.ops.words import MOST_FEATURES
 
 

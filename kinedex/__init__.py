@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from kinedex.catalog.features import FeatureSet, load_feature_set
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.ops.words import TakeWords
-    from kinedex.pipelines.runner import Outcome, run_pipeline
-    from kinedex.storage.store import Store, open_store
+    from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+    from kinedex.storage.store.store import Store, open_store
 
 __all__ = [
     "ConfigError",
@@ -48,15 +48,15 @@ _HOMES = {
     "ConfigError": "ops.errors",
     "FeatureSet": "catalog.features",
     "KinedexError": "ops.errors",
-    "Outcome": "pipelines.runner",
+    "Outcome": "pipelines.engine.runner",
     "ParameterError": "ops.errors",
     "SourceError": "ops.errors",
-    "Store": "storage.store",
+    "Store": "storage.store.store",
     "StoreError": "ops.errors",
     "TakeWords": "ops.words",
     "load_feature_set": "catalog.features",
-    "open_store": "storage.store",
-    "run_pipeline": "pipelines.runner",
+    "open_store": "storage.store.store",
+    "run_pipeline": "pipelines.engine.runner",
 }
 """The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""
 

@@ -1,5 +1,5 @@
 """`python -m kinedex` does what the console command `kinedex` does."""
 
-from kinedex.pipelines.cli import main
+from kinedex.pipelines.commands.cli import main
 
 main()

@@ -14,13 +14,13 @@ import typer
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queryfiles import parse_queries
-from kinedex.catalog.skeletons import load_skeleton
-from kinedex.pipelines.cli import app
-from kinedex.pipelines.config import load_pipeline
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.skeletons.mappings import load_skeleton
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.stages import annotate, index, ingest, learn_templates
-from kinedex.storage.schemas import RESULT_KINDS
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.schemas import RESULT_KINDS
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 from tests.pipelines.labelled import Line
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from kinedex.pipelines.cli import app
+from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages import index, ingest
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")

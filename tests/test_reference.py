@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from kinedex.catalog.configs import KINDS, config_names
-from kinedex.pipelines.config import STAGES, stage_module
-from kinedex.pipelines.reference import PARTS, reference
+from kinedex.pipelines.commands.reference import PARTS, reference
+from kinedex.pipelines.engine.config import STAGES, stage_module
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")
 
 
 def test_the_reference_is_up_to_date() -> None:
-    assert reference() == PAGE, "python -m kinedex.pipelines.reference"
+    assert reference() == PAGE, "python -m kinedex.pipelines.commands.reference"
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.classes import load_classes
-from kinedex.catalog.queries import Keyframe, KeyframeQuery
-from kinedex.catalog.sqlreference import renewed
-from kinedex.catalog.views import MACROS, VIEWS
+from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
+from kinedex.catalog.sql.reference import renewed
+from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.stages import annotate, index, ingest, learn_templates
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 from tests.pipelines.labelled import BODY, Line
 
@@ -46,7 +46,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def test_the_reference_is_up_to_date() -> None:
-    assert renewed(PAGE) == PAGE, "python -m kinedex.catalog.sqlreference"
+    assert renewed(PAGE) == PAGE, "python -m kinedex.catalog.sql.reference"
 
 
 def test_the_page_has_every_view_and_macro_once() -> None:

@@ -14,7 +14,7 @@ from benchmarks.bandai import NONE, confusions, draw, summary, winner
 from benchmarks.cross_studio import begin_of, contributions
 from benchmarks.long_archive import METHODS, stages
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.engine.config import load_pipeline
 from tests.oracles.minima import best_paths
 
 

@@ -6,15 +6,15 @@ import hypothesis  # noqa: F401
 import polars  # noqa: F401
 import pytest  # noqa: F401
 
-import kinedex.storage.compaction
-import kinedex.storage.verify  # noqa: F401
+import kinedex.storage.store.compaction
+import kinedex.storage.store.verification  # noqa: F401
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons import load_mappings
-from kinedex.pipelines.plan import code_digest
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.pipelines.engine.plan import code_digest
 from kinedex.pipelines.stages import ingest
 
 body = load_feature_set()
 ingest._compile_kernels(body)
 load_mappings("auto", body.joints)
-for module in ("kinedex.storage.bodies", "kinedex.pipelines.ingesting.analysis"):
+for module in ("kinedex.storage.formats.motion.bodies", "kinedex.pipelines.ingestion.analysis"):
     code_digest(module)

@@ -1,8 +1,9 @@
 """Exact pruning: where a distance curve can have minima below a threshold, without the curve where it has none.
 
 Three bounds, each proven below, keep the work small: whole units and windows (`bounds_below`), and coarse units before
-them (`coarse_bounds`). What they leave is computed in float64 by `ops.distances.ranking`, and over short ranges by
-`ops.distances.within`; that decides, so that hits are those of the whole curve of `ops.distances.dtw.distance_curves`.
+them (`coarse_bounds`). What they leave is computed in float64 by `ops.ranking.ranking`, and over short ranges by
+`ops.distances.range_minima`; that decides, so that hits are those of the whole curve of
+`ops.distances.dtw.distance_curves`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.annotation.segments import TOLERANCE
 from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, bound_table, lay_out
 from kinedex.ops.distances.stripes import BLOCK, COARSE_CAP, SLOTS, U8, least_sums
 from kinedex.ops.distances.sweep import CAP, U16, pieces_of, sweep_bounds

@@ -9,7 +9,7 @@ import numpy as np
 from kinedex.ops.body.kinematics import euler
 from kinedex.ops.synth.body import BALL_HEIGHT, F64, FOOT_SLOPE, NECK, PARENTS, SPINE, Body
 from kinedex.ops.synth.channels import INDEX
-from kinedex.ops.synth.turning import about, apply, apply_inverse, unit, xyz_angles
+from kinedex.ops.synth.rotations import about, apply, apply_inverse, unit, xyz_angles
 
 _SPINE_SHARES = (0.40, 0.32, 0.28)
 _REACH = 0.995

@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries import KeyframeQuery
-from kinedex.ops.distances.decoding import Decoding
+from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
-from kinedex.pipelines.searching.windows import template_window
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.search.preselection import template_window
 from kinedex.pipelines.templates.learning import SubclassTemplate
-from kinedex.pipelines.wording import few
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -29,7 +29,7 @@ VAGUE = 1.0
 
 @dataclass(frozen=True)
 class Row:
-    """What labels all frames of a take together: see `ops.distances.decoding.explain`.
+    """What labels all frames of a take together: see `ops.annotation.decoding.explain`.
 
     templates: S templates as learned. usual: float64 (K, f), the usual postures.
     """
@@ -109,7 +109,8 @@ def make_annotator(
         at no cost. Those with fewer than `VAGUE` fixed entries a column stay, with a remark.
     queries: a query whose target is a subclass preselects for it, one whose target is a class for those of its
         subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
-    usual: float64 (K, f), the usual postures (`ops.distances.background.background`): all frames of a take are labelled
+    usual: float64 (K, f), the usual postures (`ops.annotation.background.background`): all frames of a take are
+    labelled
         together, by the explanation of the greatest value. None: frame by frame, as in the thesis.
     learned: further queries, which are sorted by themselves: they preselect besides `queries`, never in their place.
 

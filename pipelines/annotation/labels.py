@@ -11,9 +11,9 @@ import polars as pl
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.wording import few
-from kinedex.storage.labels.segments import Label, TakeLabels
-from kinedex.storage.store import Store
+from kinedex.pipelines.console.wording import few
+from kinedex.storage.formats.labels.segments import Label, TakeLabels
+from kinedex.storage.store.store import Store
 
 
 def annotate_stage(store: Store, wanted: str | None = None) -> str:
@@ -49,7 +49,7 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
 def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int) -> int:
     """The last source frame at or before an analysis frame, `frames` (how many there are) at most.
 
-    `pipelines.evaluation.groundtruth.analysis_frame` gives back the analysis frame, unless the source is slower than
+    `pipelines.evaluation.ground_truth.analysis_frame` gives back the analysis frame, unless the source is slower than
     the analysis.
     """
     return min(math.floor(round(frame * source_rate_hz / rate_hz, 9)), frames)

@@ -9,12 +9,12 @@ import polars as pl
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.annotation.annotating import TakeAnnotation
 from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.batches import TakeAnnotation
+from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.templates.learning import run_of
-from kinedex.pipelines.wording import few
-from kinedex.storage.schemas import result_schema
-from kinedex.storage.store import Store
+from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.store.store import Store
 
 
 def takes_table(

@@ -24,11 +24,11 @@ from kinedex.pipelines.commands.shell import (
     run_to_the_end,
     show_table,
 )
-from kinedex.pipelines.terminal import make_console
+from kinedex.pipelines.console.terminal import make_console
 
 if TYPE_CHECKING:
     from kinedex.pipelines.keyframes.learning import Outcome
-    from kinedex.storage.store import Store
+    from kinedex.storage.store.store import Store
 
 keyframes = typer.Typer(name="keyframes", help="Learn keyframe queries from example clips.", no_args_is_help=True)
 app.add_typer(keyframes, rich_help_panel="Search for motion")
@@ -55,7 +55,7 @@ def learn(
     force: ForceOption = None,
 ) -> None:
     """Learn a keyframe query for each class of a store; an interruption loses 20 seconds of finished runs at most."""
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     open_store(store)
     run_to_the_end(pipeline, store, assignments_of(assign), executor, workers, scheduler, force)
@@ -72,9 +72,9 @@ def show(
 
     Precision and recall are those of all queries of a class together, so they stand on its first row only.
     """
+    from kinedex.pipelines.console.tables import Shown, wrapped
     from kinedex.pipelines.keyframes.tables import LEGEND, overview
-    from kinedex.pipelines.tables import Shown, wrapped
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     outcomes, taken = _outcomes(opened, name, pipeline)
@@ -97,10 +97,10 @@ def export(
     ] = None,
 ) -> None:
     """Write learned queries as a query file with named features, to read, to edit, and to search with."""
-    from kinedex.catalog.querywriting import write_queries
+    from kinedex.catalog.queries.query_writer import write_queries
     from kinedex.pipelines.keyframes.learning import keyframe_queries
-    from kinedex.storage.disk import writing
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.disk import writing
+    from kinedex.storage.store.store import open_store
 
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
         raise KinedexError(f"--output {output}: query files end in .yaml, or they cannot be searched with")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, app, guard, show_table
-from kinedex.pipelines.wording import counted
+from kinedex.pipelines.console.wording import counted
 
 labels = typer.Typer(
     name="labels", help="Annotations as label files for other tools, and label files as tables.", no_args_is_help=True
@@ -40,8 +40,8 @@ def export(
 ) -> None:
     """Write annotations as label files: a file per take into a folder, or one file."""
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_of
-    from kinedex.storage.labels.formats import write_labels
-    from kinedex.storage.store import open_store
+    from kinedex.storage.formats.labels.formats import write_labels
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     chosen = annotate_stage(opened, stage)
@@ -60,7 +60,7 @@ def read(
     """Show what label files say, as ground truth would be read from them."""
     import pyarrow as pa
 
-    from kinedex.storage.labels.formats import read_labels
+    from kinedex.storage.formats.labels.formats import read_labels
 
     unit = {True: "seconds", False: "source frames"}
     rows: list[dict[str, object]] = []

@@ -9,8 +9,8 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
-from kinedex.pipelines.terminal import make_console
-from kinedex.pipelines.wording import counted
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.console.wording import counted
 
 query = typer.Typer(no_args_is_help=True, help="Make keyframe queries.")
 app.add_typer(query, name="query", rich_help_panel="Search for motion")
@@ -37,16 +37,16 @@ def search(
     output: Output = None,
 ) -> None:
     """Search keyframe queries over the index; prints the ranges that hold hits."""
-    from kinedex.pipelines.searching.explaining import explain_search
-    from kinedex.pipelines.searching.search import load_query_file, save_hits, search_store
-    from kinedex.storage.store import open_store
+    from kinedex.pipelines.search.explanation import explain_search
+    from kinedex.pipelines.search.search import load_query_file, save_hits, search_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     loaded = load_query_file(queries, opened.feature_set, name, opened.rate_hz)
     if explain:
         if save is not None:
             raise KinedexError("--explain shows no hits that --save could keep; leave one of them out")
-        from kinedex.pipelines.tables import wrapped
+        from kinedex.pipelines.console.tables import wrapped
 
         table = explain_search(opened, loaded, where)
         if form == "table" and output is None:
@@ -65,7 +65,7 @@ def search(
             hint = "" if hits.num_rows else "; --explain shows at which keyframe it ends"
             make_console().print(f"{counted(hits.num_rows, 'range')} in {counted(takes, 'take')}{hint}", markup=False)
         return
-    from kinedex.pipelines.runner import new_run_id
+    from kinedex.pipelines.engine.runner import new_run_id
 
     run = new_run_id()
     hits = search_store(opened, loaded, where, run)
@@ -93,9 +93,9 @@ def from_clip(
     ] = None,
 ) -> None:
     """Propose a keyframe query from an example: YAML with comments, to be edited."""
-    from kinedex.pipelines.searching.proposing import propose_query
+    from kinedex.pipelines.search.query_proposal import propose_query
     from kinedex.pipelines.templates.templates import stretch
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     first, last = stretch(opened, take, start, stop)

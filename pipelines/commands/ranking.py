@@ -10,14 +10,14 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
-from kinedex.pipelines.terminal import make_console
-from kinedex.pipelines.wording import counted, few
+from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.console.wording import counted, few
 
 if TYPE_CHECKING:
-    from kinedex.catalog.queries import KeyframeQuery
+    from kinedex.catalog.queries.queries import KeyframeQuery
     from kinedex.ops.templates.templates import Kind, Template
-    from kinedex.pipelines.retrieval.ranking import Searched
-    from kinedex.storage.store import Store
+    from kinedex.pipelines.ranking.ranking import Searched
+    from kinedex.storage.store.store import Store
 
 
 @command
@@ -56,9 +56,9 @@ def rank(
 ) -> None:
     """Rank the places of an archive by how well templates fit them, the best of each template first."""
     from kinedex.pipelines.commands.templates import kind_of
-    from kinedex.pipelines.retrieval.ranking import rank_store, ranking_table
+    from kinedex.pipelines.ranking.ranking import rank_store, ranking_table
     from kinedex.pipelines.templates.templates import template_from_clip
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     names = list(dict.fromkeys(templates or ()))
@@ -128,9 +128,9 @@ def _searched(
     Templates without a query, where others have one, are ranked in all frames, as by the stage `rank`; that is said.
     lenient: templates of wildcards alone are left out, and that is said; else there must be none.
     """
-    from kinedex.catalog.queryfiles import read_queries
+    from kinedex.catalog.queries.query_files import read_queries
     from kinedex.ops.templates.templates import quantise
-    from kinedex.pipelines.retrieval.ranking import Searched
+    from kinedex.pipelines.ranking.ranking import Searched
 
     loaded = [] if queries is None else read_queries(queries, store.feature_set, store.rate_hz)
     searched: list[Searched] = []

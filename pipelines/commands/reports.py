@@ -9,7 +9,7 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.shell import app, guard
-from kinedex.pipelines.terminal import make_console
+from kinedex.pipelines.console.terminal import make_console
 
 report = typer.Typer(name="report", help="Compare evaluations.", no_args_is_help=True)
 app.add_typer(report, rich_help_panel="Run pipelines")
@@ -41,10 +41,10 @@ def compare(
     """
     import json
 
+    from kinedex.pipelines.evaluation.difference_tables import markdown, page, rich_comparison
     from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
-    from kinedex.pipelines.evaluation.differencetables import markdown, page, rich_comparison
-    from kinedex.pipelines.evaluation.runs import pairs, read_run
-    from kinedex.pipelines.report.write import write_page
+    from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
+    from kinedex.pipelines.report.output import write_page
 
     if output is not None and output.suffix not in FORMATS:
         raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated, TypeVar, cast
 import typer
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.terminal import make_console
+from kinedex.pipelines.console.terminal import make_console
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from rich.console import Console
 
-    from kinedex.pipelines.runner import Outcome
+    from kinedex.pipelines.engine.runner import Outcome
 
 FAILED, LEFT_OUT, INTERRUPTED = 1, 3, 130
 """Exit codes: something could not be done; all was done, but the ingest left source files out; stopped by Ctrl-C."""
@@ -115,7 +115,7 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
 def show_table(table: pa.Table, form: str, output: Path | None) -> None:
     """Print a table, or write it to a file, in the form asked for; else in that of the file's ending, or CSV without
     one."""
-    from kinedex.pipelines.tables import Shown, encode
+    from kinedex.pipelines.console.tables import Shown, encode
 
     if output is not None and form == "table":
         form = _form_of(output)
@@ -151,7 +151,7 @@ def run_to_the_end(
     force: list[str] | None = None,
 ) -> None:
     """Run a pipeline and say how it ended, as `finish` does."""
-    from kinedex.pipelines.runner import run_pipeline
+    from kinedex.pipelines.engine.runner import run_pipeline
 
     outcome = run_pipeline(
         pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,

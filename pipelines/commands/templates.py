@@ -9,13 +9,13 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.shell import Format, Output, StorePath, app, guard, show_table
-from kinedex.pipelines.terminal import make_console
+from kinedex.pipelines.console.terminal import make_console
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from kinedex.catalog.features import FeatureSet
-    from kinedex.catalog.templatefiles import NamedTemplate
+    from kinedex.catalog.template_files import NamedTemplate
     from kinedex.ops.templates.templates import Kind
 
 template = typer.Typer(name="template", help="Look at motion templates, compare them, make them.", no_args_is_help=True)
@@ -40,7 +40,7 @@ def list_(
 ) -> None:
     """List the templates of a store."""
     from kinedex.pipelines.templates.templates import stored_templates, templates_overview
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     table = templates_overview(opened, delta, stage)
@@ -69,12 +69,12 @@ def show(
     ] = None,
 ) -> None:
     """Show a template: how it was learned, and every feature over time, with how much the clips agree about it."""
-    from kinedex.catalog.templatefiles import NamedTemplate
+    from kinedex.catalog.template_files import NamedTemplate
     from kinedex.pipelines.report.matrix import write_figure
-    from kinedex.pipelines.report.templatefigures import template_figure
+    from kinedex.pipelines.report.template_figures import template_figure
+    from kinedex.pipelines.templates.template_text import heading, template_lines
     from kinedex.pipelines.templates.templates import choose_template
-    from kinedex.pipelines.templates.templatetext import heading, template_lines
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     one = choose_template(opened, name, kind_of(kind), stage)
@@ -106,12 +106,12 @@ def diff(
     ] = None,
 ) -> None:
     """Say what distinguishes two templates: features that contradict each other, and when."""
-    from kinedex.ops.templates.shaping import contrast
+    from kinedex.ops.templates.derived_templates import contrast
     from kinedex.pipelines.report.matrix import write_figure
-    from kinedex.pipelines.report.templatefigures import contrast_figure
+    from kinedex.pipelines.report.template_figures import contrast_figure
+    from kinedex.pipelines.templates.template_text import contrast_lines
     from kinedex.pipelines.templates.templates import choose_template
-    from kinedex.pipelines.templates.templatetext import contrast_lines
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     names = (first, second)
@@ -138,9 +138,9 @@ def from_clip(
     ] = None,
 ) -> None:
     """Make a template from one example: a take, or a stretch of it. `template_files` of learn_templates reads it."""
-    from kinedex.catalog.templatefiles import write_yaml
+    from kinedex.catalog.template_files import write_yaml
     from kinedex.pipelines.templates.templates import template_from_clip
-    from kinedex.storage.store import open_store
+    from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
     made = template_from_clip(opened, take, start, stop, name or take)
@@ -165,7 +165,7 @@ def kind_of(text: str) -> Kind:
 
 def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
     """The one template that a template file holds."""
-    from kinedex.catalog.templatefiles import read_templates
+    from kinedex.catalog.template_files import read_templates
 
     found = read_templates(path, features)
     if len(found) > 1:
@@ -175,8 +175,8 @@ def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
 
 def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:
     """Write a template file, as the path's ending says."""
-    from kinedex.catalog.templatefiles import write_csv, write_yaml
-    from kinedex.pipelines.report.write import write_page
+    from kinedex.catalog.template_files import write_csv, write_yaml
+    from kinedex.pipelines.report.output import write_page
 
     ending = path.suffix.lower()
     if ending not in (".yaml", ".yml", ".csv"):

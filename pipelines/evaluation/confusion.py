@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.pipelines.evaluation.cells import Segment
-from kinedex.pipelines.evaluation.exams import Exam
+from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.test_takes import Exam
 
 Bool = npt.NDArray[np.bool_]
 

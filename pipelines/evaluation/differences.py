@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from kinedex.ops.measures.metrics import Counts, pooled
-from kinedex.pipelines.evaluation.runs import Scored
+from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.pipelines.evaluation.written_evaluations import Scored
 
 LEAST = 0.005
 """What changes by less than this is the same."""

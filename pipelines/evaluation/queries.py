@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pydantic import BaseModel
 
 from kinedex.catalog.classes import load_classes
-from kinedex.catalog.queries import KeyframeQuery
+from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.evaluation.exams import Fold
-from kinedex.pipelines.keyframes.keeping import KeptRuns
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.keyframes.learning import Lesson, Outcome, every_query, lessons
+from kinedex.pipelines.keyframes.run_storage import KeptRuns
 from kinedex.pipelines.keyframes.runs import Course, known_runs, learn
 from kinedex.pipelines.stages import learn_keyframes
 

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from kinedex.ops.measures.metrics import Counts
-from kinedex.pipelines.evaluation.cells import Segment
-from kinedex.pipelines.evaluation.evaluating import measures
-from kinedex.pipelines.evaluation.exams import Exam, Fold
-from kinedex.pipelines.evaluation.judging import Fate, Judgement, Outcome, chosen_takes
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.evaluation.annotation_scores import measures
+from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.method_scores import Fate, Judgement, Outcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
+from kinedex.pipelines.evaluation.test_takes import Exam, Fold
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from kinedex.ops.measures.metrics import Counts
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
-from kinedex.pipelines.evaluation.judging import Fate, Judgement
-from kinedex.pipelines.evaluation.marked import grid, plain
+from kinedex.pipelines.evaluation.markdown import grid, plain
+from kinedex.pipelines.evaluation.method_scores import Fate, Judgement
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary
-from kinedex.pipelines.wording import counted
 
 MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
 MOST_CONFUSIONS = 8

@@ -15,20 +15,23 @@ import numpy as np
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.learning import breeding, fitness, genetics, greedy
-from kinedex.ops.learning import lessons as learned_from
-from kinedex.ops.learning.consensus import AtLeast, Consensus, consent
-from kinedex.ops.learning.fitness import training_frames
-from kinedex.ops.learning.genetics import evolve, random_search
-from kinedex.ops.learning.greedy import forward_selection
-from kinedex.ops.learning.lessons import Evolution, Material, Run, make_material, steady_entries
-from kinedex.ops.learning.queries import Query
+from kinedex.ops.keyframes import fitness
+from kinedex.ops.keyframes import genetic_algorithm as genetics
+from kinedex.ops.keyframes import genetic_operators as breeding
+from kinedex.ops.keyframes import greedy_selection as greedy
+from kinedex.ops.keyframes import training_task as learned_from
+from kinedex.ops.keyframes.consensus import AtLeast, Consensus, consent
+from kinedex.ops.keyframes.fitness import training_frames
+from kinedex.ops.keyframes.genetic_algorithm import evolve, random_search
+from kinedex.ops.keyframes.greedy_selection import forward_selection
+from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.training_task import Evolution, Material, Run, make_material, steady_entries
 from kinedex.ops.templates import templates as template_code
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import U64
-from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.keyframes.margins import Margins, clips_hit, margins_of
 from kinedex.pipelines.templates.learning import TrainingClips
 

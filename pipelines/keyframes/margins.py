@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from kinedex.catalog.queries import Gap
-from kinedex.ops.learning.fitness import Bool
-from kinedex.ops.learning.queries import Query
-from kinedex.ops.search.bitslices import slice_words
+from kinedex.catalog.queries.queries import Gap
+from kinedex.ops.keyframes.fitness import Bool
+from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.search.bit_slice_search import search_slices
+from kinedex.ops.search.bit_slices import slice_words
 from kinedex.ops.search.preselection import margins as formula_margins
 from kinedex.ops.search.segments import from_axis
-from kinedex.ops.search.slicesearch import search_slices
 from kinedex.ops.words import I64, U64, TakeWords
 
 Margins = Literal["learned", "shared", "formula", "wider"]

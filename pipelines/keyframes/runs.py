@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pyarrow as pa
 
-from kinedex.ops.learning.consensus import Consensus
-from kinedex.ops.learning.lessons import Run
-from kinedex.ops.learning.queries import Query
-from kinedex.pipelines.executors import Executor
+from kinedex.ops.keyframes.consensus import Consensus
+from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.training_task import Run
+from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import AgreeTask, Chosen, Lesson, Outcome, RunTask, Setting, agree, do_runs
-from kinedex.storage.schemas import result_schema
+from kinedex.storage.store.schemas import result_schema
 
 SAVE_SECONDS = 20.0
 """How long runs may be finished without being stored."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.distances.annotation import local_minima
+from kinedex.ops.annotation.segments import local_minima
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.data import Curve, Segment, TakeRow
 from kinedex.pipelines.report.timelines import Bar, bar

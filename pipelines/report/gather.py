@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.report.choice import median_take
 from kinedex.pipelines.report.data import (
     Curve,
     Failure,
@@ -29,10 +28,11 @@ from kinedex.pipelines.report.data import (
     Template,
 )
 from kinedex.pipelines.report.reproduce import command
-from kinedex.storage.manifest import ResultPart, StageRecord
-from kinedex.storage.parts import part_file
-from kinedex.storage.schemas import result_schema
-from kinedex.storage.store import Store
+from kinedex.pipelines.report.take_selection import median_take
+from kinedex.storage.store.manifest import ResultPart, StageRecord
+from kinedex.storage.store.parts import part_file
+from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.store.store import Store
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
 

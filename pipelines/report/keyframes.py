@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries import SAME_FRAME
-from kinedex.ops.learning.lessons import HISTORY, Run
-from kinedex.ops.learning.queries import Query
-from kinedex.ops.measures.intervals import wilson
+from kinedex.catalog.queries.queries import SAME_FRAME
+from kinedex.ops.evaluation.confidence_intervals import wilson
+from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.training_task import HISTORY, Run
 from kinedex.ops.words import bits
 from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
 from kinedex.pipelines.keyframes.tables import sentence

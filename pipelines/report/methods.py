@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from jinja2 import Environment
 
-from kinedex.ops.measures.detection import THRESHOLDS
+from kinedex.ops.evaluation.detection import THRESHOLDS
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
 from kinedex.pipelines.evaluation.tables import (
     between,
@@ -22,7 +22,7 @@ from kinedex.pipelines.evaluation.tables import (
     six,
 )
 from kinedex.pipelines.report.environment import page_environment
-from kinedex.pipelines.report.methodfigures import (
+from kinedex.pipelines.report.method_figures import (
     FURTHEST,
     HEIGHT,
     ROOMS,

@@ -15,10 +15,10 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.wording import few
-from kinedex.storage.export import TREE
-from kinedex.storage.parts import joint_positions
-from kinedex.storage.store import Store
+from kinedex.pipelines.console.wording import few
+from kinedex.storage.formats.motion.export import TREE
+from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.store.store import Store
 
 MOST_BYTES = 12_000_000
 """What a report carries of its own accord; with everything else it stays below 20 MB."""

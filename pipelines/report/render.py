@@ -12,15 +12,15 @@ from importlib import resources
 from jinja2 import Environment
 from markupsafe import Markup
 
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.report.cards import Card, card, readable, rules
-from kinedex.pipelines.report.choice import Choice, choose_takes
 from kinedex.pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from kinedex.pipelines.report.data import ReportData, Score, Segment
 from kinedex.pipelines.report.environment import page_environment
 from kinedex.pipelines.report.motions import Motions, motions_json
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
+from kinedex.pipelines.report.take_selection import Choice, choose_takes
 from kinedex.pipelines.report.timelines import Timeline, timeline
-from kinedex.pipelines.wording import counted
 
 DELTA_SHOWN = 0.05  # δ of the quantised view where the store does not say which one annotation used
 

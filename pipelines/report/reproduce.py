@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.report.data import StageRow
 
 

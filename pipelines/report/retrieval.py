@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN
 from kinedex.pipelines.report.environment import page_environment
-from kinedex.pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN
 
 SIZE = 150
 """Side of a diagram in SVG units; both axes go from 0 to 1."""

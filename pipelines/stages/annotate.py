@@ -17,17 +17,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.queries import KeyframeQuery
-from kinedex.catalog.queryfiles import read_query_files
-from kinedex.ops.distances.decoding import background
+from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.ops.annotation.decoding import background
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.annotation.annotating import annotate_takes
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
-from kinedex.pipelines.annotation.calibrating import Calibration, calibrate
-from kinedex.pipelines.annotation.kept import fingerprints, kept_annotations, setting_digest
+from kinedex.pipelines.annotation.batches import annotate_takes
+from kinedex.pipelines.annotation.reuse import fingerprints, kept_annotations, setting_digest
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.annotation.threshold_calibration import Calibration, calibrate
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.keyframes.learning import every_query
 from kinedex.pipelines.keyframes.runs import outcomes_of
 from kinedex.pipelines.stages import learn_templates as learning
@@ -40,9 +41,8 @@ from kinedex.pipelines.templates.learning import (
     run_of,
 )
 from kinedex.pipelines.templates.recipes import feature_weights
-from kinedex.pipelines.wording import counted, few
-from kinedex.storage.store import Store
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
 
 F64 = npt.NDArray[np.float64]
 

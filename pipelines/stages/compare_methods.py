@@ -13,28 +13,28 @@ from pydantic import ConfigDict, Field, model_validator
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.configs import config_path
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.measures.metrics import pooled
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
-from kinedex.pipelines.evaluation.cells import Cell, Found, cells_table, known_cells, remarks_of, run_cells
-from kinedex.pipelines.evaluation.evaluating import Evaluation, Row, measures, metrics_rows
-from kinedex.pipelines.evaluation.exams import Fold
+from kinedex.ops.evaluation.metrics import pooled
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, measures, metrics_rows
 from kinedex.pipelines.evaluation.folds import Material, make_folds
-from kinedex.pipelines.evaluation.groundtruth import GroundTruth
-from kinedex.pipelines.evaluation.judging import Judgement, counts_of, fates, judge
-from kinedex.pipelines.evaluation.preparing import Known, make_cell, said_of, with_templates
+from kinedex.pipelines.evaluation.grid import Cell, Found, cells_table, known_cells, remarks_of, run_cells
+from kinedex.pipelines.evaluation.ground_truth import GroundTruth
+from kinedex.pipelines.evaluation.method_scores import Judgement, counts_of, fates, judge
+from kinedex.pipelines.evaluation.preparation import Known, make_cell, said_of, with_templates
 from kinedex.pipelines.evaluation.queries import QueryLearner
 from kinedex.pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study, Threshold, content, shown_parts
 from kinedex.pipelines.evaluation.tables import markdown, overview
+from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.report.methods import methods_page
 from kinedex.pipelines.report.motions import embed
-from kinedex.pipelines.report.write import write_page
+from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.stages import evaluate as evaluating
 from kinedex.pipelines.stages import learn_templates as learning
-from kinedex.pipelines.wording import few
-from kinedex.storage.manifest import now
-from kinedex.storage.store import Store
+from kinedex.storage.store.manifest import now
+from kinedex.storage.store.store import Store
 
 
 class Params(evaluating.Params):

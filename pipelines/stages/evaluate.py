@@ -12,9 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
-from kinedex.pipelines.evaluation.evaluating import (
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.evaluation.annotation_scores import (
     SCOPES,
     evaluate,
     measures,
@@ -22,7 +22,7 @@ from kinedex.pipelines.evaluation.evaluating import (
     metrics_table,
     write_metrics,
 )
-from kinedex.pipelines.evaluation.groundtruth import (
+from kinedex.pipelines.evaluation.ground_truth import (
     GroundTruth,
     UnknownLabels,
     ground_truth_of_classes,
@@ -31,8 +31,8 @@ from kinedex.pipelines.evaluation.groundtruth import (
 )
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.templates.learning import read_templates, run_of
-from kinedex.storage.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
-from kinedex.storage.store import Store
+from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
+from kinedex.storage.store.store import Store
 
 NONE, OWN_CLASS = "none", "class"
 SET_IT = "`--set evaluate.ground_truth=PATTERN` names label files"

@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind, quantise
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
-from kinedex.pipelines.retrieval.ranking import Searched, rank_store
-from kinedex.pipelines.retrieval.retrieval import (
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.ranking.ranking import Searched, rank_store
+from kinedex.pipelines.ranking.ranking_evaluation import (
     Judged,
     clip_costs,
     judge_clips,
@@ -25,8 +25,8 @@ from kinedex.pipelines.retrieval.retrieval import (
     retrieval_table,
 )
 from kinedex.pipelines.templates.learning import learn_templates, read_templates, training_clips
-from kinedex.storage.ground_truth import ground_truth_files
-from kinedex.storage.store import Store
+from kinedex.storage.formats.labels.ground_truth import ground_truth_files
+from kinedex.storage.store.store import Store
 
 NONE = "none"
 

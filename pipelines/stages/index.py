@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.engine.context import StageContext
 from kinedex.storage import index
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

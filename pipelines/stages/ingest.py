@@ -12,25 +12,25 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.skeletons import Mappings, load_mappings
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.ops import textnumbers
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import KinedexError, NewStoreError
-from kinedex.pipelines.context import StageContext, feature_set_for
-from kinedex.pipelines.executors import WorkerDied
-from kinedex.pipelines.ingesting.batches import run_batches
-from kinedex.pipelines.ingesting.changes import Changes, Naming, compare, digest
-from kinedex.pipelines.ingesting.failures import Failure, failure, killer, log_table, told
-from kinedex.pipelines.ingesting.reading import Batch, Task, Written, read_batch
-from kinedex.pipelines.wording import counted
-from kinedex.storage.bodies import Given
-from kinedex.storage.bodymodel import model_digest
-from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ
-from kinedex.storage.compaction import compact
-from kinedex.storage.schemas import takes_schema
-from kinedex.storage.sources import MOTIONS, scan
-from kinedex.storage.store import Store
-from kinedex.storage.writer import StoreWriter
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext, feature_set_for
+from kinedex.pipelines.engine.executors import WorkerDied
+from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest
+from kinedex.pipelines.ingestion.failures import Failure, failure, killer, log_table, told
+from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
+from kinedex.pipelines.ingestion.task_batches import run_batches
+from kinedex.storage.formats.motion.bodies import Given
+from kinedex.storage.formats.motion.body_models import model_digest
+from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.formats.motion.sources import MOTIONS, scan
+from kinedex.storage.store.compaction import compact
+from kinedex.storage.store.schemas import takes_schema
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
 
 MEGABYTE = 1 << 20
 

@@ -10,20 +10,20 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.catalog.configs import config_path
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.learning.consensus import AGREEMENTS, AtLeast
-from kinedex.ops.learning.lessons import Evolution, InitialGaps
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import Reading, files_digest, takes_read
+from kinedex.ops.keyframes.consensus import AGREEMENTS, AtLeast
+from kinedex.ops.keyframes.training_task import Evolution, InitialGaps
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
 from kinedex.pipelines.keyframes.background import mine
-from kinedex.pipelines.keyframes.keeping import KeptRuns
 from kinedex.pipelines.keyframes.learning import Learner, Lesson, Setting, allowed_features, lessons
 from kinedex.pipelines.keyframes.margins import Margins
+from kinedex.pipelines.keyframes.run_storage import KeptRuns
 from kinedex.pipelines.keyframes.runs import Course, Rounds, learn, queries_table
 from kinedex.pipelines.report.keyframes import keyframes_page
-from kinedex.pipelines.report.write import write_page
+from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.templates.learning import training_clips, training_takes
-from kinedex.pipelines.wording import counted, few
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 Odds = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]

@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import MOST_ROUNDS, Kind
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import Reading, files_digest, takes_read
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
 from kinedex.pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
@@ -30,8 +31,7 @@ from kinedex.pipelines.templates.recipes import (
     templates_of_files,
     with_mirrored,
 )
-from kinedex.pipelines.wording import few
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

@@ -10,14 +10,14 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import Classes
-from kinedex.catalog.queries import KeyframeQuery
-from kinedex.ops.distances.decoding import background
+from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.ops.annotation.decoding import background
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.annotation.annotating import annotate_takes
 from kinedex.pipelines.annotation.annotators import make_annotator
+from kinedex.pipelines.annotation.batches import annotate_takes
 from kinedex.pipelines.annotation.tables import annotated_takes, annotations_table
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.evaluation.evaluating import (
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.evaluation.annotation_scores import (
     SCOPES,
     Evaluation,
     evaluate,
@@ -27,7 +27,7 @@ from kinedex.pipelines.evaluation.evaluating import (
     pool_folds,
     write_metrics,
 )
-from kinedex.pipelines.evaluation.groundtruth import GroundTruth
+from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.stages import evaluate as evaluating
 from kinedex.pipelines.stages import learn_templates as learning
@@ -38,7 +38,7 @@ from kinedex.pipelines.templates.learning import (
     read_templates,
 )
 from kinedex.pipelines.templates.recipes import feature_weights
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

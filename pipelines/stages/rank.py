@@ -11,17 +11,17 @@ from rich import box
 from rich.table import Table
 
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.queryfiles import read_query_files
+from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
-from kinedex.pipelines.retrieval.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
-from kinedex.pipelines.retrieval.stiffness import mean_stiffness
-from kinedex.pipelines.searching.explaining import explain_store
-from kinedex.pipelines.searching.search import search_store
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.ranking.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
+from kinedex.pipelines.ranking.stiffness import mean_stiffness
+from kinedex.pipelines.search.explanation import explain_store
+from kinedex.pipelines.search.search import search_store
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.pipelines.wording import few
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

@@ -7,12 +7,12 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.pipelines.context import StageContext
+from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.report.gather import gather
 from kinedex.pipelines.report.motions import embed
+from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.report.render import pages_digest, render, shown_takes
-from kinedex.pipelines.report.write import write_page
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

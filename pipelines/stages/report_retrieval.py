@@ -6,12 +6,12 @@ from importlib import resources
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.report.retrieval import retrieval_page
-from kinedex.pipelines.report.write import write_page
 from kinedex.pipelines.templates.learning import run_of
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

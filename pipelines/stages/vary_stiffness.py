@@ -11,17 +11,17 @@ from rich import box
 from rich.table import Table
 
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.queryfiles import read_query_files
+from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.digests import files_digest
-from kinedex.pipelines.retrieval.ranking import searched_templates
-from kinedex.pipelines.retrieval.retrieval import mean_average_precision, names_filter, read_truth
-from kinedex.pipelines.retrieval.stiffness import WRITTEN, Trial, run_trials, trial_rows
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.ranking.ranking import searched_templates
+from kinedex.pipelines.ranking.ranking_evaluation import mean_average_precision, names_filter, read_truth
+from kinedex.pipelines.ranking.stiffness import WRITTEN, Trial, run_trials, trial_rows
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.storage.ground_truth import ground_truth_files
-from kinedex.storage.store import Store
+from kinedex.storage.formats.labels.ground_truth import ground_truth_files
+from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):

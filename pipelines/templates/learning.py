@@ -16,11 +16,11 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind as Kind
 from kinedex.ops.templates.templates import Learned, Template, learn
 from kinedex.ops.words import NO_WORD, U64
-from kinedex.pipelines.executors import Executor
-from kinedex.pipelines.templates.clipchecks import clip_remarks
-from kinedex.pipelines.wording import few
-from kinedex.storage.schemas import result_schema
-from kinedex.storage.store import Store
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.templates.clip_checks import clip_remarks
+from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
 

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.templatefiles import NamedTemplate, read_templates
+from kinedex.catalog.template_files import NamedTemplate, read_templates
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.templates.shaping import joined
+from kinedex.ops.templates.derived_templates import joined
 from kinedex.ops.templates.templates import Kind, Learned
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 

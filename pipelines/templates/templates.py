@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.templatefiles import NamedTemplate
+from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind, learn, quantise
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
-from kinedex.storage.store import Store
+from kinedex.storage.store.store import Store
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from kinedex.ops.errors import StoreError
-from kinedex.ops.search.bitslices import slice_words
-from kinedex.storage import duck
-from kinedex.storage.disk import sync_folder, writing
-from kinedex.storage.frames import read_words
+from kinedex.ops.search.bit_slices import slice_words
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import (
     BUILDING,
@@ -40,11 +37,14 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.index.plan import SHARD_FRAMES, Plan, plan, shard_parts
 from kinedex.storage.index.slices import write_slices
-from kinedex.storage.lock import Lock
-from kinedex.storage.manifest import Part, now
+from kinedex.storage.sql import duck
+from kinedex.storage.store.disk import sync_folder, writing
+from kinedex.storage.store.frames import read_words
+from kinedex.storage.store.lock import Lock
+from kinedex.storage.store.manifest import Part, now
 
 if TYPE_CHECKING:
-    from kinedex.storage.store import Store
+    from kinedex.storage.store.store import Store
 
 MOST_WASTE = 2.0
 """A file that has grown to more than this many times the size that it would have anew is written anew."""

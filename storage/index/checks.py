@@ -10,14 +10,14 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.ops.search.bitslices import slice_words
-from kinedex.storage import duck
+from kinedex.ops.search.bit_slices import slice_words
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import FILE, Generation, Shard, slices_name
 from kinedex.storage.index.slices import ShardSlices, open_slices
+from kinedex.storage.sql import duck
 
 if TYPE_CHECKING:
-    from kinedex.storage.store import Store
+    from kinedex.storage.store.store import Store
 
 
 def problems(store: Store, generation: Path, says: Generation, *, words: bool = True) -> Iterator[tuple[str, str]]:

@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.manifest import Manifest, versions
+from kinedex.storage.store.manifest import Manifest, versions
 
 INDEX_VERSION = 4
 """Version of the index's tables and of its other files; an index of another version is built again."""

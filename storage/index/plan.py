@@ -1,7 +1,8 @@
 """Which shards of an index stand, which lose takes, and which are made anew, at a cost that follows what has changed.
 
 Frames parts are put together into shards of `SHARD_FRAMES` frames. What is added later becomes a shard of its own, and
-small shards are merged by tiers, as small parts are (`storage.compaction`): a tier with `FANOUT` shards or more becomes
+small shards are merged by tiers, as small parts are (`storage.store.compaction`): a tier with `FANOUT` shards or more
+becomes
 one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small. Takes that are
 gone are deleted from their shard until half of it is gone; then it is made anew.
 """
@@ -13,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 from kinedex.storage.index.generations import Shard, ShardPart
-from kinedex.storage.manifest import Part, ranges
+from kinedex.storage.store.manifest import Part, ranges
 
 SHARD_FRAMES = 1_048_576
 """A shard of this many frames (9.7 hours at 30 Hz) is full. Making one takes some 100 MB of memory; the runs of one

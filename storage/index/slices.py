@@ -5,7 +5,7 @@ pages that nobody asks for are never read. What is mapped stays readable, also w
 
 The file is little-endian. Its head has 64 bytes: the eight letters of `MAGIC`, then as uint64 `LAYOUT` and the numbers
 of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (T,), ascending, and the arrays of
-`ops.search.bitslices.BitSlices` in the order of `_shapes`, each from the next multiple of 64 bytes on.
+`ops.search.bit_slices.BitSlices` in the order of `_shapes`, each from the next multiple of 64 bytes on.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import StoreError
-from kinedex.ops.search.bitslices import BLOCK, BitSlices, coarse_words
+from kinedex.ops.search.bit_slices import BLOCK, BitSlices, coarse_words
 from kinedex.ops.words import I64, MOST_FEATURES
 from kinedex.storage.index.generations import BUILD, Generation, Shard, slices_name
 

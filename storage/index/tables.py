@@ -3,7 +3,7 @@
 `stored_word_runs_<set>`, `stored_feature_runs` and `stored_vocabulary` hold the rows of all shards, one shard after the
 other, each sorted. Whose a run is, its take tells, since every take is in one shard; words have a column for it. A run
 is stored with its length, which takes a third of the room that its end would take, and with its take's id in 32 bits.
-`word_runs`, `feature_runs` and `vocabulary` show them as `catalog.views` says.
+`word_runs`, `feature_runs` and `vocabulary` show them as `catalog.sql.views` says.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.views import MACROS, VIEWS, help_rows
+from kinedex.catalog.sql.views import MACROS, VIEWS, help_rows
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
 from kinedex.ops.search.runs import FeatureRuns, feature_runs
 from kinedex.ops.words import I64, TakeWords
-from kinedex.storage import duck
+from kinedex.storage.sql import duck
 
 if TYPE_CHECKING:
-    from kinedex.storage.store import Store
+    from kinedex.storage.store.store import Store
 
 BATCH = 122_880
 """Rows of a DuckDB row group: batches of this size are compressed by several threads."""

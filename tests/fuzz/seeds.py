@@ -11,10 +11,10 @@ import numpy as np
 
 from kinedex.catalog.configs import config_names, config_path
 from kinedex.catalog.features import FeatureSet, load_feature_set
-from kinedex.catalog.skeletons import Mappings, load_mappings, load_skeleton
-from kinedex.storage.bodymodel import BODY, HANDS
-from kinedex.storage.labels.formats import FORMATS
-from kinedex.storage.labels.segments import Label, TakeLabels
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_skeleton
+from kinedex.storage.formats.labels.formats import FORMATS
+from kinedex.storage.formats.labels.segments import Label, TakeLabels
+from kinedex.storage.formats.motion.body_models import BODY, HANDS
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d

@@ -16,18 +16,18 @@ import numpy as np
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.configs import config_names, config_path, load_yaml
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queryfiles import parse_queries, read_queries
-from kinedex.catalog.querywriting import write_queries
-from kinedex.catalog.skeletons import load_skeleton
+from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.catalog.queries.query_writer import write_queries
+from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.pipelines.config import load_pipeline
-from kinedex.pipelines.ingesting.analysis import analyse, blind
-from kinedex.storage.bodies import FARTHEST_M, Given, read_body
-from kinedex.storage.bodymodel import load_body_model
-from kinedex.storage.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
-from kinedex.storage.c3d import parse_c3d
-from kinedex.storage.ground_truth import read_ground_truth
-from kinedex.storage.positions import is_positions_csv
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.motion.bodies import FARTHEST_M, Given, read_body
+from kinedex.storage.formats.motion.body_models import load_body_model
+from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
+from kinedex.storage.formats.motion.c3d import parse_c3d
+from kinedex.storage.formats.motion.positions import is_positions_csv
 from tests.bodies import STANDING
 from tests.fuzz import seeds
 from tests.fuzz.binary import C3D, NPY, NPZ

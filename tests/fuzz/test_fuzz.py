@@ -76,7 +76,7 @@ def test_crashes_hangs_greed_and_wrong_results_are_found_and_can_be_looked_at_ag
 
 
 def test_a_reader_that_lets_infinity_through_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinedex.storage.points.refuse_far", lambda *_: None)
+    monkeypatch.setattr("kinedex.storage.formats.motion.points.refuse_far", lambda *_: None)
     whole = np.load(io.BytesIO(TARGETS["npy"].seeds()["24"]))
     whole[-1, 15] = 1e300
     changed = io.BytesIO()

@@ -11,11 +11,11 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.distances.annotation import TOLERANCE
+from kinedex.ops.annotation.segments import TOLERANCE
 from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, encode, lay_out
 from kinedex.ops.distances.dtw import check_ranges
 from kinedex.ops.distances.pruning import Coarse, bounds_below, coarse_bound, possible_minima
-from kinedex.ops.distances.windows import sum_window, walk_back, workspace
+from kinedex.ops.distances.window_sums import sum_window, walk_back, workspace
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
@@ -55,7 +55,7 @@ def minima_below(
 ) -> Minima:
     """Find the local minima of a distance curve below a threshold, with the paths that lead to them.
 
-    The result is that of `ops.distances.annotation.local_minima` on the curve of `ops.distances.dtw.distance_curves`
+    The result is that of `ops.annotation.segments.local_minima` on the curve of `ops.distances.dtw.distance_curves`
     in float64, with `start_frames`: what the bounds of `ops.distances.pruning` leave is computed, and decides.
 
     Parameters

@@ -9,9 +9,9 @@ import numpy as np
 from rich.console import Console
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.executors import make_executor
-from kinedex.pipelines.terminal import Terminal
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.executors import make_executor
 
 PARENTS = {
     "lhipjoint": "root", "lfemur": "lhipjoint", "ltibia": "lfemur", "lfoot": "ltibia", "ltoes": "lfoot",

@@ -12,12 +12,12 @@ import numpy as np
 from pydantic import BaseModel
 from rich.console import Console
 
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.executors import make_executor
-from kinedex.pipelines.terminal import Terminal
-from kinedex.storage.manifest import StageRecord
-from kinedex.storage.parts import FramesWriter
-from kinedex.storage.writer import StoreWriter
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.executors import make_executor
+from kinedex.storage.store.manifest import StageRecord
+from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, take_row, takes_table
 
 _random = np.random.default_rng(2012)

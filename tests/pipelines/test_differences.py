@@ -11,12 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.measures.metrics import Counts
-from kinedex.pipelines.cli import app
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
+from kinedex.pipelines.evaluation.difference_tables import markdown, page
 from kinedex.pipelines.evaluation.differences import compared, content, difference_interval, without_repeats
-from kinedex.pipelines.evaluation.differencetables import markdown, page
-from kinedex.pipelines.evaluation.evaluating import Evaluation, Row, write_metrics
-from kinedex.pipelines.evaluation.runs import Scored, pairs, read_run
+from kinedex.pipelines.evaluation.written_evaluations import Scored, pairs, read_run
 from tests.pipelines.study import Reading
 
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinedex.catalog.skeletons import load_skeleton
+from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.stages import ingest
 from kinedex.storage import index
-from kinedex.storage.acclaim import read_amc, read_asf
+from kinedex.storage.formats.motion.acclaim import read_amc, read_asf
 from kinedex.storage.index.generations import Generation, current, read_generation
-from kinedex.storage.store import open_store
-from kinedex.storage.verify import verify
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.verification import verify
 from tests import killing
 from tests.pipelines.archives import context, human_amc, write_archive
 

@@ -15,15 +15,15 @@ from typing import Any
 import pytest
 
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.pipelines.cli import app
-from kinedex.pipelines.executors import SerialExecutor, WorkerDied
-from kinedex.pipelines.ingesting import reading
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
+from kinedex.pipelines.ingestion import file_batches as reading
 from kinedex.pipelines.stages import ingest
 from kinedex.storage import index
-from kinedex.storage.bodies import Body, read_body
-from kinedex.storage.compaction import FANOUT
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.verify import verify
+from kinedex.storage.formats.motion.bodies import Body, read_body
+from kinedex.storage.store.compaction import FANOUT
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, human_amc, write_archive
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,15 +11,15 @@ import pytest
 from rich.console import Console
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons import load_skeleton
+from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.stages import ingest
-from kinedex.pipelines.terminal import Terminal
-from kinedex.storage.bodymodel import BODY
-from kinedex.storage.export import export_take
-from kinedex.storage.parts import joint_positions
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.verify import verify
+from kinedex.storage.formats.motion.body_models import BODY
+from kinedex.storage.formats.motion.export import export_take
+from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.pipelines.archives import context, write_archive

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from kinedex.catalog.classes import load_classes
-from kinedex.pipelines.executors import DaskExecutor, Executor, SerialExecutor
+from kinedex.pipelines.engine.executors import DaskExecutor, Executor, SerialExecutor
 from kinedex.pipelines.keyframes.learning import Setting, lessons
 from kinedex.pipelines.keyframes.runs import Course, Rounds, learn
 from kinedex.pipelines.stages.learn_keyframes import Params, setting_of
 from kinedex.pipelines.templates.learning import training_clips
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.labelled import POSES, clip, write_store
 from tests.pipelines.test_executors import Cluster
 

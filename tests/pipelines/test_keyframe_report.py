@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinedex.ops.learning.consensus import Consensus
-from kinedex.ops.learning.lessons import Run
-from kinedex.ops.learning.queries import Query
+from kinedex.ops.keyframes.consensus import Consensus
+from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.training_task import Run
 from kinedex.pipelines.keyframes.learning import Chosen, Outcome
 from kinedex.pipelines.report.keyframes import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY

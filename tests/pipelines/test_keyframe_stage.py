@@ -11,23 +11,23 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from kinedex.catalog.queryfiles import parse_queries
-from kinedex.catalog.querywriting import write_queries
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD, TakeWords
-from kinedex.pipelines.cli import app
-from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.keyframes import learning
 from kinedex.pipelines.keyframes import runs as keyframe_runs
 from kinedex.pipelines.keyframes.background import mine
 from kinedex.pipelines.keyframes.learning import allowed_features, every_query, keyframe_queries
 from kinedex.pipelines.keyframes.margins import hit_ranges
 from kinedex.pipelines.keyframes.runs import known_runs, outcomes_of
-from kinedex.pipelines.searching.search import preselect
-from kinedex.pipelines.searching.windows import template_window
+from kinedex.pipelines.search.preselection import template_window
+from kinedex.pipelines.search.search import preselect
 from kinedex.pipelines.stages import annotate, learn_keyframes, learn_templates
 from kinedex.pipelines.stages.learn_keyframes import Params
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
 
 QUICK = {"generations": 15, "population": 20, "runs": 6, "group": 2}

@@ -11,15 +11,15 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines import plan
-from kinedex.pipelines.cli import app
-from kinedex.pipelines.config import load_pipeline
-from kinedex.pipelines.plan import make_plan
-from kinedex.pipelines.runner import Outcome, run_pipeline
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine import plan
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.plan import make_plan
+from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.stages import learn_keyframes
-from kinedex.pipelines.terminal import Terminal
-from kinedex.storage.store import open_store
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import human_amc, write_archive
 from tests.pipelines.labelled import BODY, POSES, clip, long_take, write_store
 

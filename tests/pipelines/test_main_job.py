@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from kinedex.pipelines.demo import run_demo
-from kinedex.pipelines.runner import Outcome
-from kinedex.pipelines.searching.search import load_query_file, search_store
-from kinedex.storage.store import open_store
-from kinedex.storage.verify import verify
+from kinedex.pipelines.commands.demo import run_demo
+from kinedex.pipelines.engine.runner import Outcome
+from kinedex.pipelines.search.search import load_query_file, search_store
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.verification import verify
 
 pytestmark = pytest.mark.slow
 

@@ -13,20 +13,20 @@ import pytest
 from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.measures.metrics import Counts
-from kinedex.pipelines.config import load_pipeline
-from kinedex.pipelines.evaluation import cells as grid
-from kinedex.pipelines.evaluation.cells import Segment
-from kinedex.pipelines.evaluation.exams import Exam, Fold
-from kinedex.pipelines.evaluation.judging import chosen_takes, fates, joined, judge
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.evaluation import grid
+from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.method_scores import chosen_takes, fates, joined, judge
 from kinedex.pipelines.evaluation.scheme import METRICS, Method, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study
 from kinedex.pipelines.evaluation.tables import overview
+from kinedex.pipelines.evaluation.test_takes import Exam, Fold
 from kinedex.pipelines.keyframes import runs as keyframe_runs
-from kinedex.pipelines.runner import run_pipeline
 from kinedex.pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
-from kinedex.pipelines.terminal import Terminal
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
 from tests.pipelines.study import Reading
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.configs import config_path
-from kinedex.pipelines.runner import StageFailed, run_pipeline
-from kinedex.storage.store import open_store
+from kinedex.pipelines.engine.runner import StageFailed, run_pipeline
+from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
 
 

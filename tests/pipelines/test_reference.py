@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.pipelines.stages import ingest
-from kinedex.storage.parts import joint_positions
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
 
 pytestmark = [pytest.mark.shared, pytest.mark.slow]

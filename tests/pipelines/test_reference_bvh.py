@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.skeletons import load_mappings
+from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.stages import ingest
-from kinedex.storage.bodies import Body, read_acclaim, read_bvh
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.formats.motion.bodies import Body, read_acclaim, read_bvh
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
 
 pytestmark = pytest.mark.shared

@@ -9,7 +9,6 @@ import pytest
 
 from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.report.axes import time_axis
-from kinedex.pipelines.report.choice import choose_takes, median_take, worst_middle_best
 from kinedex.pipelines.report.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
 from kinedex.pipelines.report.data import (
     Curve,
@@ -17,10 +16,11 @@ from kinedex.pipelines.report.data import (
     Segment,
     TakeRow,
 )
+from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.report.palette import CLASS_COLOURS
 from kinedex.pipelines.report.pixels import SCALE, quantised_image, soft_image, wildcard_share
+from kinedex.pipelines.report.take_selection import choose_takes, median_take, worst_middle_best
 from kinedex.pipelines.report.timelines import timeline
-from kinedex.pipelines.report.write import write_page
 from tests.pipelines.study import FRAMES, study
 
 

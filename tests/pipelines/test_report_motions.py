@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.report import motions
 from kinedex.pipelines.report.motions import UNSEEN, Motion, embed, motions_json, pack
 from kinedex.pipelines.report.render import render
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.storage.parts import joint_positions
-from kinedex.storage.store import Store, open_store
+from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
 from tests.pipelines.study import study
 

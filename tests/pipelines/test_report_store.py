@@ -10,8 +10,9 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.context import StageContext
-from kinedex.pipelines.executors import make_executor
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.report.data import (
     Failure,
     Segment,
@@ -19,11 +20,10 @@ from kinedex.pipelines.report.data import (
 from kinedex.pipelines.report.gather import gather
 from kinedex.pipelines.report.render import render
 from kinedex.pipelines.stages import report as stage
-from kinedex.pipelines.terminal import Terminal
-from kinedex.storage.manifest import StageRecord
-from kinedex.storage.schemas import frames_schema, result_schema, takes_schema
-from kinedex.storage.store import open_store
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.manifest import StageRecord
+from kinedex.storage.store.schemas import frames_schema, result_schema, takes_schema
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.study import FRAMES, MOMENT, Reading
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kinedex.pipelines.config import load_pipeline
+from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.report.data import StageRow
 from kinedex.pipelines.report.reproduce import command
 

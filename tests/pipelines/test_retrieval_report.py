@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from kinedex.catalog.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.search.gaps import UNBOUNDED
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.ranking.ranking_evaluation import Judged
+from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
 from kinedex.pipelines.report.retrieval import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
-from kinedex.pipelines.retrieval.retrieval import Judged
-from kinedex.pipelines.retrieval.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
-from kinedex.pipelines.runner import run_pipeline
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 from tests.pipelines.study import Reading
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinedex.catalog.queries import KeyframeQuery
-from kinedex.catalog.queryfiles import parse_queries
-from kinedex.pipelines.searching.search import search_store
+from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.pipelines.search.search import search_store
 from kinedex.storage import index
-from kinedex.storage.parts import FramesWriter
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, take_row, takes_table
 
 QUERIES: tuple[KeyframeQuery, ...] = parse_queries(

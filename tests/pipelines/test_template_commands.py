@@ -12,10 +12,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from kinedex.catalog.configs import parse_yaml
-from kinedex.catalog.templatefiles import read_templates
+from kinedex.catalog.template_files import read_templates
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.cli import app
+from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages import learn_templates
 from kinedex.pipelines.templates.recipes import Combination
 from tests.pipelines.labelled import BODY, POSES, Line, clip, motion, write_store

@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError
-from kinedex.pipelines.annotation.annotating import TakeAnnotation, annotate_takes
+from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_takes
 from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import TRUTH, Line, labelled_line, long_take, write_store
 
 
@@ -118,7 +118,7 @@ def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch:
     line.run(learn_templates, methods=["soft"])
     line.run(annotate, where="true")
     whole = open_store(line.store).result("distance_curves").sort_by([("take", "ascending"), ("subclass", "ascending")])
-    monkeypatch.setattr("kinedex.pipelines.annotation.annotating.BATCH_FRAMES", 1)
+    monkeypatch.setattr("kinedex.pipelines.annotation.batches.BATCH_FRAMES", 1)
     alive: list[weakref.ref[np.ndarray]] = []
     most = []
 

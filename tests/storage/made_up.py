@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.storage.manifest import Part
-from kinedex.storage.parts import FramesWriter
-from kinedex.storage.schemas import takes_schema
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.manifest import Part
+from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.store.schemas import takes_schema
+from kinedex.storage.store.writer import StoreWriter
 
 BODY = load_feature_set("body40")
 

@@ -16,14 +16,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage import garbage
-from kinedex.storage.compaction import FANOUT, compact
-from kinedex.storage.lock import Lock
-from kinedex.storage.manifest import Manifest, _checksum, manifest_path, named_files, publish, ranges, read_version
-from kinedex.storage.parts import FramesWriter
-from kinedex.storage.store import open_store
-from kinedex.storage.verify import verify
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store import garbage_collection as garbage
+from kinedex.storage.store.compaction import FANOUT, compact
+from kinedex.storage.store.lock import Lock
+from kinedex.storage.store.manifest import (
+    Manifest,
+    _checksum,
+    manifest_path,
+    named_files,
+    publish,
+    ranges,
+    read_version,
+)
+from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.verification import verify
+from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store
 
 FULL = Path("/dev/full")
@@ -115,7 +123,7 @@ def test_garbage_can_be_collected_on_a_full_disk(tmp_path: Path, monkeypatch: py
     with StoreWriter.open(tmp_path, BODY) as writer:
         add(writer, {"a": 6}, edition=1)
         writer.commit()
-    monkeypatch.setattr("kinedex.storage.lock.open", FullFile, raising=False)
+    monkeypatch.setattr("kinedex.storage.store.lock.open", FullFile, raising=False)
     assert [item.what for item in garbage.collect(tmp_path, keep=1)].count("frames part") == 1
 
 

@@ -21,11 +21,11 @@ from kinedex.ops.words import NO_WORD, cut
 from kinedex.storage import index
 from kinedex.storage.index import generations, tables
 from kinedex.storage.index.generations import KEPT
-from kinedex.storage.lock import Lock
-from kinedex.storage.parts import FramesWriter
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.verify import verify
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.lock import Lock
+from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
+from kinedex.storage.store.writer import StoreWriter
 from tests.oracles import runs as naive
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table
 
@@ -103,7 +103,7 @@ def test_an_index_is_built_once(store: Store) -> None:
 
 
 def test_results_do_not_make_an_index_stale(store: Store) -> None:
-    from kinedex.storage.manifest import StageRecord
+    from kinedex.storage.store.manifest import StageRecord
 
     with StoreWriter.open(store.path, BODY) as writer:
         writer.record_stage(StageRecord("p/index", "f", "r", "2026-01-01T00:00:00Z", 1.0))
@@ -270,7 +270,7 @@ KILLED = """
 import os, signal, sys
 from kinedex.storage import index
 from kinedex.storage.index import tables
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 index.build(open_store(sys.argv[1]))
 """
@@ -294,7 +294,7 @@ FULL = """
 import resource, signal, sys
 from kinedex.ops.errors import StoreError
 from kinedex.storage import index
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 store = open_store(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))

@@ -15,10 +15,10 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from kinedex.catalog.views import MACROS, VIEWS
+from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.storage import index
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store
 
 INDEX_VIEWS = [view.name for view in VIEWS if view.origin == "index"]

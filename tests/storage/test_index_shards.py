@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from kinedex.catalog.views import MACROS
+from kinedex.catalog.sql.views import MACROS
 from kinedex.storage import index
-from kinedex.storage.compaction import compact
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import Generation
 from kinedex.storage.index.plan import FANOUT
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.verify import verify
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.compaction import compact
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
+from kinedex.storage.store.writer import StoreWriter
 from tests.oracles import index_tables
 from tests.storage.made_up import BODY, add, make_store
 

@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
-from kinedex.ops.search.bitslices import BitSlices, slice_words
+from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.words import I64, NO_WORD
-from kinedex.pipelines.searching.resident import resident_store
+from kinedex.pipelines.search.resident_slices import resident_store
 from kinedex.storage import index
 from kinedex.storage.index.generations import Generation, Shard, ShardPart, slices_name
 from kinedex.storage.index.slices import LAYOUT, MAGIC, ShardSlices, open_slices, write_slices
-from kinedex.storage.store import Store, open_store
-from kinedex.storage.verify import verify
-from kinedex.storage.writer import StoreWriter
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
+from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store
 
 NOTHING = Generation(3, 1, "", "", 30.0, "", (), {}, 0, 0, "", 0.0, "", 0, 0.0)

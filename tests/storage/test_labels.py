@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.labels.formats import FORMATS, read_labels, write_labels
-from kinedex.storage.labels.segments import Label, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.formats import FORMATS, read_labels, write_labels
+from kinedex.storage.formats.labels.segments import Label, ManualSegment, TakeLabels
 
 names = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")), min_size=1, max_size=12).map(
     str.strip

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.labels import annotate_stage, labels_of, source_frame
-from kinedex.pipelines.cli import app
-from kinedex.pipelines.evaluation.groundtruth import analysis_frame
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.evaluation.ground_truth import analysis_frame
 from kinedex.pipelines.stages import annotate, evaluate, learn_templates
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, write_store
 
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.pipelines.evaluation.cells import Segment
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, NOTHING, Confusion, confusion, confusions
-from kinedex.pipelines.evaluation.exams import Exam
+from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.test_takes import Exam
 from tests.oracles import confusion as oracle
 
 Spans = list[tuple[str, int, int]]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.measures.metrics import Counts
-from kinedex.pipelines.evaluation.cells import Segment
-from kinedex.pipelines.evaluation.exams import Exam
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.evaluation.grid import Segment
 from kinedex.pipelines.evaluation.study import Threshold
-from kinedex.pipelines.report.methodfigures import ROOMS, bare_part, room_for, strips, sweeps
+from kinedex.pipelines.evaluation.test_takes import Exam
+from kinedex.pipelines.report.method_figures import ROOMS, bare_part, room_for, strips, sweeps
 
 SPAN = st.tuples(st.integers(0, 20), st.integers(1, 20)).map(lambda two: (two[0], two[0] + two[1]))
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinedex.catalog.templatefiles import NamedTemplate, write_yaml
+from kinedex.catalog.template_files import NamedTemplate, write_yaml
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, Learned, Template, quantise
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
 from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
-from kinedex.storage.store import open_store
+from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
 
 

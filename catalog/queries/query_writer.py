@@ -1,0 +1,105 @@
+"""Keyframe queries written as YAML that reads back as the same queries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import yaml
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
+from kinedex.ops.search.gaps import UNBOUNDED
+
+
+def write_queries(queries: Iterable[KeyframeQuery], feature_set: FeatureSet) -> str:
+    """Write queries as YAML that `read_queries` reads as the same queries.
+
+    Keyframes are written by feature names; parts in different sets that share a frame become one keyframe again.
+
+    Parameters
+    ----------
+    queries: queries over the sets of `feature_set`, of different names.
+    feature_set: the features whose names are written.
+
+    Returns
+    -------
+    The text of a query file.
+    """
+    return "\n".join(_written(query, feature_set) for query in queries) or "{}\n"
+
+
+def _written(query: KeyframeQuery, feature_set: FeatureSet) -> str:
+    lines = [f"{scalar(query.name)}:"]
+    if query.description:
+        lines.append(f"  description: {scalar(query.description)}")
+    if query.target != query.name:
+        lines.append(f"  class: {scalar(query.target)}")
+    if query.takes is not None:
+        lines.append(f"  takes: {scalar(query.takes)}")
+    if query.margins is not None:
+        lines.append(f"  margins: [{query.margins[0]}, {query.margins[1]}]")
+    if not query.alternatives:
+        lines += [f"  {line}" for line in _chain(query, feature_set)]
+    else:
+        lines.append("  any_of:")
+        for chain in query.chains:
+            inner = _chain(chain, feature_set)
+            lines += [f"    - {inner[0]}", *(f"      {line}" for line in inner[1:])]
+    return "\n".join(lines) + "\n"
+
+
+def _chain(query: KeyframeQuery, feature_set: FeatureSet) -> list[str]:
+    groups = _frames_shared(query, feature_set)
+    lines = ["keyframes:"]
+    lines += [f"  - {_keyframe_text([query.keyframes[i] for i in group], feature_set)}" for group in groups]
+    if len(groups) > 1:
+        lines.append("gaps:")
+        lines += [f"  - {_gap_text(query.gaps[group[0] - 1])}" for group in groups[1:]]
+    if query.positions is not None:
+        lines.append(f"positions: [{', '.join(str(query.positions[group[0]]) for group in groups)}]")
+    return lines
+
+
+def _frames_shared(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[int]]:
+    """Group the keyframes that one keyframe of named features would be split into."""
+    order = list(feature_set.sets)
+    groups = [[0]]
+    for i, (before, here) in enumerate(zip(query.keyframes, query.keyframes[1:], strict=False), start=1):
+        joined = (
+            query.gaps[i - 1] == SAME_FRAME
+            and order.index(before.set) < order.index(here.set)
+            and before.mask != 0 != here.mask
+            and before.name == here.name
+            and (query.positions is None or query.positions[i - 1] == query.positions[i])
+        )
+        if joined:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    return groups
+
+
+def _keyframe_text(parts: list[Keyframe], feature_set: FeatureSet) -> str:
+    named = f"name: {scalar(parts[0].name)}, " if parts[0].name else ""
+    if not parts[0].mask:
+        return f'{{{named}set: {scalar(parts[0].set)}, pattern: "{pattern_of(parts[0], feature_set)}"}}'
+    on: list[str] = []
+    off: list[str] = []
+    for part in parts:
+        for names, more in zip((on, off), features_of(part, feature_set), strict=True):
+            names += [scalar(name) for name in more]
+    switches = [f"{word}: [{', '.join(names)}]" for word, names in (("on", on), ("off", off)) if names]
+    return "{" + named + ", ".join(switches) + "}"
+
+
+def _gap_text(gap: Gap) -> str:
+    if gap.distance is not None and gap.stiffness is not None:
+        return f"{{frames: {gap.distance}, stiffness: {gap.stiffness!r}}}"
+    return f"{{range: [{gap.low}, {'null' if gap.high == UNBOUNDED else gap.high}]}}"
+
+
+def scalar(text: str) -> str:
+    """A text as YAML: plain where it reads back as itself, else in quotes."""
+    plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
+    return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

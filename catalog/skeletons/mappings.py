@@ -1,0 +1,333 @@
+"""Skeleton mappings: how the joints of a source's skeleton become the named joints that features speak of."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
+from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
+from kinedex.ops.errors import SourceError, did_you_mean
+
+__all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton", "stripping"]
+
+F64 = npt.NDArray[np.float64]
+
+
+class _Aside(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    plane: list[str] = Field(min_length=3, max_length=3)
+    times: float
+
+
+class _Mix(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    virtual: dict[str, float] | None = Field(None, min_length=1)
+    nodes: dict[str, float] | None = Field(None, min_length=1)
+    aside: _Aside | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> _Mix:
+        if (self.virtual is None) == (self.nodes is None):
+            raise ValueError("expected `virtual` (weights over named joints) or `nodes` (weights over nodes)")
+        if self.aside is not None and self.nodes is None:
+            raise ValueError("`aside` goes with `nodes`, whose plane it leaves")
+        return self
+
+
+class _Root(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    up: Axis
+    facing: Axis
+
+
+_ONLY: dict[str, tuple[Format, ...]] = {
+    "bones": ("acclaim", "bvh"),
+    "root_axes": ("acclaim", "bvh", "amass"),
+    "order": ("positions",),
+    "screen": ("c3d",),
+}
+"""Keys that mean something for some formats only."""
+
+
+class _SkeletonFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    description: str = ""
+    format: Format
+    up: Axis = "y"
+    handedness: Literal["right", "left"] = "right"
+    facing: Axis = "z"
+    root_axes: _Root | None = None
+    unit_m: Any  # a number of metres or `guess`; pydantic's messages about either-or are of no use to anybody
+    strip_prefix: str | None = None
+    bones: dict[str, dict[str, float]] = Field(default_factory=dict)
+    order: list[str] = Field(default_factory=list)
+    screen: bool | None = None
+    aliases: dict[str, list[str]] = Field(default_factory=dict)
+    joints: dict[str, Any]  # see `_mix`
+
+
+@dataclass(frozen=True)
+class Mappings:
+    """The mappings that one archive is read with: one chosen by the user, or all that are shipped, by format."""
+
+    of_format: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
+
+    def digest(self, form: Format) -> str:
+        """A hash of the mappings of one format, which the takes read with them depend on."""
+        return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
+
+    def detect(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit:
+        """The mapping that fits a skeleton: all its nodes occur there, and it supplies the most joints.
+
+        Where there is only one mapping of the format, it is taken, and what it lacks is an error.
+
+        Raises
+        ------
+        SourceError: none fits (the message names the nearest and what it lacks), or two fit equally well.
+        """
+        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
+        if len(fits) == 1:
+            fits[0].check(source, self.stripped(form, nodes) if fits[0].missing else "")
+            return fits[0]
+        whole = [fit for fit in fits if not fit.missing]
+        best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
+        if len(best) == 1:
+            return best[0]
+        way_out = "give one by `skeleton`, a shipped name or a .yaml file of your own"
+        if best:
+            names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
+            raise SourceError(source, f"mappings {names} fit this skeleton equally well; {way_out}")
+        near = self.nearest(form, nodes)
+        if near is None:
+            raise SourceError(source, f"no skeleton mapping for {form} files; {way_out}")
+        has = (
+            f"file has the markers {_listed(list(nodes), 24)}"
+            if form == "c3d"
+            else f"skeleton has {_listed(list(nodes))}"
+        )
+        more = f"the {has}{self._several(form, nodes)}{self.stripped(form, nodes)}; {way_out}"
+        if not near.known:
+            raise SourceError(source, f"no skeleton mapping fits; none is near: none knows any of its names; {more}")
+        lacks = _listed([f"{node} (for {what})" for what, node in near.missing.items()])
+        raise SourceError(
+            source,
+            f"no skeleton mapping fits; the nearest, {near.called}, finds "
+            f"{len(near.joints) - len(near.unknown)} joints and lacks {lacks}; {more}",
+        )
+
+    def without_prefix(self, form: Format, nodes: Mapping[str, int]) -> tuple[str, SkeletonMapping] | None:
+        """What nearly all names of a skeleton begin with, and a mapping that fits them without it; None for no such."""
+        for prefix in _prefixes(list(nodes)):
+            short = {name.removeprefix(prefix): index for name, index in nodes.items()}
+            fits = [mapping.fit(short) for mapping in self.of_format.get(form, ())]
+            whole = [fit for fit in fits if not fit.missing]
+            if whole and len(short) == len(nodes):
+                return prefix, max(whole, key=lambda fit: fit.named).mapping
+        return None
+
+    def stripped(self, form: Format, nodes: Mapping[str, int]) -> str:
+        """A clause about names that a mapping would fit without their prefix."""
+        found = self.without_prefix(form, nodes)
+        if found is None:
+            return ""
+        prefix, mapping = found
+        return f"; without '{prefix}' its names fit '{mapping.name}': copy {mapping.path}, with {stripping(*found)}"
+
+    def _several(self, form: Format, nodes: Iterable[str]) -> str:
+        """A clause about a file of several figures, whose joints differ by their prefix only."""
+        found = [mapping.shared(nodes) for mapping in self.of_format.get(form, ())]
+        most = max(found, key=len, default={})
+        if not most:
+            return ""
+        name, whole = next(iter(most.items()))
+        differ = f"names that differ by their prefix only, as {' and '.join(whole[:2])} ({name})"
+        return f"; of {differ}, none is taken: write one figure a file"
+
+    def names_in_order(self, source: str | Path, count: int) -> tuple[str, ...]:
+        """The names of the points of a file that does not name them: those of the mapping with as many in its `order`.
+
+        Raises
+        ------
+        SourceError: no mapping has as many, or several have and give them different names.
+        """
+        orders = {mapping.order for mapping in self.of_format.get("positions", ()) if mapping.order}
+        fitting = [order for order in orders if len(order) == count]
+        if len(fitting) == 1:
+            return fitting[0]
+        known = ", ".join(str(number) for number in sorted({len(order) for order in orders})) or "none"
+        raise SourceError(
+            source,
+            f"does not name its {count} joints, and {'no' if not fitting else 'more than one'} mapping has as many in "
+            f"its `order` (there are: {known}); give one of your own by `skeleton`, or add an array `names`",
+        )
+
+    def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
+        """The mapping that finds the most joints in a skeleton, knows the most of its nodes, and lacks the least.
+
+        Where none knows any node, it is that of the names without a prefix that they share, if it knows any of these.
+        """
+        near = self._nearest(form, nodes)
+        for prefix in _prefixes(list(nodes)) if near is not None and not near.known else ():
+            other = self._nearest(form, {name.removeprefix(prefix): index for name, index in nodes.items()})
+            if other is not None and other.known:
+                return replace(other, prefix=prefix)
+        return near
+
+    def _nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
+        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
+        return min(fits, key=lambda fit: (-fit.named, -fit.known, len(fit.missing) + len(fit.unknown)), default=None)
+
+
+def stripping(prefix: str, mapping: SkeletonMapping) -> str:
+    """The line of a copy of a mapping that lets it leave a prefix out."""
+    pattern = re.escape(prefix) + (f"(?:{mapping.strip_prefix})?" if mapping.strip_prefix is not None else "")
+    return f"`strip_prefix: '{pattern}'`"
+
+
+def _prefixes(names: Sequence[str]) -> list[str]:
+    """What all names begin with, and what more than half of them do, up to a mark such as _ or a colon."""
+    marks = Counter(name[: mark.end()] for name in names for mark in re.finditer(r"[^A-Za-z0-9]", name))
+    usual = [prefix for prefix, count in marks.most_common() if 2 * count > len(names)]
+    first, last = min(names, default=""), max(names, default="")
+    same = next((i for i, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first))
+    return [prefix for prefix in dict.fromkeys([first[:same], *usual]) if prefix]
+
+
+def _listed(names: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(names[:most])
+    return f"{shown} and {len(names) - most} more" if len(names) > most else shown
+
+
+def load_mappings(choice: str | Path, joints: tuple[str, ...]) -> Mappings:
+    """The mappings of an archive: `auto`, or one by its name or path, which counts for the files of its format.
+
+    Raises
+    ------
+    ConfigError: there is no such mapping, or it is wrong.
+    """
+    chosen = None if choice == "auto" else load_skeleton(choice, joints)
+    of_format: dict[Format, tuple[SkeletonMapping, ...]] = {}
+    for name in config_names("skeletons"):
+        mapping = load_skeleton(name, joints)
+        if chosen is None or mapping.format != chosen.format:
+            of_format[mapping.format] = (*of_format.get(mapping.format, ()), mapping)
+    if chosen is not None:
+        of_format[chosen.format] = (chosen,)
+    return Mappings(of_format)
+
+
+def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> SkeletonMapping:
+    """Read a mapping from `configs/skeletons/` or from a file of the user's own.
+
+    Parameters
+    ----------
+    joints: the named joints of the feature set; a mapping must say of each what it is, or `null`.
+
+    Raises
+    ------
+    ConfigError: file, line and key of the first fault.
+    """
+    path = config_path("skeletons", name_or_path)
+    stat = path.stat()
+    return _load_skeleton(path, (stat.st_size, stat.st_mtime_ns), joints)
+
+
+@lru_cache(maxsize=64)
+def _load_skeleton(path: Path, _stamp: tuple[int, int], joints: tuple[str, ...]) -> SkeletonMapping:
+    located = load_yaml(path)
+    located.mapping()
+    parsed = located.model(_SkeletonFile)
+    for joint in parsed.joints:
+        if joint not in joints:
+            raise located.error(f"no joint of that name{did_you_mean(joint, joints)}", "joints", joint)
+    missing = [joint for joint in joints if joint not in parsed.joints]
+    if missing:
+        raise located.error(
+            f"joint '{missing[0]}' is missing; write `{missing[0]}: null` if the skeleton has none", "joints"
+        )
+    unit_m = parsed.unit_m
+    number = isinstance(unit_m, (int, float)) and not isinstance(unit_m, bool)
+    if unit_m != "guess" and not (number and 0 < unit_m < np.inf):
+        raise located.error(f"must be a positive number of metres, or guess; got {unit_m!r}", "unit_m")
+    if parsed.format == "acclaim" and parsed.unit_m == "guess":
+        raise located.error("an ASF file states its unit; give the metres of one inch, 0.0254", "unit_m")
+    for key, formats in _ONLY.items():
+        if getattr(parsed, key) and parsed.format not in formats:
+            raise located.error(f"means nothing for format {parsed.format}", key)
+    if parsed.strip_prefix is not None:
+        try:
+            re.compile(parsed.strip_prefix)
+        except re.error as fault:
+            raise located.error(f"is no regular expression: {fault}", "strip_prefix") from None
+    axes = _axes(located, parsed.up, parsed.facing, parsed.handedness, "facing")
+    own = parsed.root_axes
+    choices = {joint: _choices(located, parsed, joint) for joint in parsed.joints}
+    return SkeletonMapping(
+        name=parsed.name,
+        path=located.path,
+        digest=hashlib.sha256(json.dumps(parsed.model_dump(), sort_keys=True).encode()).hexdigest()[:16],
+        format=parsed.format,
+        unit_m=None if unit_m == "guess" else float(unit_m),
+        axes=axes,
+        root_axes=_axes(located, own.up, own.facing, parsed.handedness, "root_axes") if own else axes,
+        strip_prefix=parsed.strip_prefix,
+        bones=parsed.bones,
+        joints=choices,
+        order=tuple(parsed.order),
+        aliases={name: tuple(others) for name, others in parsed.aliases.items()},
+        screen=parsed.format == "c3d" and parsed.screen is not False,
+    )
+
+
+def _choices(located: Located, parsed: _SkeletonFile, joint: str) -> tuple[Mix | None, ...]:
+    value = parsed.joints[joint]
+    if value == []:
+        raise located.error("expected at least one choice in the list", "joints", joint)
+    return tuple(_mix(located, parsed, joint, part) for part in (value if isinstance(value, list) else [value]))
+
+
+def _mix(located: Located, parsed: _SkeletonFile, joint: str, value: object) -> Mix | None:
+    if value is None or isinstance(value, str):
+        return None if value is None else Mix(((value, 1.0),))
+    if not isinstance(value, dict):
+        raise located.error(f"expected a node, nodes, virtual, null or a list of these; got {value!r}", "joints", joint)
+    mix = located.model(_Mix, "joints", joint, data=value)
+    weights = mix.virtual or mix.nodes or {}
+    direct = [name for name, what in parsed.joints.items() if what is not None and not _has_virtual(what)]
+    for other in mix.virtual or ():
+        if other not in direct:
+            raise located.error(
+                f"a virtual joint is made of joints that the skeleton has; '{other}' is none"
+                f"{did_you_mean(other, direct)}",
+                "joints", joint,
+            )  # fmt: skip
+    if abs(sum(weights.values()) - 1.0) > 1e-9:
+        raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", "joints", joint)
+    plane, out = (tuple(mix.aside.plane), mix.aside.times) if mix.aside else ((), 0.0)
+    return Mix(tuple(weights.items()), of_joints=mix.virtual is not None, plane=plane, out=out)
+
+
+def _has_virtual(what: object) -> bool:
+    return any(isinstance(part, dict) and "virtual" in part for part in (what if isinstance(what, list) else [what]))
+
+
+def _axes(located: Located, up: Axis, facing: Axis, handedness: str, key: str) -> F64:
+    """The turn that takes a mapping's axes to ours: its up to +Y, its facing to +Z."""
+    if up[-1] == facing[-1]:
+        raise located.error("up and facing must be different axes", key)
+    upward, forward = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (up, facing))
+    side = np.cross(upward, forward) * (1.0 if handedness == "right" else -1.0)
+    return np.stack([side, upward, forward])

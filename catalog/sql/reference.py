@@ -1,0 +1,64 @@
+"""The reference part of docs/sql.md, made from the views and macros (`python -m kinedex.catalog.sql.reference`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from kinedex.catalog.sql.macros import Macro
+from kinedex.catalog.sql.views import MACROS, VIEWS, View
+
+BEGIN, END = "<!-- the reference begins: python -m kinedex.catalog.sql.reference -->", "<!-- the reference ends -->"
+ORIGINS = {
+    "index": "Views of the index",
+    "parts": "Frames",
+    "derived": "Classes",
+    "results": "Results of stages",
+}
+
+
+def reference() -> str:
+    """The reference as Markdown: every macro and every view, with arguments or columns and an example."""
+    parts = ["## Macros\n"]
+    parts += [_macro(macro) for macro in MACROS]
+    for origin, title in ORIGINS.items():
+        parts.append(f"## {title}\n")
+        parts += [_view(view) for view in VIEWS if view.origin == origin]
+    return "\n".join(parts)
+
+
+def renewed(page: str) -> str:
+    """A page with its reference, between the two marks, as it should be."""
+    before, rest = page.split(BEGIN)
+    after = rest.split(END)[1]
+    return f"{before}{BEGIN}\n\n{reference()}\n{END}{after}"
+
+
+def _macro(macro: Macro) -> str:
+    rows = [
+        (f"`{name}`", meaning if default is None else f"{meaning} (default {default})")
+        for name, default, meaning in macro.arguments
+    ]
+    kind = "Stands in FROM." if macro.table else "An expression."
+    return (
+        f"### {macro.signature}\n\n{macro.summary} {kind}\n\n{_table(('argument', 'what it is'), rows)}\n{_sql(macro)}"
+    )
+
+
+def _view(view: View) -> str:
+    rows = [(f"`{column.name}`", column.type, column.meaning) for column in view.columns]
+    return f"### {view.name}\n\n{view.summary}\n\n{_table(('column', 'type', 'what it holds'), rows)}\n{_sql(view)}"
+
+
+def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    lines = [header, ("---",) * len(header), *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def _sql(entry: View | Macro) -> str:
+    return f"```sql\n{entry.example};\n```\n"
+
+
+if __name__ == "__main__":
+    file = Path(__file__).resolve().parents[2] / "docs" / "sql.md"
+    file.write_text(renewed(file.read_text(encoding="utf-8")), encoding="utf-8")

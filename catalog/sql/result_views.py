@@ -1,0 +1,261 @@
+"""The views of results: what stages have stored, with the rows of all live runs."""
+
+from __future__ import annotations
+
+from kinedex.catalog.sql.columns import View, columns
+
+_RUN = "run    VARCHAR    the run of a stage that wrote the row"
+_TAKE = """take_id    BIGINT    id of the take
+take    VARCHAR    name of the take"""
+_RANGE = """start    INTEGER    first frame, from 0
+stop    INTEGER    frame after the last"""
+_SECONDS = f"""{_RANGE}
+start_seconds    DOUBLE    start as time
+stop_seconds    DOUBLE    stop as time"""
+_QUERY = """masks    UBIGINT[]    for each keyframe, the features it asks for: bit i − 1 is feature i
+values    UBIGINT[]    for each keyframe, those of its features that must be on
+positions    INTEGER[]    the template column of each keyframe, from 0
+lows    INTEGER[]    least gap to each next keyframe, in frames
+highs    INTEGER[]    greatest gap to each next keyframe, in frames; −1: any"""
+_METHOD = (
+    "method    VARCHAR    how frames were labelled: 'templates' or 'templates within keyframe hits' (method thesis), "
+    "'templates in a row' or 'templates in a row within keyframe hits' (method best)"
+)
+
+RESULT_VIEWS = (
+    View(
+        "templates",
+        "results",
+        "Motion templates, soft and hard, per subclass.",
+        columns(f"""{_RUN}
+subclass    VARCHAR    what it is a template of
+kind    VARCHAR    soft or hard
+features    INTEGER    values in a column of the template
+columns    INTEGER    how many columns it has
+values    DOUBLE[]    column after column, a value from 0 (off) to 1 (on) for each feature
+weights    DOUBLE[]    how many frames of the clips a column stands for
+clips    VARCHAR[]    the takes that it was learned from
+rounds    INTEGER    how often the clips were averaged
+costs    DOUBLE[]    before each round, the largest distance between two clips
+take_filter    VARCHAR    the SQL filter that chose the training takes
+origin    VARCHAR    learned from clips of its own class, or made of other templates, and how
+clip_costs    DOUBLE[]    of each clip, how far it is from the others
+feature_weights    DOUBLE[]    how much each feature counts; NULL: all alike
+remarks    VARCHAR[]    what was odd about the clips"""),
+        "SELECT subclass, kind, columns, len(clips) AS clips FROM templates ORDER BY subclass, kind",
+    ),
+    View(
+        "annotated_takes",
+        "results",
+        "The takes that were annotated, also those in which nothing was found.",
+        columns(f"""{_RUN}
+{_TAKE}
+frames         BIGINT     its length in frames
+searched       DOUBLE     share of its frames that templates were matched in, on average over the templates
+fingerprint    VARCHAR    a hash of its words and of all that they were annotated with; null where not known"""),
+        "SELECT take FROM annotated_takes WHERE take_id NOT IN (SELECT take_id FROM annotations) ORDER BY take",
+    ),
+    View(
+        "distance_curves",
+        "results",
+        "The distance curve of a subclass over a take, one cost per frame; of a take that was kept, by an earlier run.",
+        columns(f"""{_RUN}
+{_TAKE}
+class    VARCHAR    the class that the subclass belongs to
+subclass    VARCHAR    whose template was compared
+costs    FLOAT[]    for each frame, the cost of the best match that ends there; infinity where there is none
+preselected    DOUBLE    share of the frames that keyframe queries left to be searched"""),
+        "SELECT take, subclass, list_min(costs) AS least FROM distance_curves ORDER BY least LIMIT 10",
+    ),
+    View(
+        "annotations",
+        "results",
+        "What the annotation found: class, range, cost.",
+        columns(f"""{_RUN}
+{_TAKE}
+class    VARCHAR    the label
+subclass    VARCHAR    whose template came nearest
+{_SECONDS}
+cost    DOUBLE    least distance within the range, from 0
+confidence    DOUBLE    from 0 (something else would do as well) to 1
+{_METHOD}"""),
+        "SELECT class, count(*) AS segments, sum(stop_seconds - start_seconds) AS seconds FROM annotations "
+        "WHERE method IN ('templates', 'templates within keyframe hits') GROUP BY class ORDER BY class",
+    ),
+    View(
+        "ranked_hits",
+        "results",
+        "The best places for each template, by rank: take, range, cost.",
+        columns(f"""{_RUN}
+template    VARCHAR    the template that was looked for
+rank    INTEGER    1 is the best
+{_TAKE}
+{_SECONDS}
+cost    DOUBLE    distance from the template, from 0"""),
+        "SELECT template, rank, take, start, stop, cost FROM ranked_hits WHERE rank <= 3 ORDER BY template, rank",
+    ),
+    View(
+        "retrieval",
+        "results",
+        "How good rankings are: average precision and recall of each class, and confusions.",
+        columns(f"""{_RUN}
+evaluation    VARCHAR    what was ranked: clips or takes
+fold    VARCHAR    what was left out of learning; empty for nothing
+class    VARCHAR    the class that was looked for
+relevant    INTEGER    how many there were to find
+found    INTEGER    how many of them are below the threshold
+average_precision    DOUBLE    1 where all that should be found comes first
+recall_at_tau    DOUBLE    share of them below the threshold
+confused_with    VARCHAR[]    classes that stand above the last right one, most frequent first"""),
+        "SELECT class, avg(average_precision) AS average_precision FROM retrieval GROUP BY class ORDER BY class",
+    ),
+    View(
+        "ground_truth",
+        "results",
+        "The manual labels that annotations are compared with.",
+        columns(f"""{_RUN}
+{_TAKE}
+class    VARCHAR    the label
+{_RANGE}
+source_start    BIGINT    start in frames of the source file
+source_stop    BIGINT    stop in frames of the source file
+origin    VARCHAR    the file that says so"""),
+        "SELECT class, count(*) AS segments FROM ground_truth GROUP BY class ORDER BY class",
+    ),
+    View(
+        "metrics",
+        "results",
+        "Precision, recall and F1 by frames (1) and by segments (2).",
+        columns(f"""{_RUN}
+evaluation    VARCHAR    the stage that evaluated
+scope    VARCHAR    pooled, class, take, fold, or group: takes with the same value of divide_by
+name    VARCHAR    of which class, take, fold or group
+p1    DOUBLE    precision by frames
+r1    DOUBLE    recall by frames
+f1    DOUBLE    F measure by frames
+p2    DOUBLE    precision by segments
+r2    DOUBLE    recall by segments
+f2    DOUBLE    F measure by segments
+frames_both    BIGINT    frames that both label alike
+frames_automatic    BIGINT    frames that the annotation labels
+frames_manual    BIGINT    frames that people have labelled
+segments_automatic_hit    BIGINT    segments of the annotation that are right
+segments_automatic    BIGINT    segments of the annotation
+segments_manual_hit    BIGINT    manual segments that were found
+segments_manual    BIGINT    manual segments"""),
+        "SELECT name, f1, f2 FROM metrics WHERE scope = 'class' ORDER BY f1",
+    ),
+    View(
+        "method_cells",
+        "results",
+        "What methods of annotation found where they were compared, one row per cell and take.",
+        columns(f"""{_RUN}
+cell    VARCHAR    hash of all that the row follows from
+split    VARCHAR    how the archive was divided into training and test
+fold    VARCHAR    which division
+method    VARCHAR    how was annotated
+take    VARCHAR    name of the take
+frames    INTEGER    its length in frames
+classes    VARCHAR[]    the labels found
+starts    INTEGER[]    first frame of each
+stops    INTEGER[]    frame after the last of each
+confidences    DOUBLE[]    of each, from 0 to 1"""),
+        "SELECT split, method, count(DISTINCT take) AS takes FROM method_cells GROUP BY ALL ORDER BY ALL",
+    ),
+    View(
+        "precision_recall",
+        "results",
+        "How rankings change with the stiffness of keyframe queries.",
+        columns(f"""{_RUN}
+variant    VARCHAR    which frames were ranked: those that the queries left, or all
+stiffness    DOUBLE    of all gaps of the queries, where it was changed
+class    VARCHAR    the class that was looked for
+relevant    INTEGER    how many there were to find
+ranked    INTEGER    how many the queries left to be ranked
+found    INTEGER    how many of those are relevant
+kept    DOUBLE    share of the frames that the queries left
+average_precision    DOUBLE    1 where all that should be found comes first
+precision    DOUBLE[]    after each rank
+recall    DOUBLE[]    after each rank"""),
+        "SELECT stiffness, avg(average_precision) AS average_precision FROM precision_recall GROUP BY ALL ORDER BY ALL",
+    ),
+    View(
+        "queries",
+        "results",
+        "Learned keyframe queries, in bits of whole words, with their margins.",
+        columns(f"""{_RUN}
+subclass    VARCHAR    whose motions it preselects
+number    INTEGER    0 for the first query of a subclass; further ones find what it misses
+origin    VARCHAR    consensus of the runs, best run, or run
+{_QUERY}
+left    INTEGER    frames before a hit that the motion may reach
+right    INTEGER    frames after a hit that the motion may reach
+columns    INTEGER    columns of the template
+fitness    DOUBLE    of the consensus (thesis, Eq. 4.11)
+rank    DOUBLE    what queries are compared by, from the fitness
+median    DOUBLE    rank of the median run
+best    DOUBLE    rank of the best run
+agreement    DOUBLE    share of keyframes that had to agree on a feature; 0 where it is a run
+precision    DOUBLE    of all queries of the subclass together, on the training clips
+recall    DOUBLE    likewise
+runs    INTEGER    how many runs there were
+settled    BOOLEAN    whether more runs had ceased to change the outcome
+matrix    DOUBLE[]    what the runs fix, columns × features, from 0 (off) to 1 (on); NULL for further queries
+clips    VARCHAR[]    the training clips of the subclass"""),
+        "SELECT subclass, len(masks) AS keyframes, recall, precision FROM queries ORDER BY subclass, number",
+    ),
+    View(
+        "keyframe_runs",
+        "results",
+        "The runs that keyframe queries were learned in, one row each.",
+        columns(f"""{_RUN}
+key    VARCHAR    hash of all that a run follows from but its number
+subclass    VARCHAR    what it learns to find
+number    INTEGER    number of the run
+fitness    DOUBLE    of its best query (thesis, Eq. 4.11)
+rank    DOUBLE    what queries are compared by
+evaluated    BIGINT    how many queries were tried
+{_QUERY}
+history    DOUBLE[]    four numbers for each generation"""),
+        "SELECT subclass, count(*) AS runs, max(fitness) AS best FROM keyframe_runs GROUP BY subclass ORDER BY ALL",
+    ),
+    View(
+        "hits",
+        "results",
+        "What keyframe queries found, where it was kept.",
+        columns(f"""{_RUN}
+saved_as    VARCHAR    the name that they were kept under: `kinedex search --save`
+query    VARCHAR    name of the query
+{_TAKE}
+{_SECONDS}"""),
+        "SELECT query, count(*) AS hits, sum(stop_seconds - start_seconds) AS seconds FROM hits "
+        "WHERE saved_as = 'mine' GROUP BY query ORDER BY query",
+    ),
+    View(
+        "skeleton_files",
+        "results",
+        "The skeleton files that takes were read with, as they were when they were last looked at.",
+        columns(f"""{_RUN}
+source_root    VARCHAR    the folder that was ingested
+source    VARCHAR    the skeleton file, relative to it
+source_bytes    BIGINT    its size
+source_mtime_ns    BIGINT    its time of change, in nanoseconds since 1970
+checksum    VARCHAR    its SHA-256"""),
+        "SELECT t.name, t.skeleton_source, s.checksum FROM takes AS t JOIN skeleton_files AS s "
+        "ON (s.source_root, s.source) = (t.source_root, t.skeleton_source) ORDER BY t.name LIMIT 10",
+    ),
+    View(
+        "ingest_log",
+        "results",
+        "Source files, or places in them, that could not be read.",
+        columns(f"""{_RUN}
+source    VARCHAR    the source file, relative to its root
+stage    VARCHAR    the stage that met it
+error    VARCHAR    kind of error
+message    VARCHAR    what is wrong, and the way out
+file    VARCHAR    the file that is at fault, where it is another one
+line    INTEGER    its line, where there is one
+logged_at    TIMESTAMP WITH TIME ZONE    when"""),
+        "SELECT source, line, message FROM ingest_log ORDER BY source, line",
+    ),
+)

@@ -1,0 +1,174 @@
+"""What analysts query: the views and macros of a store, as SQL text with the words that explain them."""
+
+from __future__ import annotations
+
+from kinedex.catalog.sql.columns import Column, View, columns
+from kinedex.catalog.sql.macros import MACROS, Macro
+from kinedex.catalog.sql.result_views import RESULT_VIEWS
+
+__all__ = ["MACROS", "VIEWS", "Column", "Macro", "View", "help_rows"]
+
+_RANGE = """take_id    BIGINT    id of the take
+start    INTEGER    first frame, from 0
+stop    INTEGER    frame after the last"""
+_WORD = """feature_set    VARCHAR    upper, lower or mix
+word    UBIGINT    the word, cut down to the set: bit i is the feature with that `bit`"""
+
+# Which subclasses are in a class is what annotations say; a subclass in none of them is a class of its own.
+_CLASSES = """WITH members AS (
+    SELECT c.class, c.subclass FROM distance_curves AS c
+    UNION
+    SELECT a.class, a.subclass FROM annotations AS a),
+clips AS (SELECT t.class AS subclass, count(*) AS clips, sum(t.seconds) AS seconds FROM takes AS t
+    WHERE t.class IS NOT NULL GROUP BY t.class),
+known AS (
+    SELECT coalesce(m.class, c.subclass) AS class, c.subclass, c.clips, c.seconds, 'clips' AS how, 0 AS found
+    FROM clips AS c LEFT JOIN members AS m ON m.subclass = c.subclass
+    UNION ALL
+    SELECT coalesce(m.class, p.subclass), p.subclass, 0, 0, p.how, 0
+    FROM (SELECT DISTINCT x.subclass, 'templates' AS how FROM templates AS x
+          UNION ALL
+          SELECT DISTINCT q.subclass, 'queries' FROM queries AS q) AS p
+    LEFT JOIN members AS m ON m.subclass = p.subclass
+    UNION ALL
+    SELECT m.class, m.subclass, 0, 0, NULL, 0 FROM members AS m
+    UNION ALL
+    SELECT a.class, NULL, 0, 0, 'annotations', count(*) FROM annotations AS a GROUP BY a.class
+    UNION ALL
+    SELECT g.class, NULL, 0, 0, 'ground_truth', count(*) FROM ground_truth AS g GROUP BY g.class)
+SELECT k.class,
+    coalesce(list(DISTINCT k.subclass ORDER BY k.subclass) FILTER (k.subclass IS NOT NULL), []) AS subclasses,
+    sum(k.clips)::BIGINT AS clips, sum(k.seconds)::DOUBLE AS clip_seconds,
+    coalesce(sum(k.found) FILTER (k.how = 'annotations'), 0)::BIGINT AS annotations,
+    coalesce(sum(k.found) FILTER (k.how = 'ground_truth'), 0)::BIGINT AS labels,
+    coalesce(list(DISTINCT k.how ORDER BY k.how) FILTER (k.how IS NOT NULL), []) AS known_from
+FROM known AS k GROUP BY k.class ORDER BY k.class"""
+
+VIEWS = (
+    View(
+        "takes",
+        "index",
+        "One row per take: name, source file, rate, length, actor, class, warnings.",
+        columns("""
+take_id    BIGINT    its number, which stays when the file is read again
+name    VARCHAR    its name: the stem or the path of the source file, as `name` of ingest says
+source    VARCHAR    the source file, relative to source_root
+source_root    VARCHAR    the folder of the archive
+checksum    VARCHAR    SHA-256 of the source file
+source_bytes    BIGINT    size of the source file
+source_mtime_ns    BIGINT    when the source file was changed, in nanoseconds since 1970
+format    VARCHAR    amc, bvh, c3d, …
+skeleton    VARCHAR    the mapping from its nodes to the 24 joints
+skeleton_source    VARCHAR    the skeleton file that goes with it, where there is one
+recipe    VARCHAR    hash of all that decides what the file becomes
+unit    VARCHAR    unit of length in the file
+source_rate_hz    DOUBLE    frames a second in the file
+source_frames    BIGINT    frames in the file
+rate_hz    DOUBLE    frames a second here
+frames    BIGINT    frames here
+seconds    DOUBLE    duration
+invalid_frames    BIGINT    frames without a word, because joints were not seen
+actor    VARCHAR    who moves, as `patterns` of ingest say
+class    VARCHAR    what a clip shows (its subclass); NULL for other takes
+clip    VARCHAR    number of the clip, as the patterns say
+groups    VARCHAR    JSON: what else the patterns say
+warnings    VARCHAR[]    reservations about the file
+"""),
+        "SELECT name, actor, seconds, warnings FROM takes WHERE class IS NULL ORDER BY seconds DESC LIMIT 10",
+    ),
+    View(
+        "features",
+        "index",
+        "The features of the store's feature set.",
+        columns("""
+number    UTINYINT    F1 is 1; bit number − 1 of a whole word
+name    VARCHAR    short name, such as rhand_forwards
+description    VARCHAR    what it says about the body
+feature_set    VARCHAR    the set it belongs to: upper, lower or mix
+bit    UTINYINT    its bit in the words of that set
+"""),
+        "SELECT number, name, description FROM features WHERE name LIKE '%knee%'",
+    ),
+    View(
+        "word_runs",
+        "index",
+        "The inverted lists: stretches of frames with the same word of a set, in no particular order.",
+        columns(f"{_WORD}\n{_RANGE}"),
+        "SELECT take_id, start, stop FROM word_runs WHERE feature_set = 'lower' AND word = 5 ORDER BY take_id, start",
+    ),
+    View(
+        "feature_runs",
+        "index",
+        "Stretches of frames where a feature is on, in no particular order.",
+        columns(f"""feature    UTINYINT    the feature's number
+{_RANGE}
+seconds    DOUBLE    duration of the run"""),
+        "SELECT f.name, count(*) AS runs, sum(r.seconds) AS seconds FROM feature_runs AS r "
+        "JOIN features AS f ON f.number = r.feature GROUP BY f.name ORDER BY seconds DESC LIMIT 5",
+    ),
+    View(
+        "vocabulary",
+        "index",
+        "The distinct words of each feature set and how often they occur.",
+        columns(f"""{_WORD}
+runs    BIGINT    its runs in all takes
+frames    BIGINT    its frames in all takes"""),
+        "SELECT feature_set, count(*) AS words FROM vocabulary GROUP BY feature_set ORDER BY feature_set",
+    ),
+    View(
+        "help",
+        "index",
+        "This list: every view and macro with what it is for.",
+        columns("""
+name    VARCHAR    name of the view or macro
+call    VARCHAR    how it stands in a query
+summary    VARCHAR    what it is for
+example    VARCHAR    a query that runs
+"""),
+        "SELECT name, summary FROM help WHERE call LIKE '%feature%'",
+    ),
+    View(
+        "frames",
+        "parts",
+        "One row per analysis frame: 24 joints (rwrist.y), root_orientation, the whole word (NULL if invalid).",
+        columns("""
+take_id    BIGINT    id of the take
+frame    INTEGER    number of the frame, from 0
+JOINT    STRUCT(x FLOAT, y FLOAT, z FLOAT)    24 columns, each the place of a joint in metres, Y up
+root_orientation    STRUCT(w FLOAT, x FLOAT, y FLOAT, z FLOAT)    how the body is turned, as a quaternion
+word    UBIGINT    bit i − 1 is feature i; NULL where a joint was not seen that a feature needs
+"""),
+        "SELECT take_id, max(rwrist.y) AS highest FROM frames GROUP BY take_id ORDER BY highest DESC, take_id LIMIT 5",
+    ),
+    View(
+        "classes",
+        "derived",
+        "The classes of the archive: their subclasses, clips, annotations, labels, and how each is known.",
+        columns("""
+class    VARCHAR    the class; of a subclass that no annotation puts into one, the subclass
+subclasses    VARCHAR[]    the labels of clips, templates and queries in it
+clips    BIGINT    how many clips it has
+clip_seconds    DOUBLE    their duration
+annotations    BIGINT    segments that annotations give it, in all live runs
+labels    BIGINT    manual segments, in all live runs
+known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth: where it occurs
+"""),
+        "SELECT class, clips, annotations FROM classes WHERE list_contains(known_from, 'clips') ORDER BY class",
+        _CLASSES,
+    ),
+    *RESULT_VIEWS,
+)
+
+
+def help_rows(*, index_only: bool = False) -> list[tuple[str, str, str, str]]:
+    """The rows of the view `help`: (name, call, summary, example); `index_only`: of what the index itself holds."""
+    rows = [
+        (view.name, f"FROM {view.name}", view.summary, view.example)
+        for view in VIEWS
+        if view.origin == "index" or not index_only
+    ]
+    for macro in MACROS:
+        if macro.needs == "index" or not index_only:
+            call = f"FROM {macro.signature}" if macro.table else macro.signature
+            rows.append((macro.name, call, macro.summary, macro.example))
+    return rows

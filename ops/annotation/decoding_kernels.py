@@ -1,0 +1,307 @@
+"""The kernels of `decoding`: forwards from frame to frame over the columns of all templates, and back to the begins.
+
+The columns of all templates lie end to end, `REACH` empty ones before each template, so that one loop without branches
+goes over all of them. The log ratios of a frame are those of the frame before it, and what the few features that
+changed add to or take from them; they are summed anew from time to time, so that no rounding adds up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.words import NO_WORD, U64
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+REACH = 3
+"""The longest step, in columns and in frames."""
+
+TOLERANCE = 1e-9
+"""Values closer than this are equal."""
+
+_RING = 4  # rows held: of a frame and of the three before it
+_ANEW = 64  # changes after which log ratios are summed anew
+_ONE = np.uint64(1)
+
+
+class Columns(NamedTuple):
+    """The columns of T templates, end to end.
+
+    slopes: float64 (f, C), what a feature that is on adds to a column's log ratio. intercepts: float64 (C,), the log
+    ratio of a word without features, −∞ in the empty columns. firsts, lengths: int64 (T,), where templates begin, and
+    how many columns they have.
+    """
+
+    slopes: F64
+    intercepts: F64
+    firsts: I64
+    lengths: I64
+
+
+class Frames(NamedTuple):
+    """A take. words: uint64 (L,). offsets: float64 (L,), what is added to the log ratios of all columns in a frame."""
+
+    words: U64
+    offsets: F64
+
+
+class Costs(NamedTuple):
+    """See `ops.annotation.decoding.Decoding`."""
+
+    entry: float
+    skip: float
+    stay: float
+
+
+@nb.njit(cache=True, nogil=True)
+def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, changes: I64) -> tuple[F64, I64]:
+    """The greatest value of the frames before each frame (kernel).
+
+    Parameters
+    ----------
+    allowed: (T, L), where each template may be, or (T, 0): everywhere. changes: the frames in which `allowed` differs
+        from the frame before, ascending, the first of them 0 and the last L.
+
+    Returns
+    -------
+    value: float64 (L + 1,); winner: int64 (L + 1,), the template whose segment ends before a frame, or −1.
+    """
+    count = len(frames.words)
+    value, winner = np.zeros(count + 1), np.full(count + 1, -1, np.int64)
+    scores, rows = np.full((_RING, len(columns.intercepts)), -np.inf), np.zeros((_RING, len(columns.intercepts)))
+    active = np.zeros(len(columns.firsts), np.bool_)
+    for part in range(len(changes) - 1):
+        start, stop = changes[part], changes[part + 1]
+        for template in range(len(active)):
+            now = allowed.shape[1] == 0 or allowed[template, start]
+            if now and not active[template]:
+                first = columns.firsts[template]
+                scores[:, first : first + columns.lengths[template]] = -np.inf
+            active[template] = now
+        advance(frames, start, stop, columns, costs, active, scores, rows, value, winner)
+    return value, winner
+
+
+@nb.njit(cache=True, nogil=True)
+def rivals(frames: Frames, columns: Columns, costs: Costs, classes: I64, starts: I64, stops: I64, labels: I64) -> F64:
+    """For each of some stretches, the greatest value that templates of other classes than its label reach (kernel).
+
+    classes: int64 (T,), of the templates. starts, stops, labels: int64 (S,).
+    """
+    result = np.zeros(len(starts))
+    value, winner = np.zeros(len(frames.words) + 1), np.zeros(len(frames.words) + 1, np.int64)
+    scores, rows = np.full((_RING, len(columns.intercepts)), -np.inf), np.zeros((_RING, len(columns.intercepts)))
+    for index in range(len(starts)):
+        start, stop = starts[index], stops[index]
+        value[start] = 0.0
+        scores[:] = -np.inf
+        advance(frames, start, stop, columns, costs, classes != labels[index], scores, rows, value, winner)
+        result[index] = value[stop]
+    return result
+
+
+@nb.njit(cache=True, nogil=True)
+def advance(
+    frames: Frames,
+    start: int,
+    stop: int,
+    columns: Columns,
+    costs: Costs,
+    active: Bool,
+    scores: F64,
+    rows: F64,
+    value: F64,
+    winner: I64,
+) -> None:
+    """Go on with an explanation by the active templates over frames [start, stop) (kernel).
+
+    scores: the best value of each column in frame f, in row f mod 4. rows: room for log ratios. value, winner: see
+    `forwards`; value[start] is given.
+    """
+    words, offsets = frames
+    spans = _spans(columns, active)
+    once = twice = slot = 0
+    changed = _ANEW
+    for frame in range(max(start - REACH + 1, 0), stop):
+        begins = changed == _ANEW and frame <= start
+        once, twice = slot, once
+        if begins or words[frame] != words[frame - 1]:
+            slot = 0
+            while slot in (once, twice):
+                slot += 1
+            anew = begins or changed >= _ANEW or words[frame - 1] == NO_WORD
+            changed = 0 if anew else changed + 1
+            for first, end in spans:
+                here = rows[slot, first:end]
+                if words[frame] == NO_WORD:
+                    here[:] = -np.inf
+                elif anew:
+                    _sum(here, words[frame], offsets[frame], columns, first)
+                else:
+                    before = rows[once, first:end]
+                    _change(here, before, words, offsets, frame, columns.slopes, first)
+        if frame < start:
+            continue
+        here, last = scores[frame % _RING], scores[(frame - 1) % _RING]
+        second, third = scores[(frame - 2) % _RING], scores[(frame - 3) % _RING]
+        for first, end in spans:
+            inner = slice(first + REACH, end)
+            _step(
+                here[inner], rows[slot, inner], rows[once, inner], rows[twice, inner],
+                last[first:end], second[first:end], third[first:end], costs.skip,
+            )  # fmt: skip
+        greatest, ends = value[frame], -1
+        for template in range(len(active)):
+            if active[template]:
+                first = columns.firsts[template]
+                end = first + columns.lengths[template] - 1
+                here[first] = max(last[first] - costs.stay, value[frame] - costs.entry) + rows[slot, first]
+                here[end] = max(here[end], last[end] - costs.stay + rows[slot, end])
+                if here[end] > greatest:
+                    greatest, ends = here[end], template
+        value[frame + 1] = greatest
+        winner[frame + 1] = ends
+
+
+@nb.njit(cache=True, nogil=True)
+def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
+    """The columns of active templates, those of neighbours together; each with its empty columns before it."""
+    found = [(0, 0)]
+    for template in range(len(active)):
+        if active[template]:
+            first = columns.firsts[template] - REACH
+            end = columns.firsts[template] + columns.lengths[template]
+            if found[-1][1] == first:
+                found[-1] = (found[-1][0], end)
+            else:
+                found.append((first, end))
+    return found if found[0][1] else found[1:]
+
+
+@nb.njit(cache=True, nogil=True)
+def _sum(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
+    """The log ratios of a word in the columns from the first on."""
+    intercepts = columns.intercepts[first : first + len(row)]
+    for n in range(len(row)):
+        row[n] = intercepts[n] + offset
+    for bit in range(len(columns.slopes)):
+        if (word >> np.uint64(bit)) & _ONE:
+            slopes = columns.slopes[bit, first : first + len(row)]
+            for n in range(len(row)):
+                row[n] += slopes[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def _change(row: F64, before: F64, words: U64, offsets: F64, frame: int, slopes: F64, first: int) -> None:
+    """The log ratios of a frame from those of the frame before."""
+    difference = offsets[frame] - offsets[frame - 1]
+    for n in range(len(row)):
+        row[n] = before[n] + difference
+    flipped = words[frame] ^ words[frame - 1]
+    for bit in range(len(slopes)):
+        if (flipped >> np.uint64(bit)) & _ONE:
+            sign = 1.0 if (words[frame] >> np.uint64(bit)) & _ONE else -1.0
+            slope = slopes[bit, first : first + len(row)]
+            for n in range(len(row)):
+                row[n] += sign * slope[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def _step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, third: F64, skip: float) -> None:
+    """The best value in every column but the first three, from the frames before (without branches, to vectorise).
+
+    now, once, twice: log ratios in this frame and the two before it, without the first three columns. last, second,
+    third: values in the three frames before it.
+    """
+    for n in range(len(here)):
+        best = last[n + 2]
+        other = last[n + 1] - skip
+        best = other if other > best else best
+        other = last[n] - (skip + skip)
+        best = other if other > best else best
+        other = second[n + 2] + once[n]
+        best = other if other > best else best
+        other = third[n + 2] + (twice[n] + once[n])
+        best = other if other > best else best
+        here[n] = best + now[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def backwards(
+    frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, winner: I64
+) -> list[tuple[int, int, int]]:
+    """The segments of the explanation of the greatest value: start, stop, template, the last one first (kernel).
+
+    value, winner: from `forwards`.
+    """
+    found = [(0, 0, 0)]
+    at = len(frames.words)
+    while at > 0:
+        if winner[at] < 0:
+            at -= 1
+            continue
+        start = _begin(frames, columns, costs, allowed, value, winner[at], at)
+        found.append((start, at, winner[at]))
+        at = start
+    return found[1:]
+
+
+@nb.njit(cache=True, nogil=True)
+def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, template: int, stop: int) -> int:
+    """The frame in which the segment of a template that ends before `stop` begins.
+
+    The values of columns are not kept in the pass over all templates; the segment's own template is gone over once
+    more, in a window that grows until it holds a segment of the value that is known.
+    """
+    first, length = columns.firsts[template], columns.lengths[template]
+    window = 2 * length
+    while True:
+        start = max(stop - window, 0)
+        count = stop - start
+        scores, rows = np.full((count + REACH, length + REACH), -np.inf), np.full((count, length + REACH), -np.inf)
+        for place in range(count):
+            frame = start + place
+            here, last = scores[place + REACH], scores[place + REACH - 1]
+            if frames.words[frame] == NO_WORD or (allowed.shape[1] > 0 and not allowed[template, frame]):
+                continue
+            _sum(rows[place], frames.words[frame], frames.offsets[frame], columns, first - REACH)
+            now = rows[place, REACH:]
+            once, twice = rows[max(place - 1, 0), REACH:], rows[max(place - 2, 0), REACH:]
+            _step(here[REACH:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)
+            here[REACH] = max(last[REACH] - costs.stay, value[frame] - costs.entry) + now[0]
+            here[-1] = max(here[-1], last[-1] - costs.stay + now[-1])
+        if start == 0 or scores[-1, -1] >= value[stop] - TOLERANCE:
+            return start + _walk(scores, rows, costs, value[start:stop])
+        window *= 2
+
+
+@nb.njit(cache=True, nogil=True)
+def _walk(scores: F64, rows: F64, costs: Costs, value: F64) -> int:
+    """The row in which the best path to the last row and column begins; `scores` has `REACH` rows more than `rows`."""
+    place, n = len(rows) - 1, rows.shape[1] - 1
+    while True:
+        best, back, columns = -np.inf, 0, 0
+        if n == REACH:
+            best = value[place] - costs.entry
+        before = place + REACH - 1
+        if n in (REACH, rows.shape[1] - 1) and scores[before, n] - costs.stay > best:
+            best, back, columns = scores[before, n] - costs.stay, 1, 0
+        for left_out in range(REACH):
+            other = scores[before, n - 1 - left_out] - costs.skip * left_out
+            if other > best:
+                best, back, columns = other, 1, 1 + left_out
+        spent = 0.0
+        for lasts in range(2, REACH + 1):
+            spent += rows[max(place - lasts + 1, 0), n]
+            other = scores[place + REACH - lasts, n - 1] + spent
+            if other > best:
+                best, back, columns = other, lasts, 1
+        if back == 0:
+            return place
+        place, n = place - back, n - columns

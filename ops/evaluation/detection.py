@@ -1,0 +1,135 @@
+"""Segments judged by overlap, as newer work reports them: average precision at thresholds of intersection over
+union."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.evaluation.metrics import Counts
+
+F64 = npt.NDArray[np.float64]
+
+THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+"""The usual thresholds of intersection over union."""
+
+
+class Found(NamedTuple):
+    """An automatic segment of one class: frames [start, stop) of a take, and how sure it is (higher is surer)."""
+
+    take: str
+    start: int
+    stop: int
+    confidence: float
+
+
+class Known(NamedTuple):
+    """A manual segment of one class: frames [start, stop) of a take."""
+
+    take: str
+    start: int
+    stop: int
+
+
+def overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
+    """Intersection over union of two half-open ranges."""
+    both = min(a[1], b[1]) - max(a[0], b[0])
+    return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0])) if both > 0 else 0.0
+
+
+def average_precision(found: Sequence[Found], known: Sequence[Known], threshold: float) -> float:
+    """The average precision of one class's segments.
+
+    The surest segment chooses first: the manual segment of its take that it overlaps most, of those that no surer one
+    has taken. It is right where their intersection over union reaches the threshold. Of equally sure ones the first in
+    take and time chooses first.
+
+    Returns
+    -------
+    The area below the precision-recall curve, precision being the best of any recall that is not lower; NaN where there
+    is nothing to find.
+
+    Raises
+    ------
+    ParameterError: the threshold is not in (0, 1], or a segment is empty.
+    """
+    if not 0.0 < threshold <= 1.0:
+        raise ParameterError("threshold", "above 0 and at most 1", threshold)
+    for name, segments in (("found", found), ("known", known)):
+        empty = [one for one in segments if one.start >= one.stop]
+        if empty:
+            raise ParameterError(name, "segments with start < stop", empty[0])
+    if not known:
+        return math.nan
+    free: dict[str, list[Known]] = {}
+    for one in known:
+        free.setdefault(one.take, []).append(one)
+    right = np.zeros(len(found))
+    ranked = sorted(found, key=lambda one: (-one.confidence, one.take, one.start, one.stop))
+    for place, mine in enumerate(ranked):
+        candidates = free.get(mine.take, [])
+        shares = [overlap((mine.start, mine.stop), (other.start, other.stop)) for other in candidates]
+        if shares and max(shares) >= threshold - 1e-9:
+            candidates.pop(shares.index(max(shares)))
+            right[place] = 1.0
+    hits = np.cumsum(right)
+    precision = hits / np.arange(1, len(found) + 1)
+    best = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((best * right).sum() / len(known))
+
+
+def boundary_errors(found: Sequence[Found], known: Sequence[Known]) -> npt.NDArray[np.int64]:
+    """How far automatic boundaries are from manual ones: int64 (M, 2), frames at start and stop; positive: too late.
+
+    Every manual segment that an automatic one of its take overlaps is compared with the one that overlaps it most.
+    """
+    errors = []
+    for one in known:
+        mine = [(overlap((other.start, other.stop), (one.start, one.stop)), other) for other in found]
+        share, nearest = max(
+            ((share, other) for share, other in mine if other.take == one.take),
+            default=(0.0, None),
+            key=lambda at: at[0],
+        )
+        if nearest is not None and share > 0:
+            errors.append((nearest.start - one.start, nearest.stop - one.stop))
+    return np.array(errors, np.int64).reshape(-1, 2)
+
+
+def bootstrap(
+    of_takes: Sequence[Counts],
+    measure: Callable[[Counts], float],
+    draws: int = 1000,
+    level: float = 0.95,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """A confidence interval of a measure over takes: takes are drawn with replacement, and their counts pooled.
+
+    Parameters
+    ----------
+    of_takes: the counts of each take. measure: for instance `lambda counts: counts.f1`. draws: how often takes are
+        drawn.
+
+    Returns
+    -------
+    The percentile interval (low, high); NaN twice where there is no take, or the measure is never defined.
+    """
+    if not 0.0 < level < 1.0:
+        raise ParameterError("level", "above 0 and below 1", level)
+    if draws < 1:
+        raise ParameterError("draws", "1 or more", draws)
+    if not of_takes:
+        return math.nan, math.nan
+    matrix = np.array([tuple(vars(one).values()) for one in of_takes], np.int64)
+    drawn = np.random.default_rng(seed).integers(len(matrix), size=(draws, len(matrix)))
+    values = np.array([measure(Counts(*map(int, matrix[takes].sum(axis=0)))) for takes in drawn])
+    values = values[~np.isnan(values)]
+    if not len(values):
+        return math.nan, math.nan
+    low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)

@@ -1,0 +1,1 @@
+"""Ranking: the places in an archive where a template fits best, found exactly without computing all of them."""

@@ -1,0 +1,183 @@
+"""Bit slices: the words of an archive as one bitmap per feature, 64 frames to a word of memory.
+
+Each take begins in a block of its own (64 frames, one uint64) and ends with at least one frame to spare, so that
+nothing of two takes ever touches. A coarser copy says what occurs in a few frames at a time.
+`ops.search.bit_slice_search` searches them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
+
+I32 = npt.NDArray[np.int32]
+
+BLOCK = 64
+SHIFT = 6
+"""Frames become blocks when they are moved by so many bits."""
+GRANULE = 8
+"""How many frames have one bit of the coarse copy. Chosen by measurement: with 16 it is half as large, but twice as
+many blocks have to be looked at."""
+GRANULES = BLOCK // GRANULE
+"""How many of them a block has: as many as a byte has bits, so that those of one block can be read as a byte."""
+
+_VALID = MOST_FEATURES
+_VALID_BIT = np.uint64(1 << _VALID)
+NO_BITS, ALL_BITS = np.uint64(0), np.uint64(2**64 - 1)
+_LOW_HALF = np.uint64(0xFFFF_FFFF)
+_LOWEST_OF_EACH = np.uint64(sum(1 << GRANULE * i for i in range(GRANULES)))
+_GATHER = np.uint64(sum(1 << (BLOCK - GRANULES) - (GRANULE - 1) * i for i in range(GRANULES)) % 2**64)
+
+
+@dataclass(frozen=True)
+class BitSlices:
+    """The words of T takes, sliced by feature: flat arrays that may lie in a file and be shared by many processes.
+
+    bits: uint64 (B · (f + 1),), block after block: bit j of word n of a block is feature F_(n + 1) in its frame j, and
+    the last word says which frames are valid (no feature is on in the others). What is read together lies together.
+    coarse: uint64 ((2 f + 1) · ⌈B / 8⌉,), row after row, bitmaps over stretches of 8 frames (`GRANULE`; block b has the
+    bits 8 b .. 8 b + 8 of a row): row n, whether F_(n + 1) is on in some frame of the stretch; row f + n, whether it is
+    off in some valid one; the last row, whether some frame is valid.
+    first: int64 (T + 1,), take t has the blocks first[t] .. first[t + 1]. frames: int64 (T,), the length of each take.
+    left: int32 (B,), how many blocks of its take follow a block. features: f.
+
+    Nobody writes to the arrays: they may be a file's pages, which all processes of a machine share.
+    """
+
+    bits: U64
+    coarse: U64
+    first: I64
+    frames: I64
+    left: I32
+    features: int
+
+    def __post_init__(self) -> None:
+        blocks = len(self.left)
+        if self.bits.shape != (blocks * (self.features + 1),) or self.first[-1] != blocks:
+            raise ParameterError("bits", f"{self.features + 1} for each of the blocks", self.bits.shape)
+        if self.coarse.shape != ((2 * self.features + 1) * coarse_words(blocks),):
+            raise ParameterError("coarse", f"{2 * self.features + 1} rows over all blocks", self.coarse.shape)
+        # also those in memory: kernels would be compiled once more for arrays that can be written to
+        for array in self.arrays.values():
+            array.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
+        """What there is to keep, by name: `BitSlices(**arrays, features=f)` is the same again."""
+        return {name: getattr(self, name) for name in ("bits", "coarse", "first", "frames", "left")}
+
+    @property
+    def bytes(self) -> int:
+        """The memory that the arrays take."""
+        return sum(array.nbytes for array in self.arrays.values())
+
+    @property
+    def rows(self) -> U64:
+        """uint64 (f + 1, B): a bitmap over all blocks for each feature, and that of the valid frames."""
+        return self.bits.reshape(-1, self.features + 1).T
+
+    @property
+    def granules(self) -> npt.NDArray[np.uint8]:
+        """uint8 (2 f + 1, B or more): the coarse copy by blocks; zeros after the last."""
+        little = self.coarse.reshape(2 * self.features + 1, -1).astype("<u8", copy=False)
+        return little.view(np.uint8)
+
+
+def coarse_words(blocks: int) -> int:
+    """How many uint64 one row of the coarse copy has."""
+    return -(-blocks * GRANULES // BLOCK)
+
+
+def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
+    """Slice the words of takes by feature.
+
+    Parameters
+    ----------
+    words: uint64 (N,), whole words of T takes, one take after the other; `NO_WORD` for an invalid frame.
+    offsets: int64 (T + 1,), take t has the words offsets[t] .. offsets[t + 1].
+    features: number of features f, 1 to 63.
+
+    Raises
+    ------
+    ParameterError: offsets that do not fit the words, or a number of features out of range.
+    """
+    if not 1 <= features <= MOST_FEATURES:
+        raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
+    frames = np.diff(offsets)
+    if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != len(words) or (frames < 0).any():
+        raise ParameterError("offsets", f"ascending from 0 to the {len(words)} words", offsets[[0, -1]].tolist())
+    first = np.zeros(len(offsets), np.int64)
+    np.cumsum(frames // BLOCK + 1, out=first[1:])
+    blocks = int(first[-1])
+    bits = np.empty(blocks * (features + 1), np.uint64)
+    coarse = np.zeros((2 * features + 1, coarse_words(blocks)), np.uint64)
+    _slice(
+        np.ascontiguousarray(words, np.uint64), np.ascontiguousarray(offsets, np.int64), first, features, bits, coarse
+    )
+    left = np.repeat(first[1:], np.diff(first)) - 1 - np.arange(blocks)
+    return BitSlices(bits, coarse.ravel(), first, frames.astype(np.int64), left.astype(np.int32), features)
+
+
+@njit(cache=True, nogil=True)
+def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-untyped-def]
+    square = np.empty(BLOCK, np.uint64)
+    granules = np.zeros(2 * features + 1, np.uint64)
+    for take in range(len(first) - 1):
+        for block in range(first[take], first[take + 1]):
+            start = offsets[take] + (block - first[take]) * BLOCK
+            for j in range(BLOCK):
+                square[j] = 0
+                if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
+                    square[j] = words[start + j] | _VALID_BIT
+            _transpose(square)
+            valid, shift = square[_VALID], np.uint64(block * GRANULES % BLOCK)
+            square[features] = valid
+            for feature in range(features):
+                granules[feature] |= _coarsened(square[feature]) << shift
+            for feature in range(features):
+                granules[features + feature] |= _coarsened(valid & ~square[feature]) << shift
+            granules[2 * features] |= _coarsened(valid) << shift
+            to = block * (features + 1)
+            for row in range(features + 1):
+                bits[to + row] = square[row]
+            if (block + 1) * GRANULES % BLOCK == 0 or block + 1 == first[-1]:
+                for row in range(2 * features + 1):
+                    coarse[row, block * GRANULES // BLOCK] = granules[row]
+                    granules[row] = 0
+
+
+@njit(cache=True, nogil=True)
+def _coarsened(bits):  # type: ignore[no-untyped-def]
+    # One bit for each granule, whether any of its bits is set: folded onto its lowest, and these gathered at the top by
+    # a product in which no two sums fall on one place.
+    width = GRANULE // 2
+    while width:
+        bits |= bits >> np.uint64(width)
+        width //= 2
+    return ((bits & _LOWEST_OF_EACH) * _GATHER) >> np.uint64(BLOCK - GRANULES)
+
+
+@njit(cache=True, nogil=True)
+def _transpose(square):  # type: ignore[no-untyped-def]
+    # Bit j of row i changes places with bit i of row j, by swapping quarters of ever smaller squares.
+    width = 32
+    mask = _LOW_HALF
+    while width:
+        shift = np.uint64(width)
+        i = 0
+        while i < BLOCK:
+            swapped = ((square[i] >> shift) ^ square[i + width]) & mask
+            square[i] ^= swapped << shift
+            square[i + width] ^= swapped
+            i = (i + width + 1) & ~width
+        width >>= 1
+        mask ^= mask << np.uint64(width)

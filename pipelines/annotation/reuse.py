@@ -1,0 +1,121 @@
+"""What of an earlier annotation still holds: takes whose words, and all that they were annotated with, are the same."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
+from enum import Enum
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.batches import split_takes
+from kinedex.storage.store.kept_results import Lasting, lasting
+from kinedex.storage.store.manifest import ResultPart
+from kinedex.storage.store.store import Store
+
+PIECE_BYTES = 16_000_000
+"""Small pieces of curves are put together up to this size, uncompressed, where they are written again."""
+
+
+def setting_digest(annotator: Annotator, keep_curves: bool, code: str) -> str:
+    """A hash of all that decides a take's annotations besides its words; a row of templates knows no thresholds.
+
+    Parameters
+    ----------
+    code: a hash of the sources that the stage runs.
+    """
+    hasher = hashlib.sha256(f"{code}/{keep_curves}".encode())
+    _feed(hasher, annotator if annotator.row is None else replace(annotator, tau=0.0, taus=None))
+    return hasher.hexdigest()[:16]
+
+
+def _feed(hasher: hashlib._Hash, value: object) -> None:
+    """Add a value to a hash, with its type and length, so that no two values feed the same bytes."""
+    hasher.update(f"{type(value).__name__}:".encode())
+    if isinstance(value, np.ndarray):
+        hasher.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif hasattr(value, "digest") and isinstance(value.digest, str):  # a feature set
+        hasher.update(value.digest.encode())
+    elif is_dataclass(value):
+        for field in fields(value):
+            _feed(hasher, getattr(value, field.name))
+    elif isinstance(value, dict):
+        _feed(hasher, tuple(value.items()))
+    elif isinstance(value, tuple | list):
+        hasher.update(f"{len(value)}:".encode())
+        for one in value:
+            _feed(hasher, one)
+    elif value is None or isinstance(value, str | int | float | Enum):
+        text = repr(value).encode()
+        hasher.update(f"{len(text)}:".encode() + text)
+    else:
+        raise TypeError(f"a {type(value).__name__} has no hash here")
+
+
+def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, str]:
+    """A hash of each take's words and the setting, by take_id; words are read batch by batch."""
+    result = {}
+    for batch in split_takes(takes["take_id"].to_list(), takes["frames"].to_list()):
+        words = store.words(batch)
+        for index, take_id in enumerate(words.take_ids.tolist()):
+            hasher = hashlib.sha256(setting.encode())
+            hasher.update(np.ascontiguousarray(words.take(index)).tobytes())
+            result[int(take_id)] = hasher.hexdigest()[:32]
+    return result
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Takes whose earlier annotations still hold.
+
+    stage: "<pipeline>/<stage>"; run: its run that made them. searched: take_id → the share of its frames that templates
+    were matched in.
+    """
+
+    store: Store
+    stage: str
+    run: str
+    searched: dict[int, float]
+
+    def annotations(self, run: str) -> pa.Table:
+        """Their segments, as rows of a new run."""
+        return self._rows(self.store.result("annotations", run=self.run), run)
+
+    def curve_parts(self) -> Lasting:
+        """What becomes of the parts of distance curves: those that stay, and those whose rows are put again."""
+        return lasting(self.store, "distance_curves", self.stage, self.searched)
+
+    def curves(self, parts: Iterable[ResultPart], run: str) -> Iterator[pa.Table]:
+        """Their distance curves in these parts, as rows of a new run, in pieces of some size."""
+        waiting: list[pa.Table] = []
+        for piece in self.store.result_pieces("distance_curves", parts):
+            waiting.append(self._rows(piece, run))
+            if sum(rows.nbytes for rows in waiting) >= PIECE_BYTES:
+                yield pa.concat_tables(waiting).combine_chunks()
+                waiting = []
+        if waiting:
+            yield pa.concat_tables(waiting).combine_chunks()
+
+    def _rows(self, table: pa.Table, run: str) -> pa.Table:
+        rows = table.filter(pc.is_in(table.column("take_id"), pa.array(self.searched, pa.int64())))
+        place = rows.schema.get_field_index("run")
+        return rows.set_column(place, rows.schema.field("run"), pa.repeat(pa.scalar(run), rows.num_rows))
+
+
+def kept_annotations(store: Store, stage: str, prints: dict[int, str]) -> Kept:
+    """The takes that a stage has annotated before, with the same fingerprint."""
+    runs = [part.run for part in store.manifest.results.get("annotated_takes", ()) if part.stage == stage]
+    if not runs:
+        return Kept(store, stage, "", {})
+    rows = store.result("annotated_takes", run=runs[-1]).select(["take_id", "fingerprint", "searched"]).to_pylist()
+    same = {
+        int(row["take_id"]): float(row["searched"])
+        for row in rows
+        if row["fingerprint"] is not None and prints.get(row["take_id"]) == row["fingerprint"]
+    }
+    return Kept(store, stage, runs[-1], same)

@@ -1,0 +1,66 @@
+"""The demo: the main job on a synthetic archive, made where it is missing, or on an archive of the user's own."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.terminal import Progress, Terminal
+from kinedex.pipelines.engine.executors import cores
+from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+from kinedex.pipelines.synth.archive import write_archive
+
+ACTORS, SEED = 5, 2026
+
+
+def run_demo(
+    store: Path,
+    data: Path | None,
+    minutes: float,
+    executor: str,
+    workers: int | None,
+    console: Console,
+    method: str = "thesis",
+) -> Outcome:
+    """Run the pipeline `annotate`; without data, on a synthetic archive beside the store.
+
+    Parameters
+    ----------
+    store: where the store goes. data: an archive of the user's own, or None. minutes: size of the synthetic archive.
+    executor, workers: as for `run_pipeline`. console: where to say what happens. method: of the stage `annotate`.
+    """
+    settings = {"method": method}
+    if data is None:
+        data = store.parent / f"{store.name}-archive-{minutes:g}min"
+        make_archive(data, minutes, ACTORS, SEED, workers, console)
+        settings["classes"] = "synthetic"
+    elif not data.is_dir():
+        raise KinedexError(f"--data {data}: no such folder")
+    settings["source"] = str(data)
+    console.print(f"store: {store}")
+    return run_pipeline(
+        "annotate", store, assignments=settings, executor=executor, workers=workers, terminal=Terminal(console)
+    )
+
+
+def make_archive(
+    directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
+) -> None:
+    """Make a synthetic archive, or finish one that was interrupted, and say what is in it.
+
+    Raises
+    ------
+    KinedexError: the folder holds something else already.
+    """
+    begin = time.perf_counter()
+    console.print(f"synthetic archive of {minutes:g} minutes in {directory}", style="bold", markup=False)
+    with Progress(console, "writing files", None) as progress:
+        summary = write_archive(
+            directory, minutes=minutes, actors=actors, seed=seed, jobs=workers or cores(), progress=progress.advance
+        )
+    console.print(f"    {summary}", markup=False)
+    took = f"made in {time.perf_counter() - begin:.0f} s" if summary.made else "made before"
+    console.print(f"    {took}", markup=False)

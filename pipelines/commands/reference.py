@@ -1,0 +1,283 @@
+"""docs/reference.md, made from the code (`python -m kinedex.pipelines.commands.reference`)."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import types
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from typer.core import TyperArgument
+
+from kinedex.catalog.configs import KINDS, config_names, config_path, load_yaml
+from kinedex.pipelines.commands.cli import PANELS
+from kinedex.pipelines.commands.shell import app
+from kinedex.pipelines.engine.config import OPTIONAL, STAGES, load_pipeline, stage_module
+from kinedex.pipelines.evaluation.scheme import Method, Split
+from kinedex.pipelines.stages.evaluate_ranking import Fold
+from kinedex.pipelines.templates.recipes import Combination
+
+INTRODUCTION = """\
+# Reference
+
+Made from the code by `python -m kinedex.pipelines.commands.reference`, and tested to be what the code says. Do not
+edit it.
+
+Views and macros of SQL are in [sql.md](sql.md), formats of motion files in [formats.md](formats.md), label files in
+[labels.md](labels.md).
+"""
+
+SECTIONS = {
+    "Commands": "and their options",
+    "Stages": "and their parameters, the same in a pipeline file and by `--set STAGE.PARAMETER=VALUE`",
+    "Pipelines": "that come along, and their settings, by `--set SETTING=VALUE`",
+    "Configuration files": "and the keys of each kind",
+}
+"""Sections of the page, and what is in them."""
+
+MODELS = (("Combination", Combination), ("Method", Method), ("Split", Split), ("Fold", Fold))
+"""What stands inside of parameters."""
+
+PARTS = {
+    "skeletons": (
+        ("", "kinedex.catalog.skeletons.mappings", "_SkeletonFile"),
+        ("a `Mix`, which stands for a joint", "kinedex.catalog.skeletons.mappings", "_Mix"),
+        ("`Aside`", "kinedex.catalog.skeletons.mappings", "_Aside"),
+        ("`Root`", "kinedex.catalog.skeletons.mappings", "_Root"),
+    ),
+    "features": (
+        ("", "kinedex.catalog.features", "_FeatureFile"),
+        ("a feature, by its number", "kinedex.catalog.features", "_FeatureEntry"),
+    ),
+    "classes": (("a class", "kinedex.catalog.classes", "_ClassEntry"),),
+    "queries": (
+        ("a query", "kinedex.catalog.queries.query_files", "_QueryEntry"),
+        ("a step of `sequence`", "kinedex.catalog.queries.query_files", "_StepEntry"),
+        ("a `Keyframe`", "kinedex.catalog.queries.keyframe_entries", "_KeyframeEntry"),
+        ("a gap", "kinedex.catalog.queries.gap_entries", "GapEntry"),
+    ),
+    "pipelines": (
+        ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
+        ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
+    ),
+}
+"""Kind of configuration file → its models: what each stands for (nothing: the whole file), module and name."""
+
+WHERE = {
+    "skeletons": "`ingest.skeleton`. [How to read files with a skeleton of your own](howto/own-skeleton.md).",
+    "features": "`ingest.features`. [Features of your own](howto/own-features.md).",
+    "classes": "`annotate.classes`. [Classes of your own](howto/own-classes.md).",
+    "queries": "`kinedex search`, `annotate.queries`, `rank.queries`. Every key is explained in "
+    "[`example.yaml`](../configs/queries/example.yaml).",
+    "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
+}
+
+
+def reference() -> str:
+    """The whole page as Markdown."""
+    parts = ["## Commands\n", _exit_codes(), *_commands()]
+    parts += ["## Stages\n", "A bound that a value must keep to stands behind its type.\n"]
+    parts += [_stage(name) for name in STAGES]
+    parts += [f"### Inside of parameters: {name}\n\n{_summary(model)}\n\n{_fields(model)}" for name, model in MODELS]
+    parts += ["## Pipelines\n", *(_pipeline(name) for name in config_names("pipelines"))]
+    parts += ["## Configuration files\n", *(_kind(kind) for kind in KINDS)]
+    body = "\n".join(parts)
+    return "\n".join([INTRODUCTION, _contents(body), body])
+
+
+def _contents(body: str) -> str:
+    """A list of the sections, each with links to all that is in it."""
+    seen: Counter[str] = Counter()
+    lines: list[str] = []
+    for level, title in re.findall(r"^(##+) (.*)$", body, re.MULTILINE):
+        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        link = f"#{anchor}-{seen[anchor]}" if seen[anchor] else f"#{anchor}"
+        seen[anchor] += 1
+        if level == "##":
+            lines.append(f"- [{title}]({link}) {SECTIONS[title]}:")
+        else:
+            # of a command its name without arguments
+            name = re.sub(r" [^a-z].*", "", title.split(": ")[-1].removeprefix("kinedex "))
+            lines[-1] += f"{'' if lines[-1].endswith(':') else ','} [`{name}`]({link})"
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _exit_codes() -> str:
+    return f"{app.info.epilog}\n"
+
+
+def _commands() -> list[str]:
+    root: Any = typer.main.get_command(app)
+    found = []
+    for panel in dict.fromkeys(PANELS.values()):
+        of_panel = [(name, one) for name, one in root.commands.items() if one.rich_help_panel == panel]
+        found += [text for name, one in of_panel for text in _command(one, f"kinedex {name}")]
+    return found
+
+
+def _command(one: Any, name: str) -> list[str]:
+    """A command, or every command of a group; typer's classes are those of the click that it brings along."""
+    if hasattr(one, "commands"):
+        return [text for inner, each in one.commands.items() for text in _command(each, f"{name} {inner}")]
+    arguments = [each for each in one.params if isinstance(each, TyperArgument)]
+    options = [each for each in one.params if not isinstance(each, TyperArgument) and each.name != "help"]
+    usage = " ".join([name, *(_usage(each) for each in arguments)])
+    rows = [(f"`{_usage(each).strip('[]')}`", _shown(each), each.help or "") for each in arguments]
+    rows += [(_option(each), _shown(each), each.help or "") for each in options]
+    text = " ".join((one.help or "").split())
+    return [f"### {usage}\n\n{text}\n\n{_table(('argument or option', 'default', 'what it is'), rows)}"]
+
+
+def _usage(argument: Any) -> str:
+    name = argument.metavar or argument.name.upper()
+    name = f"{name.rstrip('.')}…" if argument.nargs == -1 else name
+    return name if argument.required or name.startswith("[") else f"[{name}]"
+
+
+def _option(option: Any) -> str:
+    names = ", ".join(f"`{name}`" for name in sorted(option.opts, key=len, reverse=True))
+    return f"{names} {option.metavar}" if option.metavar else names
+
+
+def _shown(option: Any) -> str:
+    if option.required:
+        return "required"
+    if getattr(option, "is_flag", False):
+        return f"`{option.opts[0]}`" if option.default else ""
+    return "" if option.default in (None, "") else f"`{option.default}`"
+
+
+def _stage(name: str) -> str:
+    module = stage_module(name)
+    first = (module.__doc__ or "").splitlines()[0].split(": ", 1)[1]
+    roles = [
+        f"`{role}` (a stage `{usual}`{', can be missing' if (name, role) in OPTIONAL else ''})"
+        for role, usual in STAGES[name].items()
+    ]
+    inputs = f"Inputs: {', '.join(roles)}.\n\n" if roles else ""
+    return f"### {name}\n\n{first[0].upper()}{first[1:]}\n\n{inputs}{_fields(module.Params)}"
+
+
+def _summary(model: type[BaseModel]) -> str:
+    return (model.__doc__ or "").strip().splitlines()[0]
+
+
+def _fields(model: type[BaseModel]) -> str:
+    described = any(field.description for field in model.model_fields.values())
+    rows = [
+        (f"`{field.alias or name}`", _type(field.annotation, field.metadata), _default(field), field.description or "")
+        for name, field in model.model_fields.items()
+    ]
+    header = ("key", "type", "default", "what it is")
+    if not rows:
+        return "It has no parameters.\n"
+    return _table(header, rows) if described else _table(header[:3], [row[:3] for row in rows])
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True)
+    return "" if value is None or value == "" else f"`{_yaml(value)}`"
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_yaml(one) for one in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_yaml(one)}' for key, one in value.items())}}}"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+_NAMES = {str: "text", int: "integer", float: "number", bool: "true or false", Any: "any"}
+_BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+
+
+def _type(annotation: Any, metadata: Iterable[object] = ()) -> str:
+    """A type in words, with its bounds."""
+    bounds = [
+        f"{sign} {_yaml(getattr(one, key))}" for one in metadata for key, sign in _BOUNDS.items() if hasattr(one, key)
+    ]
+    return ", ".join([_bare(annotation), *bounds])
+
+
+def _bare(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        meta = [part for one in arguments[1:] for part in (one.metadata if isinstance(one, FieldInfo) else [one])]
+        return _type(arguments[0], meta)
+    if origin in (Union, types.UnionType):
+        return " or ".join(_type(one) for one in arguments if one is not type(None))
+    if origin is Literal:
+        return " or ".join(f"`{one}`" for one in arguments)
+    if origin is list:
+        return f"list of {_bare(arguments[0])}"
+    if origin is tuple:
+        return f"[{', '.join(_bare(one) for one in arguments)}]"
+    if origin is dict:
+        return (
+            f"{_bare(arguments[0])} → ({inner})"
+            if " " in (inner := _type(arguments[1]))
+            else f"{_bare(arguments[0])} → {inner}"
+        )
+    if annotation in _NAMES:
+        return _NAMES[annotation]
+    return f"`{annotation.__name__.strip('_').removesuffix('Entry')}`"
+
+
+def _pipeline(name: str) -> str:
+    path = config_path("pipelines", name)
+    located = load_yaml(path)
+    body = located.mapping()
+    settings = body.get("settings") or {}
+    lines = path.read_text(encoding="utf-8").splitlines()
+    stages = ", ".join(
+        f"`{stage.name}`" if stage.name == stage.uses else f"`{stage.name}` (a stage `{stage.uses}`)"
+        for stage in load_pipeline(name, {key: "x" for key, value in settings.items() if value is None}).stages
+    )
+    rows = [
+        (
+            f"`{key}`",
+            "required" if value is None else f"`{_yaml(value)}`",
+            _comment(lines, located.line("settings", key)),
+        )
+        for key, value in settings.items()
+    ]
+    table = _table(("setting", "default", "what it is"), rows) if rows else "It has no settings.\n"
+    file = f"[`{name}.yaml`](../configs/pipelines/{name}.yaml)"
+    return f"### {name}\n\n{body['description']} ({file})\n\nStages: {stages}.\n\n{table}"
+
+
+def _comment(lines: Sequence[str], number: int | None) -> str:
+    """The remark at the end of a line that is counted from 1."""
+    found = re.search(r"\s# ?(.*)$", lines[number - 1]) if number else None
+    return found[1].strip() if found else ""
+
+
+def _kind(kind: str) -> str:
+    names = ", ".join(f"[`{name}`](../configs/{kind}/{name}.yaml)" for name in config_names(kind))
+    parts = []
+    for what, module, name in PARTS[kind]:
+        model = getattr(importlib.import_module(module), name)
+        title = f"Keys of {what}:" if what else "Keys:"
+        parts.append(f"{title}\n\n{_fields(model)}")
+    body = "\n".join(parts)
+    return f"### configs/{kind}\n\n{WHERE[kind]} Shipped: {names}.\n\n{body}"
+
+
+def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    lines = [header, ("---",) * len(header), *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+if __name__ == "__main__":
+    page = Path(__file__).resolve().parents[2] / "docs" / "reference.md"
+    page.write_text(reference(), encoding="utf-8")

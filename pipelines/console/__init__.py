@@ -1,0 +1,1 @@
+"""The terminal: progress and messages, tables, and the SQL prompt."""

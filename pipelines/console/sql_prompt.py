@@ -1,0 +1,175 @@
+"""The interactive SQL prompt, with the habits of the DuckDB shell: history, several lines, dot commands."""
+
+from __future__ import annotations
+
+import atexit
+import os
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.console.tables import Shown
+from kinedex.storage.sql.duck import statements
+from kinedex.storage.store.store import Store
+
+HELP = """.tables          the views there are, and the macros
+.schema [NAME]   the columns of a view, the arguments of a macro; without a name, the columns of all views
+.help [NAME]     this list; what a view or a macro is for, with an example
+.quit            leave (so does Ctrl-D); Ctrl-C stops what runs, or drops what was typed
+Anything else is SQL and ends with a semicolon; SELECT * FROM help; lists views and macros with examples."""
+
+COMMANDS = (".tables", ".schema", ".help", ".quit")
+
+ROWS = 200
+"""Most rows that the prompt prints; it says when there are more."""
+
+_ENTRIES: dict[str, View | Macro] = {entry.name: entry for entry in (*VIEWS, *MACROS)}
+
+
+def history_file() -> Path:
+    """Where the prompt remembers what was typed."""
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "kinedex" / "sql_history"
+
+
+def run_prompt(store: Store, console: Console, read: Callable[[str], str] = input) -> None:
+    """Read statements and dot commands and answer them, until the input ends.
+
+    Parameters
+    ----------
+    read: asks for one line; raises EOFError at the end, KeyboardInterrupt at Ctrl-C.
+    """
+    if read is input:
+        _remember()
+    console.print(f"{store!r}; .help for help", markup=False)
+    typed = ""
+    while True:
+        try:
+            line = read("kinedex> " if not typed else "    ...> ")
+        except EOFError:
+            console.print()
+            return
+        except KeyboardInterrupt:
+            console.print()
+            typed = ""
+            continue
+        if not typed and line.strip().startswith("."):
+            # the shell takes a semicolon after a command, so people type it
+            words = line.strip().rstrip(";").split() or ["."]
+            if words[0] in (".quit", ".exit"):
+                return
+            _answer(console, partial(_dot, store, console, words))
+            continue
+        whole, typed = statements(f"{typed}\n{line}" if typed else line)
+        for statement in whole:
+            if not _answer(console, partial(_select, store, console, statement)):
+                break
+
+
+def _answer(console: Console, work: Callable[[], None]) -> bool:
+    """Do what was asked; whether it could be done."""
+    try:
+        work()
+    except KinedexError as fault:
+        console.print(str(fault), markup=False, style="red")
+    except KeyboardInterrupt:
+        console.print("stopped", style="red")
+    else:
+        return True
+    return False
+
+
+def _select(store: Store, console: Console, statement: str) -> None:
+    table = store.sql(statement)
+    console.print(Shown(table.slice(0, ROWS)))
+    rows = f"{table.num_rows:,} row{'' if table.num_rows == 1 else 's'}"
+    console.print(rows if table.num_rows <= ROWS else f"{rows}, of which the first {ROWS} are shown", markup=False)
+
+
+def _dot(store: Store, console: Console, words: list[str]) -> None:
+    match words:
+        case [".help"]:
+            console.print(HELP, markup=False)
+        case [".tables"]:
+            console.print("  ".join(sorted(_views(store))), markup=False)
+            console.print(f"macros: {'  '.join(sorted(macro.name for macro in MACROS))}", markup=False)
+        case [".schema"]:
+            query = (
+                "SELECT table_name AS view, column_name AS column, data_type AS type FROM information_schema.columns"
+            )
+            console.print(Shown(store.sql(f"{query} ORDER BY table_name, ordinal_position")))
+        case [".schema" | ".help", name]:
+            known = _views(store) | {macro.name for macro in MACROS}
+            if name not in known:
+                # a view that has no index to stand on is known all the same
+                without = f"; {name} needs an index, see `SELECT * FROM {name}`" if name in _ENTRIES else ""
+                near = without or did_you_mean(name, known | set(_ENTRIES))
+                raise KinedexError(f"no view or macro '{name}'; .tables lists them{near}")
+            _describe(store, console, words[0], name)
+        case [(".tables" | ".schema" | ".help") as command, *_]:
+            raise KinedexError(f"{command} takes {'no name' if command == '.tables' else 'one name at most'}")
+        case [other, *_]:
+            raise KinedexError(f"no command '{other}'{did_you_mean(other, COMMANDS)}")
+
+
+def _views(store: Store) -> set[str]:
+    """The views of this store, without the tables that lie under them."""
+    found = store.sql("SELECT DISTINCT table_name FROM information_schema.columns").column(0).to_pylist()
+    return {name for name in found if not name.startswith("stored_")}
+
+
+def _describe(store: Store, console: Console, command: str, name: str) -> None:
+    entry = _ENTRIES.get(name)
+    if command == ".help" and entry is not None:
+        call = entry.signature if isinstance(entry, Macro) else entry.name
+        console.print(f"{call}\n  {entry.summary}\n  {entry.example};", markup=False)
+    elif isinstance(entry, Macro):
+        console.print(entry.signature, markup=False)
+        for argument, default, meaning in entry.arguments:
+            said = meaning if default is None else f"{meaning} (default {default})"
+            console.print(f"  {argument}: {said}", markup=False)
+    else:
+        query = "SELECT column_name AS column, data_type AS type FROM information_schema.columns WHERE table_name = $1"
+        console.print(Shown(store.sql(f"{query} ORDER BY ordinal_position", [name])))
+
+
+def _remember() -> None:
+    """Line editing, history and completion where Python has readline; without it the prompt works all the same."""
+    try:
+        import readline
+    except ImportError:
+        return
+    readline.set_completer(completer([*COMMANDS, *_ENTRIES, *(c.name for view in VIEWS for c in view.columns)]))
+    readline.set_completer_delims(" \t\n,;()='\"")
+    readline.parse_and_bind("tab: complete")
+    path = history_file()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            readline.read_history_file(path)
+    except OSError:
+        return
+    readline.set_history_length(2000)
+
+    def keep() -> None:
+        # a history that cannot be written is no reason to end with an error
+        with suppress(OSError):
+            readline.write_history_file(path)
+
+    atexit.register(keep)
+
+
+def completer(names: Iterable[str]) -> Callable[[str, int], str | None]:
+    """What readline asks for the n-th name that begins as what was typed."""
+    known = sorted(set(names))
+
+    def complete(text: str, n: int) -> str | None:
+        fitting = [name for name in known if name.startswith(text)]
+        return fitting[n] if n < len(fitting) else None
+
+    return complete

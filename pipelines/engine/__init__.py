@@ -1,0 +1,1 @@
+"""The engine: pipeline files, the plan, the runner and the executors."""

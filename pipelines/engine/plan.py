@@ -1,0 +1,259 @@
+"""The plan: which stages run and why, before anything does; fingerprints tell what has been done already."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.pipelines.engine.config import Pipeline, Stage
+from kinedex.pipelines.engine.digests import Reading
+from kinedex.storage.store.manifest import StageRecord
+from kinedex.storage.store.store import Store, open_store
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The folder of the rooms: in a checkout, or in the installed package."""
+
+FORCED = "--force"
+"""The reason of a stage that runs because it was asked for."""
+
+NEVER = "has not run yet"
+
+TAKES = "takes"
+"""The role of the stage that brings the takes in."""
+
+# What a stage is run by, but what its results do not depend on.
+_CARRIERS = {
+    "kinedex.pipelines.engine.context",
+    "kinedex.pipelines.console.terminal",
+    "kinedex.pipelines.engine.executors",
+    "kinedex.pipelines.engine.worker_processes",
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stage of a plan: its fingerprint, the record of the last time it ran, and why it runs (None: it does not).
+
+    parts: what the fingerprint is made of, by name, each a hash. what: the takes that it depends on, in words, where
+    these are not all of the store's.
+    """
+
+    stage: Stage
+    parts: dict[str, str]
+    record: StageRecord | None
+    reason: str | None
+    what: str = ""
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of all parts."""
+        return _hash(self.parts)
+
+
+class Planner:
+    """Decides stage by stage, against the store as it stands at that moment, what runs and why.
+
+    A stage is skipped where the store holds a record with its fingerprint: a hash of the project's sources that it
+    imports, its parameters, what it reads outside the store, the store's takes, and the fingerprints of its inputs.
+    Of a stage that says which takes it reads (its function `reads`) only these count, and not what brought them in.
+    """
+
+    def __init__(self, pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> None:
+        for name in force:
+            pipeline.stage(name)
+        self.pipeline = pipeline
+        self.store_path = store_path
+        self.force = force
+        self._fingerprints: dict[str, str] = {}
+        self._running: set[str] = set()
+        self._done: set[str] = set()
+
+    def step(self, stage: Stage) -> Step:
+        """What is to be done about the next stage; stages are asked for in the pipeline's order."""
+        store = _open(self.store_path)
+        record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
+        reading = _reading(stage, store)
+        parts = self._parts(stage, store, reading)
+        reason = FORCED if stage.name in self.force else _reason(record, parts)
+        if reason == NEVER and store is not None and _elsewhere(store, self.pipeline.name, stage):
+            reason = f"not run yet by the pipeline '{self.pipeline.name}' (but by another)"
+        if reason is None and store is not None and record is not None:
+            reason = _gone(stage, store, record)
+        if reason is None:
+            reason = self._upstream(stage, reading)
+        if reason is not None:
+            self._running.add(stage.name)
+        step = Step(stage, parts, record, reason, reading.what if reading else "")
+        self._fingerprints[stage.name] = step.fingerprint
+        return step
+
+    def done(self, step: Step) -> Step:
+        """The step with the store's takes as the stage has left them; for the record of a stage that has just run."""
+        self._done.add(step.stage.name)
+        if "takes" not in step.parts:
+            return step  # it has read what its parts say
+        done = replace(step, parts={**step.parts, "takes": _takes(_open(self.store_path))})
+        self._fingerprints[step.stage.name] = done.fingerprint
+        return done
+
+    def _upstream(self, stage: Stage, reading: Reading | None) -> str | None:
+        """Why a stage runs that nothing has changed for but a stage before it; None where none matters."""
+        for role, name in stage.inputs.items():
+            if name in self._running and (reading is None or role != TAKES):
+                return f"{name} runs"
+            if name in self._running and name not in self._done:
+                return f"{name} runs, which may change the takes that it reads"
+        return None
+
+    def _parts(self, stage: Stage, store: Store | None, reading: Reading | None) -> dict[str, str]:
+        """What a stage's fingerprint is made of."""
+        external = getattr(stage.module, "external_digest", None)
+        parts = {
+            "code": code_digest(f"kinedex.pipelines.stages.{stage.uses}"),
+            "parameters": _hash(stage.params.model_dump(mode="json")),
+            "files": external(stage.params, store) if external else "",
+            **({"takes": _takes(store)} if reading is None else {"reading": reading.digest}),
+        }
+        inputs = {name for role, name in stage.inputs.items() if reading is None or role != TAKES}
+        return parts | {f"input {name}": self._fingerprints[name] for name in sorted(inputs)}
+
+
+def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> list[Step]:
+    """Compare a pipeline with a store, without changing anything.
+
+    Parameters
+    ----------
+    force: names of stages that run in any case.
+    """
+    planner = Planner(pipeline, store_path, force)
+    return [planner.step(stage) for stage in pipeline.stages]
+
+
+def _open(path: Path) -> Store | None:
+    try:
+        return open_store(path)
+    except StoreError:
+        if (path / "manifest").is_dir() and any((path / "manifest").glob("*.json")):
+            raise
+        return None
+
+
+def _reading(stage: Stage, store: Store | None) -> Reading | None:
+    """What a stage reads of the store's takes; None where it does not say so, so that all of them count."""
+    reads = getattr(stage.module, "reads", None)
+    if reads is None:
+        return None
+    try:
+        reading: Reading = reads(stage.params, store) if store else Reading("", "")
+    except KinedexError:
+        # the stage runs, and says what is wrong: by then the takes may be others
+        return Reading("cannot be read", "")
+    return reading
+
+
+def _takes(store: Store | None) -> str:
+    return store.manifest.content_digest() if store else ""
+
+
+def _elsewhere(store: Store, pipeline: str, stage: Stage) -> bool:
+    """Whether a stage of this kind has run in another pipeline."""
+    others = (record for key, record in store.manifest.stages.items() if key.partition("/")[0] != pipeline)
+    return any(record.summary.get("uses") == stage.uses for record in others)
+
+
+def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
+    if record is None:
+        return NEVER
+    if record.fingerprint == _hash(parts):
+        return None
+    before = record.summary.get("fingerprint_parts", {})
+    changed = [name for name in parts if before.get(name) != parts[name]]
+    said = {
+        "code": "kinedex itself changed",
+        "parameters": "its parameters changed",
+        "files": "its files changed",
+        "takes": "the store's takes changed",
+        "reading": "the takes that it reads changed",
+    }
+    return (
+        "; ".join(said.get(name, name.removeprefix("input ") + " changed") for name in changed) or "its inputs changed"
+    )
+
+
+def _gone(stage: Stage, store: Store, record: StageRecord) -> str | None:
+    """What a stage left and is no longer there: files that its summary names, or what the stage itself misses."""
+    stands = getattr(stage.module, "stands", None)
+    if stands is not None and not stands(store):
+        return "what it made is gone or stale"
+    missing = [name for name in record.summary.get("files", ()) if not (store.path / name).is_file()]
+    return f"{missing[0]} is gone" if missing else None
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def code_digest(module: str) -> str:
+    """A hash of a module's source and of every project module that it imports, however indirectly."""
+    seen: dict[str, bytes] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name in seen or name in _CARRIERS:
+            continue
+        source = _source(name)
+        if source is not None:
+            seen[name] = source[0]
+            waiting += source[1]
+    hasher = hashlib.sha256()
+    for name in sorted(seen):
+        hasher.update(name.encode() + b"\0" + seen[name] + b"\0")
+    return hasher.hexdigest()[:16]
+
+
+@cache  # the stages of a pipeline stand on much the same modules
+def _source(name: str) -> tuple[bytes, tuple[str, ...]] | None:
+    """A project module's source and what it imports; None where there is no such module."""
+    path = _module_file(name)
+    if path is None:
+        return None
+    content = path.read_bytes()
+    return content, tuple(imports_of(content.decode(), name))
+
+
+def imports_of(source: str, module: str) -> list[str]:
+    """The project modules that a source imports, packages and names in them alike."""
+    names: list[str] = []
+    for node in _statements(ast.parse(source).body):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                package = module.split(".")[: -node.level] or [module]
+                base = ".".join([*package, base] if base else package)
+            names.append(base)
+            names += [f"{base}.{alias.name}" for alias in node.names]
+    return sorted({name for name in names if name.startswith("kinedex.")})
+
+
+def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """Every statement, at any depth; expressions, of which there are many more, hold no imports."""
+    for statement in body:
+        yield statement
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from _statements(getattr(statement, block, ()))
+
+
+def _module_file(name: str) -> Path | None:
+    path = ROOT.joinpath(*name.split(".")[1:])
+    if path.with_suffix(".py").is_file():
+        return path.with_suffix(".py")
+    return path / "__init__.py" if (path / "__init__.py").is_file() else None

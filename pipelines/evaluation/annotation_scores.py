@@ -1,0 +1,148 @@
+"""Evaluating annotations: counts per class and take, and how they are shown."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.pipelines.evaluation.ground_truth import GroundTruth
+from kinedex.storage.store.disk import writing
+from kinedex.storage.store.schemas import result_schema
+
+MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
+SCOPES = ("pooled", "fold", "class", "take")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of an evaluation: scope 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
+
+    scope: str
+    name: str
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """An evaluation by its name, and its lines."""
+
+    name: str
+    rows: tuple[Row, ...] = field(default_factory=tuple)
+
+    @property
+    def pooled(self) -> Counts:
+        """The counts over everything."""
+        return next(row.counts for row in self.rows if row.scope == "pooled")
+
+
+def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequence[str]) -> Evaluation:
+    """Compare annotations with ground truth on the takes that have it; counts are pooled (thesis, 5.4).
+
+    Parameters
+    ----------
+    name: the evaluation's name. annotations: results of the kind `annotations`.
+    classes: names in the order of their lines; labels that only the ground truth has follow.
+    """
+    automatic: dict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
+    manual: dict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
+    for row in annotations.select(["take", "class", "start", "stop"]).to_pylist():
+        automatic[row["take"], row["class"]].append((row["start"], row["stop"]))
+    for segment in truth.segments:
+        manual[segment.take, segment.label].append((segment.start, segment.stop))
+    labels = list(dict.fromkeys([*classes, *sorted({segment.label for segment in truth.segments})]))
+    counts = {
+        (take, label): compare(automatic[take, label], manual[take, label]) for take in truth.takes for label in labels
+    }
+    rows = [Row("pooled", "all", pooled(counts.values()))]
+    rows += [Row("class", label, pooled(counts[take, label] for take in truth.takes)) for label in labels]
+    rows += [Row("take", take, pooled(counts[take, label] for label in labels)) for take in truth.takes]
+    return Evaluation(name, tuple(rows))
+
+
+def pool_folds(name: str, folds: Sequence[tuple[str, Evaluation]]) -> Evaluation:
+    """Pool evaluations of disjoint takes: a line per fold, and all lines of the folds added up."""
+    rows = [Row("pooled", "all", pooled(one.pooled for _, one in folds))]
+    rows += [Row("fold", fold, one.pooled) for fold, one in folds]
+    for scope in ("class", "take"):
+        sums: dict[str, Counts] = {}
+        for _, one in folds:
+            for row in one.rows:
+                if row.scope == scope:
+                    sums[row.name] = sums.get(row.name, Counts()) + row.counts
+        rows += [Row(scope, label, counts) for label, counts in sums.items()]
+    return Evaluation(name, tuple(rows))
+
+
+def measures(counts: Counts) -> dict[str, float | None]:
+    """The six measures by name, None where one is undefined."""
+    values = {name: float(getattr(counts, name)) for name in MEASURES}
+    return {name: None if math.isnan(value) else value for name, value in values.items()}
+
+
+def metrics_rows(evaluation: Evaluation, run: str) -> pa.Table:
+    """Lay an evaluation out as results of the kind `metrics`."""
+    rows = [
+        {"run": run, "evaluation": evaluation.name, "scope": row.scope, "name": row.name}
+        | measures(row.counts)
+        | asdict(row.counts)
+        for row in evaluation.rows
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("metrics"))
+
+
+def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object) -> None:
+    """Write an evaluation as JSON: about it, then per scope name → measures and counts."""
+    content: dict[str, object] = {"evaluation": evaluation.name, "run": run, **about}
+    content["pooled"] = measures(evaluation.pooled) | asdict(evaluation.pooled)
+    for scope, key in zip(SCOPES[1:], ("folds", "classes", "takes"), strict=True):
+        rows = {row.name: measures(row.counts) | asdict(row.counts) for row in evaluation.rows if row.scope == scope}
+        if rows:
+            content[key] = rows
+    temporary = path.with_name(f".tmp-{path.name}")
+    with writing(path):
+        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.replace(path)
+
+
+def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> Table:
+    """An evaluation as a table for the terminal.
+
+    Classes that are neither annotated nor there are left out, and so are lines of other scopes than these.
+    """
+    table = Table(
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        header_style="bold",
+    )
+    table.add_column("", overflow="fold")
+    for name in ("F1", "P1", "R1", "F2", "P2", "R2", "auto", "manual"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for scope in scopes:
+        table.add_section()
+        for row in evaluation.rows:
+            counts = row.counts
+            if row.scope != scope or (scope == "class" and not counts.frames_automatic + counts.frames_manual):
+                continue
+            values = [counts.f1, counts.p1, counts.r1, counts.f2, counts.p2, counts.r2]
+            table.add_row(
+                Text(row.name),
+                *("–" if math.isnan(value) else f"{value:.2f}" for value in values),
+                f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
+                f"{counts.segments_manual_hit}/{counts.segments_manual}",
+                style="bold" if scope == "pooled" else None,
+            )
+    table.caption = "1: frames, 2: segments; auto, manual: how many segments overlap one of the other side"
+    return table

@@ -1,0 +1,123 @@
+"""Comparisons of two evaluations, for the terminal, as Markdown, and as a page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.evaluation.differences import Change, Comparison
+from kinedex.pipelines.evaluation.markdown import grid, plain
+from kinedex.pipelines.evaluation.tables import digits
+
+VERDICTS = ("worse", "mixed", "better", "incomparable")
+HEADER = ("F1 of A", "of B", "by", "F2 of A", "of B", "by")
+MOST_SHOWN = 20
+"""Changes of a kind that the terminal shows; a file has all."""
+
+_STYLES = {"better": "green", "worse": "red", "mixed": "yellow", "incomparable": "yellow", "same": ""}
+
+
+def values(change: Change) -> list[str]:
+    """A change as the columns of `HEADER`."""
+    cells = []
+    for pair, by in zip((change.f1, change.f2), change.by, strict=True):
+        cells += [digits(pair[0]), digits(pair[1]), signed(by)]
+    return cells
+
+
+def signed(value: float | None) -> str:
+    """A difference with its sign; a dot where it is nothing, a dash where one side has no value."""
+    return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
+
+
+def rich_comparison(one: Comparison) -> Group:
+    """A comparison for the terminal: the verdict, then what changed, the greatest changes first."""
+    parts: list[RenderableType] = [
+        Text("\n".join([f"A  {one.a}", f"B  {one.b}", *settings(one)])),
+        Text(f"{one.verdict}.", style="bold"),
+        _table(one.scope, [one.overall], plain=not one.common),
+    ]
+    for what, changes in (("classes", one.classes), ("takes", one.takes)):
+        for verdict in VERDICTS:
+            changed = one.changed(changes, verdict)
+            if changed:
+                more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
+                parts.append(_table(f"{verdict}: {len(changed)} of {len(changes)} {what}{more}", changed[:MOST_SHOWN]))
+    parts += [Text(text) for text in remarks(one)]
+    return Group(*parts)
+
+
+def settings(one: Comparison) -> list[str]:
+    """The parameters of the annotation that differ, a line each."""
+    return [f"{name}: {_setting(ours)} in A, {_setting(theirs)} in B" for name, ours, theirs in one.settings]
+
+
+def _setting(value: object) -> str:
+    return "not set" if value is None else value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def remarks(one: Comparison) -> list[str]:
+    """What did not change, and what could not be compared."""
+    said = []
+    for what, other in (("takes", one.other_truth.takes), ("classes", one.other_truth.classes)):
+        if other:
+            said.append(f"{what} whose manual labels are not the same in A and B: {few(other)}")
+    for what, changes in (("classes", one.classes), ("takes", one.takes)):
+        same = len(one.changed(changes, "same"))
+        if same:
+            said.append(f"{same} of {len(changes)} {what} are the same")
+    for name, alone in (("A", one.only_a), ("B", one.only_b)):
+        if alone.takes:
+            said.append(f"takes of {name} alone, left out: {few(alone.takes)}")
+        if alone.classes:
+            said.append(f"classes of {name} alone, not compared: {few(alone.classes)}")
+    if (one.only_a.takes or one.only_b.takes) and one.classes:
+        said.append("classes are over all takes of each")
+    return said
+
+
+def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Table:
+    table = Table(
+        title=title or None, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+        header_style="bold",
+    )  # fmt: skip
+    table.add_column("", overflow="fold")
+    for name in HEADER:
+        table.add_column(name, justify="right", no_wrap=True)
+    for change in changes:
+        table.add_row(Text(change.name), *values(change), style=None if plain else _STYLES[change.verdict] or None)
+    return table
+
+
+def markdown(comparisons: Sequence[Comparison]) -> str:
+    """Comparisons as Markdown."""
+    lines = ["# Two evaluations compared", ""]
+    for one in comparisons:
+        lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
+        lines += [*(f"- {plain(text)}" for text in settings(one)), ""] if one.settings else []
+        lines += [f"{one.scope.capitalize()}", "", *grid(["", *HEADER], [[one.overall.name, *values(one.overall)]])]
+        for what, changes in (("classes", one.classes), ("takes", one.takes)):
+            for verdict in VERDICTS:
+                changed = one.changed(changes, verdict)
+                if changed:
+                    lines += [f"### {verdict.capitalize()}: {len(changed)} of {len(changes)} {what}", ""]
+                    lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
+        lines += [f"- {plain(text)}" for text in remarks(one)] + [""]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def page(comparisons: Sequence[Comparison]) -> str:
+    """Comparisons as one HTML page without any outside reference."""
+    environment = Environment(
+        loader=PackageLoader("kinedex.pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters.update({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
+    return environment.get_template("compared.html.j2").render(comparisons=comparisons, verdicts=VERDICTS)

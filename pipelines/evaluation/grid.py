@@ -1,0 +1,196 @@
+"""The grid: every method in every fold is a cell; what it finds is kept, so that no cell is computed twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
+from kinedex.pipelines.annotation.reuse import setting_digest
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.engine.plan import code_digest
+from kinedex.pipelines.evaluation.scheme import Method
+from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
+from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.store.store import Store, open_store
+
+SAVE_SECONDS = 20.0
+"""Finished cells are kept at least so often."""
+
+CODE = "kinedex.pipelines.annotation.batches"
+"""The module whose sources, with all that it imports, decide what a cell finds."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """An automatic segment: class, analysis frames [start, stop), and how sure it is; higher is surer."""
+
+    label: str
+    start: int
+    stop: int
+    sure: float
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method in one fold. key: a hash of all that its outcome follows from. remarks: what is to be known of its
+    templates and thresholds, in words."""
+
+    key: str
+    fold: Fold
+    method: Method
+    annotator: Annotator
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some takes of one cell, for one worker."""
+
+    store: Path
+    annotator: Annotator
+    exams: tuple[Exam, ...]
+
+
+Found = dict[str, tuple[Segment, ...]]
+"""What a cell has found, by the name of the take."""
+
+
+def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
+    """A hash of the takes, of all that annotates them, and of the code that does."""
+    hasher = hashlib.sha256()
+    checksums = dict(store.takes().select("take_id", "checksum").iter_rows())
+    hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
+    for exam in fold.exams:
+        parts = [str(checksums[take_id]) for take_id in exam.take_ids]
+        hasher.update(json.dumps([exam.name, exam.frames, parts]).encode())
+    hasher.update(setting_digest(annotator, False, code_digest(CODE)).encode())
+    return hasher.hexdigest()[:32]
+
+
+def run_cells(
+    cells: Sequence[Cell],
+    store: Path,
+    executor: Executor,
+    known: Mapping[str, Found],
+    save: Callable[[Mapping[str, Found]], None],
+    advance: Callable[[int], None],
+) -> dict[str, Found]:
+    """Compute the cells that are not known yet; the same whatever the workers.
+
+    Parameters
+    ----------
+    known: by key, what cells have found before. save: keeps what is finished; called every `SAVE_SECONDS`.
+    advance: is told how many cells are done.
+
+    Returns
+    -------
+    What each of the cells has found, by key.
+    """
+    wanted = {cell.key: cell for cell in cells}
+    finished = {key: known[key] for key in wanted if key in known}
+    advance(len(finished))
+    todo = [cell for key, cell in wanted.items() if key not in finished]
+    pieces = {cell.key: list(_pieces(cell.fold.exams)) for cell in todo}
+    tasks = [Task(store, cell.annotator, piece) for cell in todo for piece in pieces[cell.key]]
+    results = executor.map(annotate_task, tasks)
+    stored = time.monotonic()
+    for key, own in pieces.items():
+        finished[key] = {name: segments for part in islice(results, len(own)) for name, segments in part.items()}
+        advance(1)
+        if time.monotonic() - stored > SAVE_SECONDS:
+            save(finished)
+            stored = time.monotonic()
+    return finished
+
+
+def annotate_task(task: Task) -> Found:
+    """Annotate some takes (runs in a worker)."""
+    ids = sorted({take_id for exam in task.exams for take_id in exam.take_ids})
+    words = open_store(task.store).words(ids)
+    place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
+    laid_out = [np.concatenate([words.take(place[take_id]) for take_id in exam.take_ids]) for exam in task.exams]
+    offsets = np.cumsum([0, *(len(one) for one in laid_out)])
+    together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out))
+    annotator = task.annotator
+    return {
+        task.exams[one.take_id].name: tuple(
+            Segment(annotator.classes[segment.class_index], segment.start, segment.stop, float(segment.confidence))
+            for segment in one.segments
+        )
+        for one in annotate_words(annotator, together)
+    }
+
+
+def _pieces(exams: Sequence[Exam]) -> Iterator[tuple[Exam, ...]]:
+    """Takes worth a task: about `BATCH_FRAMES` frames, a longer take on its own."""
+    piece: list[Exam] = []
+    frames = 0
+    for exam in exams:
+        if piece and frames + exam.frames > BATCH_FRAMES:
+            yield tuple(piece)
+            piece, frames = [], 0
+        piece.append(exam)
+        frames += exam.frames
+    yield tuple(piece)
+
+
+def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> pa.Table:
+    """Lay finished cells out as results of the kind `method_cells`: a row for each take of each.
+
+    Cells of one key have the same outcome under several names (a threshold of a sweep that is a method's own, splits
+    that share a fold); there are rows for every name.
+    """
+    rows = [
+        {
+            "run": run,
+            "cell": cell.key,
+            "split": cell.fold.split,
+            "fold": cell.fold.name,
+            "method": cell.method.name,
+            "take": exam.name,
+            "frames": exam.frames,
+            "classes": [one.label for one in found[cell.key][exam.name]],
+            "starts": [one.start for one in found[cell.key][exam.name]],
+            "stops": [one.stop for one in found[cell.key][exam.name]],
+            "confidences": [one.sure for one in found[cell.key][exam.name]],
+        }
+        for cell in cells
+        if cell.key in found
+        for exam in cell.fold.exams
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("method_cells"))
+
+
+def remarks_of(cells: Sequence[Cell]) -> list[str]:
+    """What is to be known of cells, each remark once a fold, with the methods that it is true of unless it is of
+    all."""
+    methods: dict[str, None] = dict.fromkeys(cell.method.name for cell in cells)
+    said: dict[tuple[str, str], list[str]] = {}
+    for cell in cells:
+        for remark in cell.remarks:
+            said.setdefault((cell.fold.name, remark), []).append(cell.method.name)
+    return [
+        (f"{fold}: " if fold != WHOLE else "") + remark + ("" if len(own) == len(methods) else f" ({few(own)})")
+        for (fold, remark), own in said.items()
+    ]
+
+
+def known_cells(table: pa.Table) -> dict[str, Found]:
+    """Read finished cells back."""
+    known: dict[str, Found] = {}
+    for row in table.to_pylist():
+        columns = (row["classes"], row["starts"], row["stops"], row["confidences"])
+        known.setdefault(row["cell"], {})[row["take"]] = tuple(Segment(*one) for one in zip(*columns, strict=True))
+    return known

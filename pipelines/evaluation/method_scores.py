@@ -1,0 +1,234 @@
+"""How good a method is in a split: counts, average precision, boundaries, and how sure it all is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.evaluation.detection import (
+    THRESHOLDS,
+    Found,
+    Known,
+    average_precision,
+    bootstrap,
+    boundary_errors,
+    overlap,
+)
+from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.pipelines.evaluation.confusion import Confusion, confusion
+from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.test_takes import Exam
+
+I64 = npt.NDArray[np.int64]
+
+INTERVAL_OF = ("p1", "r1", "f1", "p2", "r2", "f2")
+
+Outcome = Mapping[str, Sequence[Segment]]
+"""What a method has found in all folds of a split, by the name of the take."""
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What became of a manual segment. overlaps: by method, intersection over union with the automatic segment of its
+    class that overlaps it most, 0 where none does. labels: what the methods put there, what overlaps most first."""
+
+    take: str
+    label: str
+    start: int
+    stop: int
+    overlaps: dict[str, float]
+    labels: dict[str, tuple[str, ...]]
+
+    @property
+    def missed(self) -> bool:
+        """Whether no method has found it: no automatic segment of its class has a frame of it."""
+        return not any(self.overlaps.values())
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A method in a split, judged.
+
+    by_class, by_group, by_take: counts. intervals: 95 % over takes, by measure. precision: mean average precision by
+    threshold; class_precision: by class, then threshold. boundaries: int64 (M, 2), see `boundary_errors`.
+    joined_precision, joined_boundaries: the same where touching segments of one class are one (`joined`).
+    """
+
+    pooled: Counts
+    by_class: dict[str, Counts]
+    by_group: dict[str, Counts]
+    by_take: dict[str, Counts]
+    intervals: dict[str, tuple[float, float]]
+    precision: dict[float, float]
+    class_precision: dict[str, dict[float, float]]
+    confusion: Confusion
+    boundaries: I64
+    joined_precision: dict[float, float]
+    joined_boundaries: I64
+
+
+def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -> dict[tuple[str, str], Counts]:
+    """The counts of every take and class (thesis, 5.4)."""
+    counts = {}
+    for exam in exams:
+        for label in labels_of(exams, classes):
+            mine = [(one.start, one.stop) for one in outcome[exam.name] if one.label == label]
+            counts[exam.name, label] = compare(
+                mine, [(start, stop) for name, start, stop in exam.truth if name == label]
+            )
+    return counts
+
+
+def labels_of(exams: Sequence[Exam], classes: Sequence[str]) -> list[str]:
+    """The classes in their order, then labels that only the truth has."""
+    return list(dict.fromkeys([*classes, *sorted({label for exam in exams for label, _, _ in exam.truth})]))
+
+
+def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws: int = 1000) -> Judgement:
+    """Judge what a method has found in all takes of a split.
+
+    Parameters
+    ----------
+    exams: the takes of all folds. classes: in the order of the tables. draws: of the bootstrap over takes.
+    """
+    labels = labels_of(exams, classes)
+    counts = counts_of(outcome, exams, classes)
+    by_take = {exam.name: pooled(counts[exam.name, label] for label in labels) for exam in exams}
+    groups = sorted({exam.group for exam in exams})
+    every = list(by_take.values())
+    measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in INTERVAL_OF}
+    class_precision = {label: _precision(outcome, exams, label) for label in labels}
+    one_piece = joined(outcome, exams)
+    joined_class_precision = [_precision(*one_piece, label) for label in labels]
+    return Judgement(
+        pooled(every),
+        {label: pooled(counts[exam.name, label] for exam in exams) for label in labels},
+        {group: pooled(by_take[exam.name] for exam in exams if exam.group == group) for group in groups},
+        by_take,
+        {name: bootstrap(every, measure, draws) for name, measure in measures.items()},
+        {threshold: _mean([class_precision[label][threshold] for label in labels]) for threshold in THRESHOLDS},
+        class_precision,
+        confusion(outcome, exams, labels),
+        _boundaries(outcome, exams, labels),
+        {threshold: _mean([one[threshold] for one in joined_class_precision]) for threshold in THRESHOLDS},
+        _boundaries(*one_piece, labels),
+    )
+
+
+def joined(outcome: Outcome, exams: Sequence[Exam]) -> tuple[Outcome, list[Exam]]:
+    """Make one of segments of a class that touch or overlap, automatic and manual ones alike.
+
+    Repetitions in a row are one manual segment where a person saw one motion, and several where he counted them; what
+    is joined does not depend on that. What is joined is as sure as its parts are on average, by frames.
+    """
+    mine = {exam.name: _joined(outcome[exam.name]) for exam in exams}
+    true = [_joined([Segment(*one, 1.0) for one in exam.truth]) for exam in exams]
+    return mine, [
+        replace(exam, truth=tuple((one.label, one.start, one.stop) for one in own))
+        for exam, own in zip(exams, true, strict=True)
+    ]
+
+
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    runs: list[list[Segment]] = []
+    for one in sorted(segments, key=lambda one: (one.label, one.start, one.stop)):
+        if runs and runs[-1][0].label == one.label and one.start <= max(part.stop for part in runs[-1]):
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    found = [
+        Segment(
+            run[0].label,
+            run[0].start,
+            max(one.stop for one in run),
+            float(np.average([one.sure for one in run], weights=[one.stop - one.start for one in run])),
+        )
+        for run in runs
+    ]
+    return sorted(found, key=lambda one: (one.start, one.stop))
+
+
+def _measure(name: str) -> Callable[[Counts], float]:
+    return lambda counts: float(getattr(counts, name))
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
+
+
+def _precision(outcome: Outcome, exams: Sequence[Exam], label: str) -> dict[float, float]:
+    """Average precision of a class by threshold; NaN where it does not occur."""
+    found, known = _of_class(outcome, exams, label)
+    return {threshold: average_precision(found, known, threshold) for threshold in THRESHOLDS}
+
+
+def _of_class(outcome: Outcome, exams: Sequence[Exam], label: str) -> tuple[list[Found], list[Known]]:
+    found = [
+        Found(exam.name, one.start, one.stop, one.sure)
+        for exam in exams
+        for one in outcome[exam.name]
+        if one.label == label
+    ]
+    known = [Known(exam.name, start, stop) for exam in exams for name, start, stop in exam.truth if name == label]
+    return found, known
+
+
+def _boundaries(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) -> I64:
+    errors = [
+        boundary_errors(*_of_class(outcome, [exam], label))
+        for exam in exams
+        for label in labels
+        if any(name == label for name, _, _ in exam.truth)
+    ]
+    return np.concatenate([np.empty((0, 2), np.int64), *errors])
+
+
+def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:
+    """Say of every manual segment what the methods made of it, in the order of takes and time."""
+    found = []
+    for exam in exams:
+        for label, start, stop in sorted(exam.truth, key=lambda one: (one[1], one[2], one[0])):
+            there = {
+                method: [one for one in outcome[exam.name] if _meets(one, start, stop)]
+                for method, outcome in outcomes.items()
+            }
+            overlaps = {
+                method: max(
+                    (overlap((one.start, one.stop), (start, stop)) for one in own if one.label == label), default=0.0
+                )
+                for method, own in there.items()
+            }
+            labels = {method: _names(own, start, stop) for method, own in there.items()}
+            found.append(Fate(exam.name, label, start, stop, overlaps, labels))
+    return found
+
+
+def _meets(one: Segment, start: int, stop: int) -> bool:
+    return one.start < stop and start < one.stop
+
+
+def _names(found: Sequence[Segment], start: int, stop: int) -> tuple[str, ...]:
+    """The labels, the one that overlaps most first, each once."""
+    ranked = sorted(found, key=lambda one: -overlap((one.start, one.stop), (start, stop)))
+    return tuple(dict.fromkeys(one.label for one in ranked))
+
+
+def chosen_takes(by_take: Mapping[str, Counts]) -> dict[str, str]:
+    """The best, the median and the worst take by F1, takes without a defined F1 left out; what they are → their name.
+
+    With two takes there is no median, and with one the best alone.
+    """
+    ranked = sorted((counts.f1, name) for name, counts in by_take.items() if not math.isnan(counts.f1))
+    if not ranked:
+        return {}
+    chosen = {"best": ranked[-1][1]}
+    if len(ranked) > 2:
+        chosen["median"] = ranked[(len(ranked) - 1) // 2][1]
+    if len(ranked) > 1:
+        chosen["worst"] = ranked[0][1]
+    return chosen

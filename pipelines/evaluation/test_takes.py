@@ -1,0 +1,118 @@
+"""Exams: the takes that are annotated, with what is true of them; as the store has them, or clips laid end to end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from kinedex.catalog.classes import Classes
+from kinedex.pipelines.evaluation.ground_truth import GroundTruth
+from kinedex.pipelines.evaluation.scheme import Split
+from kinedex.pipelines.templates.learning import TrainingClips
+
+WHOLE = "all"
+"""The name of the only fold of a fixed split."""
+
+Truth = tuple[str, int, int]
+"""A class and the analysis frames [start, stop) that it is in."""
+
+
+@dataclass(frozen=True)
+class Exam:
+    """A take that is annotated: one of the store, or several clips of the store laid end to end.
+
+    name: the take's, or one made of the fold and a number. group: its value of what Table 5.2 is divided by.
+    take_ids: the parts.
+    """
+
+    name: str
+    group: str
+    take_ids: tuple[int, ...]
+    frames: int
+    truth: tuple[Truth, ...]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold of a split. remarks: what is to be known of it, in words."""
+
+    split: str
+    name: str
+    clips: tuple[TrainingClips, ...]
+    exams: tuple[Exam, ...]
+    remarks: tuple[str, ...] = ()
+
+
+def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[Exam]:
+    """The takes of the store. placed: their ground truth. column: what results are divided by."""
+    truth: dict[str, list[Truth]] = {}
+    for one in placed.segments:
+        truth.setdefault(one.take, []).append((one.label, one.start, one.stop))
+    return [
+        Exam(
+            row["name"],
+            group_of(row, column),
+            (row["take_id"],),
+            row["frames"],
+            tuple(sorted(truth.get(row["name"], ()), key=lambda one: one[1:])),
+        )
+        for row in tested.iter_rows(named=True)
+    ]
+
+
+def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, column: str) -> list[Exam]:
+    """Lay clips end to end in drawn orders; the clips of one take are of one value of a column.
+
+    Parameters
+    ----------
+    split: how many clips a take has, how many clips of a class are drawn for each order, and how many orders.
+    fold: its name. clips: rows of takes, each of a class. column: what results are divided by, such as "actor".
+    """
+    rows = list(clips.sort("name").iter_rows(named=True))
+    groups = sorted({group_of(row, column) for row in rows})
+    exams = []
+    for place, group in enumerate(groups):
+        own = [row for row in rows if group_of(row, column) == group]
+        where = fold if len(groups) == 1 else f"{fold}: {group}"
+        for order in range(split.orders):
+            drawn = _drawn(split, own, np.random.default_rng((split.seed, order, place)))
+            for number, start in enumerate(range(0, len(drawn), split.clips_a_take), 1):
+                part = drawn[start : start + split.clips_a_take]
+                exams.append(_end_to_end(f"{where}: order {order + 1}, take {number}", group, part, classes))
+    return exams
+
+
+def group_of(row: dict[str, object], column: str) -> str:
+    """The value of a column of a take that results are divided by."""
+    return f"no {column}" if row.get(column) is None else str(row[column])
+
+
+def how_clips_are_used(split: Split, clips: int, exams: Sequence[Exam]) -> str:
+    """Say how many of the clips are laid out, and how often."""
+    uses = [take_id for exam in exams for take_id in exam.take_ids]
+    used = len(set(uses))
+    return (
+        f"{used} of {clips} clips are used, each {len(uses) / used:.1f} times on average (orders: {split.orders}, "
+        f"most_clips: {split.most_clips})"
+    )
+
+
+def _drawn(split: Split, rows: Sequence[dict[str, object]], random: np.random.Generator) -> list[dict[str, object]]:
+    """Clips in a drawn order, of each class `most_clips` at most."""
+    chosen = []
+    for label in sorted({str(row["class"]) for row in rows}):
+        own = [row for row in rows if row["class"] == label]
+        chosen += [own[index] for index in random.permutation(len(own))[: split.most_clips].tolist()]
+    return [chosen[index] for index in random.permutation(len(chosen)).tolist()]
+
+
+def _end_to_end(name: str, group: str, clips: Sequence[dict[str, object]], classes: Classes) -> Exam:
+    edges = np.cumsum([0, *(int(str(row["frames"])) for row in clips)]).tolist()
+    truth = tuple(
+        (str(classes.class_of(str(row["class"]))), start, stop)
+        for row, start, stop in zip(clips, edges, edges[1:], strict=False)
+    )
+    return Exam(name, group, tuple(int(str(row["take_id"])) for row in clips), edges[-1], truth)

@@ -1,0 +1,171 @@
+"""Evaluations that were written before, read back: of stores, of folders of reports, or of JSON files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.evaluation.metrics import Counts
+
+MARK = "::"
+"""Between a path and the method that is meant."""
+
+FORMAT = "kinedex evaluation 1"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One evaluation of one method. evaluation: the split, or the name of the stage's evaluation. method: its name,
+    empty where the file has one only. settings: the parameters of the annotation, as far as the file has them."""
+
+    evaluation: str
+    method: str
+    pooled: Counts
+    classes: dict[str, Counts]
+    takes: dict[str, Counts]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return f"{self.evaluation}: {self.method}" if self.method else self.evaluation
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a path holds. text: as the user wrote it; method: the one asked for, None for all."""
+
+    text: str
+    method: str | None
+    found: tuple[Scored, ...]
+
+
+def read_run(text: str) -> Read:
+    """Read the evaluations that a user means.
+
+    Parameters
+    ----------
+    text: a store, a folder of reports (`…/results/reports/<pipeline>`), or a JSON file (methods.json, metrics.json,
+        leave_one_out.json); `::METHOD` behind it chooses a method.
+
+    Raises
+    ------
+    KinedexError: there is none, several pipelines have some, a file is none of these, or there is no such method.
+    """
+    where, mark, method = text.partition(MARK)
+    found = [one for file in _files(Path(where).expanduser()) for one in _read(file)]
+    if mark:
+        names = {one.method for one in found if one.method}
+        if method not in names:
+            raise KinedexError(f"{where} has no method '{method}'{did_you_mean(method, names)}")
+        found = [one for one in found if one.method == method]
+    return Read(text, method if mark else None, tuple(found))
+
+
+def _files(path: Path) -> list[Path]:
+    """The JSON files of a path, all of one pipeline."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise KinedexError(f"{path}: there is no such store, folder or file")
+    reports = path / "results" / "reports"
+    folders = sorted(folder for folder in reports.iterdir() if folder.is_dir()) if reports.is_dir() else [path]
+    by_folder = {folder: _files_in(folder) for folder in folders}
+    having = [folder for folder, files in by_folder.items() if files]
+    if not having:
+        raise KinedexError(
+            f"{path} holds no evaluation: no {', '.join(_NAMES)}; run a pipeline with the stage compare_methods, "
+            "evaluate or leave_one_out"
+        )
+    if len(having) > 1:
+        names = ", ".join(str(folder) for folder in having)
+        raise KinedexError(f"{path} holds evaluations of {len(having)} pipelines; name one of {names}")
+    return by_folder[having[0]]
+
+
+_NAMES = ("methods.json", "metrics.json", "leave_one_out.json")
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """The files of a folder that are called like ours, by kind; a second stage of a kind has its name in front."""
+    files = sorted(folder.glob("*.json"))
+    return [file for name in _NAMES for file in files if file.name == name or file.name.endswith(f".{name}")]
+
+
+def _read(file: Path) -> list[Scored]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise KinedexError(f"{file}: cannot be read: {fault.strerror}") from None
+    except ValueError:
+        raise KinedexError(f"{file}: is no JSON file") from None
+    try:
+        if content.get("format") == FORMAT:
+            settings = {one["name"]: one for one in content.get("methods", [])}
+            return [
+                _scored(split["name"], name, one, settings.get(name, {}))
+                for split in content["splits"]
+                for name, one in split["methods"].items()
+            ]
+        if "pooled" in content:
+            return [_scored(content["evaluation"], "", content, content.get("annotate", {}))]
+    except (KeyError, TypeError, AttributeError):
+        pass
+    raise KinedexError(f"{file}: is no evaluation; expected {' or '.join(_NAMES)} as kinedex writes them")
+
+
+def _scored(evaluation: str, method: str, content: dict[str, Any], settings: dict[str, Any]) -> Scored:
+    return Scored(
+        evaluation,
+        method,
+        _counts(content["pooled"]),
+        {name: _counts(one) for name, one in content.get("classes", {}).items()},
+        {name: _counts(one) for name, one in content.get("takes", {}).items()},
+        settings,
+    )
+
+
+def _counts(content: dict[str, Any]) -> Counts:
+    return Counts(**{one.name: int(content[one.name]) for one in fields(Counts)})
+
+
+def pairs(a: Read, b: Read, split: str | None = None) -> list[tuple[Scored, Scored]]:
+    """What of A is compared with what of B: the same evaluation of the same method, or of the methods asked for.
+
+    Raises
+    ------
+    KinedexError: nothing can be compared; the message says what both have.
+    """
+    ours, theirs = _in_split(a, split), _in_split(b, split)
+    if len(ours) == len(theirs) == 1:
+        return [(ours[0], theirs[0])]
+    any_method = a.method is not None or b.method is not None
+    found = [
+        (one, other)
+        for one in ours
+        for other in theirs
+        if one.evaluation == other.evaluation and (any_method or one.method == other.method)
+    ]
+    if not found:
+        raise KinedexError(
+            f"nothing to compare: {a.text} has {_listed(ours)}; {b.text} has {_listed(theirs)}. Choose by "
+            f"`--split NAME` and by `PATH{MARK}METHOD`"
+        )
+    return found
+
+
+def _in_split(read: Read, split: str | None) -> list[Scored]:
+    if split is None:
+        return list(read.found)
+    found = [one for one in read.found if one.evaluation == split]
+    if not found:
+        known = {one.evaluation for one in read.found}
+        raise KinedexError(f"{read.text} has no evaluation '{split}'{did_you_mean(split, known)}")
+    return found
+
+
+def _listed(scored: list[Scored]) -> str:
+    return ", ".join(f"'{one.name}'" for one in scored)

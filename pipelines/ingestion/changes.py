@@ -1,0 +1,196 @@
+"""What a source has that a store has not: files that are new, changed, moved or gone since the store took them in."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.ops.errors import SourceError
+from kinedex.pipelines.engine.plan import code_digest
+from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
+from kinedex.pipelines.ingestion.file_batches import Task
+from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
+from kinedex.storage.formats.motion.bodies import FORMS, Given
+from kinedex.storage.formats.motion.body_models import model_digest
+from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups
+from kinedex.storage.store.writer import StoreWriter
+
+Naming = Literal["stem", "path", "file"]
+"""What a take is called: its file's stem, its path without the ending, or with it."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What is to be done about a source.
+
+    tasks: the files to read, in order of their take ids. unchanged: how many are as they were. restated: rows of those
+    of them whose file lies elsewhere or has another time now. gone: ids of takes whose file is no more. renamed: id,
+    old and new name of takes whose file is there, but would be called otherwise. failures: files that cannot be placed.
+    skeletons: rows of `skeleton_files`.
+    """
+
+    tasks: list[Task]
+    unchanged: int
+    restated: list[dict[str, Any]]
+    gone: list[int]
+    renamed: list[tuple[int, str, str]]
+    failures: list[Failure]
+    skeletons: pa.Table
+
+
+def compare(
+    writer: StoreWriter,
+    feature_set: FeatureSet,
+    mappings: Mappings,
+    found: Scan,
+    naming: Naming,
+    patterns: Sequence[str],
+    given: Given,
+) -> Changes:
+    """Compare a source with a store, by size and time first; only files that seem to be others are read for it.
+
+    Parameters
+    ----------
+    writer: of the store; new takes get their ids from it. found: the source. patterns: regular expressions for paths.
+    given: what the user says of the files.
+    """
+    known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
+    compiled = [re.compile(pattern) for pattern in patterns]
+    recipes = _recipes(feature_set, mappings, given)
+    skeleton_sums = SkeletonSums(writer.store.result("skeleton_files"))
+    tasks: list[Task] = []
+    restated: list[dict[str, Any]] = []
+    failures = [refusal(refused) for refused in found.refused]
+    unchanged = 0
+    former = {found.motions[0].root}  # where this archive is, and was before it moved
+    names: dict[str, list[str]] = {}
+    for motion in found.motions:
+        names.setdefault(_name(naming, motion), []).append(motion.path)
+    for motion in found.motions:
+        name = _name(naming, motion)
+        if len(names[name]) > 1:
+            failures.append(failure(motion, _namesake(name, motion, names[name]), clash=name))
+            continue
+        try:
+            skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
+            groups = path_groups(motion.path, compiled)
+            of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
+            made = digest([recipes[motion.format], of_skeleton, sorted((groups or {}).items())])
+            row = known.get(name)
+            if row is not None and _moved(row, motion):
+                former.add(row["source_root"])
+            elif row is not None and row["recipe"] == made and _same_content(row, motion):
+                unchanged += 1
+                restated += _restated(row, motion)
+                continue
+            elif row is not None and not _same_place(row, motion) and not _same_content(row, motion):
+                raise _stranger(row, motion)
+            warnings = () if groups is not None or not compiled else ("its path matches no pattern of the config",)
+            tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
+        except SourceError as fault:
+            failures.append(failure(motion, fault))
+    ids = writer.assign_take_ids(task.name for task in tasks)
+    tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
+    vanished = [
+        row
+        for name, row in known.items()
+        if name not in names and row["source_root"] in former and not found.hidden(row["source"])
+    ]
+    called = {path: name for name, paths in names.items() for path in paths}
+    renamed = [(row["take_id"], row["name"], called[row["source"]]) for row in vanished if row["source"] in called]
+    gone = [row["take_id"] for row in vanished if row["source"] not in called]
+    return Changes(tasks, unchanged, restated, gone, renamed, failures, skeleton_sums.table())
+
+
+def _recipes(feature_set: FeatureSet, mappings: Mappings, given: Given) -> dict[str, str]:
+    """What the takes of each ending depend on besides their own files."""
+    recipes = {
+        ending[1:]: _recipe(feature_set, mappings.digest(form), _matters(given, form)) for ending, form in FORMS.items()
+    }
+    # What an .npz holds is known when it is read: what matters to either of its formats matters.
+    recipes["npz"] += f" {mappings.digest('amass')} {model_digest(given.body_model)}"
+    return recipes
+
+
+def _name(naming: Naming, motion: SourceFile) -> str:
+    if naming == "stem":
+        return motion.stem
+    return motion.path if naming == "file" else str(Path(motion.path).with_suffix(""))
+
+
+def _namesake(name: str, motion: SourceFile, paths: Sequence[str]) -> SourceError:
+    """Two files of one name: neither wins silently; the rule of naming that tells them apart is the way out."""
+    rule = "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
+    others = [path for path in paths if path != motion.path]
+    also = ", ".join(others[:2]) + (f" and {len(others) - 2} more" if len(others) > 2 else "")
+    many, rename = ("two", "one") if len(paths) == 2 else (len(paths), "them")
+    return SourceError(
+        motion.absolute, f"{many} takes would be named '{name}' (also {also}); rename {rename}, or set `name: {rule}`"
+    )
+
+
+def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:
+    return (row["source_root"], row["source"]) == (motion.root, motion.path)
+
+
+def _same_content(row: dict[str, Any], motion: SourceFile) -> bool:
+    """Whether a file is what the take was read from; it is read only where its place, size or time say otherwise."""
+    if row["source_bytes"] != motion.size:
+        return False
+    untouched = _same_place(row, motion) and row["source_mtime_ns"] == motion.mtime_ns
+    return bool(untouched or row["checksum"] == checksum(motion.absolute))
+
+
+def _restated(row: dict[str, Any], motion: SourceFile) -> list[dict[str, Any]]:
+    """The row of a take whose file is the same, but not as the row says: next time it need not be read to know that."""
+    if _same_place(row, motion):
+        return [] if row["source_mtime_ns"] == motion.mtime_ns else [row | {"source_mtime_ns": motion.mtime_ns}]
+    if (Path(row["source_root"]) / row["source"]).exists():
+        return []  # one of two copies, and not the one that was read
+    place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
+    return [row | place]
+
+
+def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
+    """Whether a take's file has moved with its archive: the same place below another root, and none at the old one."""
+    same = row["source"] == motion.path and row["source_root"] != motion.root
+    return same and not (Path(row["source_root"]) / row["source"]).exists()
+
+
+def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
+    """A changed file replaces its take; a different file of the same name does not."""
+    return SourceError(
+        motion.absolute,
+        f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
+        "differs; rename one, set `name: path`, or use a store of its own",
+    )
+
+
+def _matters(given: Given, form: Format) -> object:
+    """What of the user's word changes a take of a format."""
+    if form in ("positions", "c3d"):
+        return astuple(replace(given, body_model=None))
+    return given.acclaim_hz if form == "acclaim" else given.override_rate_hz
+
+
+def _recipe(feature_set: FeatureSet, mappings: str, given: object) -> str:
+    """What a take's rows depend on besides its own files; when it changes, the take is read again."""
+    code = [
+        code_digest(module)
+        for module in ("kinedex.storage.formats.motion.bodies", "kinedex.pipelines.ingestion.analysis")
+    ]
+    return digest([feature_set.digest, mappings, given, code])
+
+
+def digest(parts: object) -> str:
+    """A short hash of JSON values."""
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

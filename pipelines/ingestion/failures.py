@@ -1,0 +1,106 @@
+"""Failures: what could not be brought in, and why, as rows of `ingest_log`."""
+
+from __future__ import annotations
+
+import os
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.storage.formats.motion.sources import Refused, SourceFile, readable
+from kinedex.storage.store.schemas import result_schema
+
+MOST_TOLD = 10
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One thing that did not come in, and why; every field is text that can be written anywhere.
+
+    clash: the name that several files would have; they all say the same.
+    """
+
+    source: str
+    error: str
+    message: str
+    file: str
+    line: int | None
+    clash: str | None = None
+
+
+def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> Failure:
+    """What an error says of the motion file that it came from, with the way out.
+
+    An error that is not of the project's own, nor of the operating system, is a defect of kinedex: it must not cost the
+    other files, and the message asks for a report.
+    """
+    file = readable(str(motion.absolute))
+    if isinstance(fault, SourceError):
+        return Failure(motion.path, "SourceError", readable(str(fault)), readable(fault.path), fault.line, clash)
+    error = type(fault).__name__
+    if isinstance(fault, KinedexError):
+        message = f"{file}: {fault}"
+    elif isinstance(fault, MemoryError):
+        error = "MemoryError"
+        message = (
+            f"{file}: there is not enough memory for this file of {motion.size / 1e6:.1f} MB; run with fewer workers "
+            "(--workers 1), on a machine with more memory, or cut the file into shorter takes"
+        )
+    elif isinstance(fault, OSError):
+        message = f"{file}: cannot be read: {os.strerror(fault.errno) if fault.errno else fault}"
+    else:
+        where = traceback.extract_tb(fault.__traceback__)[-1:]
+        at = "".join(f" in {os.path.basename(frame.filename)}:{frame.lineno}" for frame in where)
+        message = (
+            f"{file}: this is a defect of kinedex, not of the file alone: {error}{at}: {fault}; please report it with "
+            "the file. The other files are not concerned"
+        )
+    return Failure(motion.path, error, readable(message), file, None)
+
+
+def killer(motion: SourceFile, fault: Exception) -> Failure:
+    """The failure of a file that ends every process that reads it."""
+    file = readable(str(motion.absolute))
+    message = (
+        f"{file}: {fault}; most likely this file of {motion.size / 1e6:.1f} MB needs more memory than there is: run "
+        "with fewer workers (--workers 1), on a machine with more memory, or leave the file out"
+    )
+    return Failure(motion.path, type(fault).__name__, readable(message), file, None)
+
+
+def refusal(refused: Refused) -> Failure:
+    """The failure of what a scan of the source has refused."""
+    return Failure(refused.path, "SourceError", str(refused.fault), refused.fault.path, None)
+
+
+def told(failures: Sequence[Failure]) -> list[str]:
+    """What is said of failures on the terminal: ten at most, one for each name that several files would have."""
+    groups: dict[str, list[Failure]] = {}
+    for index, one in enumerate(failures):
+        groups.setdefault(f"name {one.clash}" if one.clash is not None else f"{index}", []).append(one)
+    alike = list(groups.values())
+    lines = [f"left out: {group[0].message}" for group in alike[:MOST_TOLD]]
+    more = sum(len(group) for group in alike[MOST_TOLD:])
+    return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more else [])
+
+
+def log_table(failures: Sequence[Failure], run: str) -> pa.Table:
+    """Failures as rows of `ingest_log`."""
+    rows = [
+        {
+            "run": run,
+            "source": failure.source,
+            "stage": "ingest",
+            "error": failure.error,
+            "message": failure.message,
+            "file": failure.file,
+            "line": failure.line,
+            "logged_at": datetime.now(UTC),
+        }
+        for failure in failures
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("ingest_log"))

@@ -1,0 +1,132 @@
+"""Reading batches of motion files: the part of an ingest that runs in worker processes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import StoreError
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.failures import Failure, failure
+from kinedex.storage.formats.motion.acclaim import read_text
+from kinedex.storage.formats.motion.bodies import READ_WHOLE, Body, Given, read_body
+from kinedex.storage.formats.motion.sources import SourceFile, checksum
+from kinedex.storage.store.manifest import Part
+from kinedex.storage.store.parts import FramesWriter
+
+
+@dataclass(frozen=True)
+class Task:
+    """One motion file to bring in."""
+
+    name: str
+    take_id: int
+    motion: SourceFile
+    skeleton: SourceFile | None
+    groups: dict[str, str]
+    recipe: str
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The files that one task reads and writes as one frames part."""
+
+    store: Path
+    feature_set: FeatureSet
+    rate_hz: float
+    mappings: Mappings
+    given: Given
+    strict: bool
+    tasks: tuple[Task, ...]
+
+    @property
+    def subject(self) -> str:
+        """What the batch is about, for messages."""
+        return ", ".join(str(task.motion.absolute) for task in self.tasks)
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a batch left: rows of `takes`, the frames part (None where every file failed), and the failures."""
+
+    takes: list[dict[str, Any]]
+    part: Part | None
+    failures: list[Failure]
+
+
+def read_batch(batch: Batch) -> Written:
+    """Read the files of one batch and write their frames as one part; runs in any process."""
+    takes: list[dict[str, Any]] = []
+    failures: list[Failure] = []
+    writer: FramesWriter | None = None
+    try:
+        for task in batch.tasks:
+            try:
+                content, body = _read(batch, task)
+                frames = analyse(body, batch.feature_set, batch.rate_hz)
+                take = _take_row(batch, task, content, body, frames[2])
+            except StoreError:
+                raise
+            except Exception as fault:
+                # whatever one file brings about, even a defect or a lack of memory, must not cost the others
+                failures.append(failure(task.motion, fault))
+                if batch.strict:
+                    break
+                continue
+            if writer is None:
+                writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
+            writer.add(task.take_id, *frames)
+            takes.append(take)
+        return Written(takes, writer.close() if writer is not None else None, failures)
+    except BaseException:
+        if writer is not None:
+            writer.__exit__(None, None, None)
+        raise
+
+
+def _read(batch: Batch, task: Task) -> tuple[str, Body]:
+    """The checksum of one file and the body in it, of the same bytes where the file is read as a whole."""
+    motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
+    data = read_text(motion) if motion.suffix.lower() in READ_WHOLE else None
+    # not before: it reads the whole file, which is work for many processes
+    content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
+    return content, read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data)
+
+
+def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
+    groups = dict(task.groups)
+    return {
+        "take_id": task.take_id,
+        "name": task.name,
+        "source": task.motion.path,
+        "source_root": task.motion.root,
+        "checksum": content,
+        "source_bytes": task.motion.size,
+        "source_mtime_ns": task.motion.mtime_ns,
+        "format": task.motion.format,
+        "skeleton": body.skeleton,
+        "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
+        "recipe": task.recipe,
+        "unit": body.unit,
+        "source_rate_hz": body.rate_hz,
+        "source_frames": body.frames,
+        "rate_hz": batch.rate_hz,
+        "frames": len(words),
+        "seconds": body.frames / body.rate_hz,
+        "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
+        "actor": groups.pop("actor", None),
+        "class": groups.pop("class", None),
+        "clip": groups.pop("clip", None),
+        "groups": json.dumps(groups, sort_keys=True),
+        "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body)],
+    }

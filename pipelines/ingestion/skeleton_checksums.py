@@ -1,0 +1,40 @@
+"""Checksums of skeleton files: takes depend on them, and one that is as it was need not be read to know its own."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from kinedex.storage.formats.motion.sources import SourceFile, checksum
+from kinedex.storage.store.schemas import result_schema
+
+_SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the store
+
+
+class SkeletonSums:
+    """The checksums of skeleton files; those of an earlier run where place, size and time are the same."""
+
+    def __init__(self, known: pa.Table) -> None:
+        """Begin with what earlier runs found: rows of `skeleton_files`."""
+        self._known: dict[tuple[object, ...], str] = {
+            tuple(row[name] for name in _SCHEMA.names[:-1]): row["checksum"] for row in known.to_pylist()
+        }
+        self._found: dict[tuple[object, ...], str] = {}
+
+    def of(self, skeleton: SourceFile) -> str:
+        """The checksum of a skeleton file.
+
+        Raises
+        ------
+        SourceError: it cannot be read.
+        """
+        state = (skeleton.root, skeleton.path, skeleton.size, skeleton.mtime_ns)
+        if state not in self._found:
+            self._found[state] = self._known.get(state) or checksum(skeleton.absolute)
+        return self._found[state]
+
+    def table(self) -> pa.Table:
+        """What the next run may begin with: rows of `skeleton_files`, those of other sources among them."""
+        here = {root for root, *_ in self._found}
+        others = {state: content for state, content in self._known.items() if state[0] not in here}
+        rows = [(*state, content) for state, content in (others | self._found).items()]
+        return pa.Table.from_pylist([dict(zip(_SCHEMA.names, row, strict=True)) for row in rows], schema=_SCHEMA)

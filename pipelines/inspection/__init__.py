@@ -1,0 +1,1 @@
+"""Inspection of one motion file: what it holds, what becomes of it, and a picture."""

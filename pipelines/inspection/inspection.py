@@ -1,0 +1,354 @@
+"""Inspect: what one motion file is, what becomes of it, and a picture; what to look at when it does not come in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+from rich.console import Console
+
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
+from kinedex.catalog.skeletons.units import body_height
+from kinedex.ops.body import kinematics
+from kinedex.ops.body.gaps import find_gaps
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.pipelines.console.tables import Shown, pairs
+from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.inspection.feature_shares import holding
+from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
+from kinedex.storage.formats.motion.acclaim import INCH_M, read_asf
+from kinedex.storage.formats.motion.amass import parse_amass
+from kinedex.storage.formats.motion.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
+from kinedex.storage.formats.motion.body_models import load_body_model
+from kinedex.storage.formats.motion.bvh import parse_bvh
+from kinedex.storage.formats.motion.c3d import parse_c3d
+from kinedex.storage.formats.motion.export import TREE
+from kinedex.storage.formats.motion.positions import Points, parse_positions
+from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
+
+F64 = npt.NDArray[np.float64]
+
+SHOWN = 6
+"""How many frames of a take the picture shows, the first and the last among them."""
+
+ABOVE = 3
+"""How many folders above an AMC file its ASF is looked for in, where no source root is given."""
+
+_READ = f"kinedex reads {', '.join(FORMS)}"
+_FORMATS = {
+    ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".c3d": "C3D, markers", ".trc": "TRC, positions",
+    ".csv": "CSV, positions", ".npz": "NPZ, positions", ".npy": "NPY, positions",
+}  # fmt: skip
+_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # the file's axes that are drawn to the right, up, and to the right
+_AXES = ("x to the right, y up", "z to the right, y up")
+_DRAWN = 1e9  # units; a joint farther away than this is a fault, and would leave nothing else to be seen
+_RATE_HZ = 30.0  # the analysis rate of a store
+
+
+@dataclass
+class Inspection:
+    """What was found out about a file.
+
+    lines: (what, text) in order. fault: why the file does not come in, None where it does.
+    figure: what to draw, None where nothing is known of places. features: how often each holds (`holding`), None where
+    there are no words.
+    """
+
+    lines: list[tuple[str, str]] = field(default_factory=list)
+    fault: KinedexError | None = None
+    figure: Figure | None = None
+    features: pa.Table | None = None
+
+    def say(self, what: str, text: str) -> None:
+        """Add a line."""
+        self.lines.append((what, text))
+
+
+@dataclass(frozen=True)
+class _Skeleton:
+    """What a file says before any mapping: node names, and the figure of its raw nodes where there is one."""
+
+    form: Format
+    nodes: dict[str, int]
+    figure: Figure | None = None
+
+
+def inspect_file(
+    file: Path, skeleton: str = "auto", source: Path | None = None, given: Given = NOTHING_GIVEN
+) -> Inspection:
+    """Find out about a motion file all that can be found out, even where it does not come in.
+
+    Parameters
+    ----------
+    skeleton: `auto`, a shipped mapping or a file of the user's own. source: the source root, which the ASF of an AMC
+    file is looked for up to; `ABOVE` folders above the file unless given. given: what the user says of its rate.
+
+    Raises
+    ------
+    KinedexError: it is no motion file, or there is no such mapping.
+    """
+    ending = file.suffix.lower()
+    if file.is_dir():
+        raise KinedexError(f"{file}: is a folder; give a file of it, or read them all: kinedex ingest STORE {file}")
+    if not file.is_file():
+        raise KinedexError(f"{file}: no such file")
+    if ending not in FORMS:
+        raise SourceError(file, f"is not read: {UNREAD.get(ending, _READ)}")
+    feature_set = load_feature_set()
+    mappings = load_mappings(skeleton, feature_set.joints)
+    found = Inspection()
+    found.say("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
+    found.say("format", "NPZ, joint angles (AMASS)" if form_of(file) == "amass" else _FORMATS[ending])
+    try:
+        asf = _asf(found, file, source) if ending == ".amc" else None
+        raw = _raw(found, file, asf, mappings, given)
+        _say_mapping(found, raw, mappings)
+        found.figure = raw.figure
+        body = read_body(file, asf, mappings, feature_set.joints, given)
+    except KinedexError as fault:
+        found.fault = fault
+        return found
+    _say_body(found, body, feature_set, given)
+    found.figure = _figure(file, body, feature_set.joints)
+    return found
+
+
+def write_picture(found: Inspection, path: Path) -> bool:
+    """Draw what was found, if there is anything to draw.
+
+    Raises
+    ------
+    KinedexError: the file cannot be written.
+    """
+    if found.figure is None:
+        return False
+    try:
+        draw(found.figure, path)
+    except OSError as fault:
+        raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
+    return True
+
+
+def show(found: Inspection, console: Console, features: bool = False) -> None:
+    """Print what was found; with a table of the features where that is wanted, and there is one."""
+    console.print(pairs(found.lines))
+    if features and found.features is not None:
+        console.print(Shown(found.features))
+
+
+def _asf(found: Inspection, amc: Path, source: Path | None) -> Path:
+    """The skeleton file of an AMC file, by the rule of ingest."""
+    amc = amc.resolve()
+    root = source.resolve() if source is not None else [amc.parent, *amc.parent.parents][: ABOVE + 1][-1]
+    if not amc.is_relative_to(root):
+        raise KinedexError(f"--source {source}: {amc} does not lie below it")
+    skeletons = []
+    for folder in (folder for folder in amc.parents if folder.is_relative_to(root)):
+        skeletons += [_source(root, path) for path in sorted(folder.glob("*")) if path.suffix.lower() == ".asf"]
+    asf = skeleton_of(_source(root, amc), skeletons).absolute
+    found.say("skeleton file", str(asf))
+    return asf
+
+
+def _source(root: Path, path: Path) -> SourceFile:
+    return SourceFile(str(root), path.relative_to(root).as_posix(), 0, 0)
+
+
+def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: Given) -> _Skeleton:
+    """What the file holds before any mapping, said and returned."""
+    if asf is not None:
+        nodes = read_asf(asf, INCH_M).bones
+        _say_nodes(found, nodes)
+        return _Skeleton("acclaim", nodes)
+    if form_of(file) == "positions":
+        points = parse_positions(file)
+        names = points.names or mappings.names_in_order(file, len(points.positions))
+        return _raw_points(found, file, "positions", points, points.places(names))
+    if form_of(file) == "amass":
+        return _raw_poses(found, file, given)
+    if form_of(file) == "c3d":
+        markers = parse_c3d(file)
+        axes = _UPRIGHT[markers.up or "z"]
+        upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
+        return _raw_points(found, file, "c3d", upright, markers.places(), axes)
+    bvh = parse_bvh(file)
+    _say_nodes(found, bvh.places)
+    _say_time(found, bvh.rate_hz, len(bvh.channels))
+    shown = _shown(len(bvh.channels))
+    positions, _ = kinematics.forward(bvh.nodes, bvh.channels[shown])
+    bones = [(i, node.parent, MIDDLE) for i, node in enumerate(bvh.nodes) if node.parent >= 0]
+    return _Skeleton("bvh", bvh.places, _raw_figure(file, positions, bones, _times(shown, bvh.rate_hz)))
+
+
+def _raw_poses(found: Inspection, file: Path, given: Given) -> _Skeleton:
+    """What a file of joint angles holds, said and returned; its joints are those of the body model, where one is."""
+    poses = parse_amass(file)
+    names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
+    _say_nodes(found, names)
+    found.say("figure", f"{poses.gender}, {len(poses.shape)} numbers of shape")
+    if poses.rate_hz is not None:
+        _say_time(found, poses.rate_hz, len(poses.turns))
+    else:
+        found.say("length", f"{len(poses.turns)} frames; the file does not say how many a second")
+    return _Skeleton("amass", {name: i for i, name in enumerate(names)})
+
+
+def _raw_points(
+    found: Inspection, file: Path, form: Format, points: Points, nodes: dict[str, int], axes: str = "xyz"
+) -> _Skeleton:
+    """What a file of points holds, said and returned."""
+    count, frames = len(points.positions), points.positions.shape[2]
+    if points.names:
+        _say_nodes(found, points.names)
+    else:
+        found.say("nodes", f"{count}, which the file does not name")
+    seen = np.flatnonzero(np.isfinite(points.positions[:, 0]).any(axis=0))
+    shown = seen[_shown(len(seen))].tolist() if len(seen) else _shown(frames)
+    times = _times(shown, points.rate_hz) if points.rate_hz else [f"frame {frame}" for frame in shown]
+    if points.rate_hz:
+        _say_time(found, points.rate_hz, frames)
+    else:
+        found.say("length", f"{frames} frames; the file does not say how many a second")
+    gaps = find_gaps(points.positions)
+    if gaps:
+        longest = max(gap.frames for gap in gaps)
+        found.say("gaps", f"{len(gaps)} in {len({gap.point for gap in gaps})} points, the longest of {longest} frames")
+    dots = [(i, i, MIDDLE) for i in range(count)]
+    return _Skeleton(form, nodes, _raw_figure(file, points.positions[:, :, shown], dots, times, axes))
+
+
+def _raw_figure(
+    file: Path, points: F64, bones: list[tuple[int, int, str]], times: list[str], axes: str = "xyz"
+) -> Figure | None:
+    """The file's own joints, as they stand in it; None where there is nothing to be seen."""
+    known = np.isfinite(points).all(axis=1)
+    if not known.any(axis=0).all() or not np.nanmax(np.abs(points)) < _DRAWN:
+        return None
+    ground = float(np.nanmin(points[:, 1]))
+    return Figure(
+        points=points,
+        bones=bones,
+        times=times,
+        views=[(f"{axes[0]} to the right, {axes[1]} up", 0, 1), (f"{axes[2]} to the right, {axes[1]} up", 2, 1)],
+        ground=ground,
+        title=f"{file.name}: the file's own joints and axes",
+        legend=[],
+        note=f"ground line: lowest joint, {axes[1]} = {ground:.4g} units",
+    )
+
+
+def _say_nodes(found: Inspection, nodes: Iterable[str]) -> None:
+    names = list(nodes)
+    more = f" and {len(names) - 80} more" if len(names) > 80 else ""
+    found.say("nodes", f"{len(names)}: {', '.join(names[:80])}{more}")
+
+
+def _say_time(found: Inspection, rate_hz: float, frames: int, note: str = "") -> None:
+    found.say("rate", f"{rate_hz:.6g} Hz{note}")
+    found.say("length", f"{frames} frames, {frames / rate_hz:.2f} s")
+
+
+def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
+    """Which mapping fits; where none does, the nearest and all that it lacks."""
+    near = mappings.nearest(raw.form, raw.nodes)
+    try:
+        fit = mappings.detect("", raw.form, raw.nodes)
+    except SourceError:
+        fit = None
+    if fit is not None:
+        how = "the one for its format" if len(mappings.of_format[raw.form]) == 1 else "told by the names of its joints"
+        found.say("mapping", f"{fit.mapping.name} ({how}): {fit.mapping.path}")
+    elif clause := mappings.stripped(raw.form, raw.nodes):
+        found.say("mapping", f"none fits{clause}")
+    elif near is not None and not near.known:
+        found.say("mapping", "none fits; none is near: none knows any of its names")
+    elif near is not None:
+        found.say("mapping", f"none fits; the nearest is {near.called}: {near.mapping.path}")
+        for what, node in near.missing.items():
+            found.say("", f"lacks {node}, for {what}")
+
+
+def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
+    if not any(what == "rate" for what, _ in found.lines):
+        found.lines = [line for line in found.lines if line[0] != "length"]
+        said = given.rate_hz or given.override_rate_hz
+        how = "given" if said else "assumed: Acclaim files do not say it"
+        _say_time(found, body.rate_hz, body.frames, f" ({how})")
+    found.say("unit", body.unit)
+    valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
+    if len(valid) < body.frames:
+        found.say("valid frames", f"{len(valid)} of {body.frames}; the others have no word")
+    height = body_height(body.positions[:, :, valid], feature_set.joints)
+    if height is not None:
+        found.say("height", f"{height:.2f} m, legs and trunk stretched out")
+    low = float(np.nanmin(body.positions[:, 1]))
+    found.say("lowest point", f"{low:.2f} m")
+    warnings = [*body.warnings, *blind(feature_set, body)]
+    for i, warning in enumerate(warnings or ["none"]):
+        found.say("warnings" if i == 0 else "", warning)
+    _, _, words = analyse(body, feature_set, _RATE_HZ)
+    found.features = holding(words, _RATE_HZ, feature_set, body.unknown)
+    shares = dict(zip(*(found.features.column(name).to_pylist() for name in ("feature", "percent")), strict=True))
+    names = {f"F{feature.number}": feature.name for feature in feature_set.features}
+    on = sorted((name for name, share in shares.items() if share > 0), key=lambda name: -shares[name])
+    text = ", ".join(f"{name} {names[name]} {_percent(shares[name])}" for name in on)
+    found.say("features on", text or "none in any frame")
+    never = [name for name, share in shares.items() if share == 0]
+    if never:
+        found.say("never on", " ".join(never))
+
+
+def _percent(share: float) -> str:
+    return "<1%" if share < 1 else f"{share:.0f}%"
+
+
+def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
+    """The named joints, each frame seen from where its hips face."""
+    valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
+    shown = valid[_shown(len(valid))].tolist()
+    points = _facing(body.positions[:, :, shown], joints)
+    bones = [
+        (joints.index(joint), joints.index(parent), _side(joint))
+        for joint, parent in TREE.items()
+        if parent is not None and joint in joints and parent in joints
+    ]
+    ground = float(np.nanmin(body.positions[:, 1]))
+    faces = np.isfinite(points[[joints.index("lhip"), joints.index("rhip")]]).all()
+    views = ["from the front (its left is on the right)", "from its right (it looks to the right)"]
+    return Figure(
+        points=points,
+        bones=bones,
+        times=_times(shown, body.rate_hz),
+        views=[(views[0] if faces else _AXES[0], 0, 1), (views[1] if faces else _AXES[1], 2, 1)],
+        ground=ground,
+        title=f"{file.name}: {body.skeleton}, {body.frames} frames, {body.frames / body.rate_hz:.2f} s",
+        legend=[("left", LEFT), ("right", RIGHT), ("middle", MIDDLE)],
+        note=f"ground line: the take's lowest point, y = {ground:.2f} m",
+    )
+
+
+def _facing(points: F64, joints: tuple[str, ...]) -> F64:
+    """The points (J, 3, F) turned about Y so that the line from the right hip to the left lies along X."""
+    across = points[joints.index("lhip")] - points[joints.index("rhip")]
+    length = np.hypot(across[0], across[2])
+    turned = np.isfinite(length) & (length > 0)
+    size = np.where(turned, length, 1.0)
+    c, s = np.where(turned, across[0] / size, 1.0), np.where(turned, across[2] / size, 0.0)
+    return np.stack([c * points[:, 0] + s * points[:, 2], points[:, 1], c * points[:, 2] - s * points[:, 0]], axis=1)
+
+
+def _side(joint: str) -> str:
+    return LEFT if joint[0] == "l" else RIGHT if joint[0] == "r" and joint != "root" else MIDDLE
+
+
+def _shown(frames: int) -> list[int]:
+    return sorted({round(at) for at in np.linspace(0, frames - 1, SHOWN)})
+
+
+def _times(shown: list[int], rate_hz: float) -> list[str]:
+    return [f"{frame / rate_hz:.2f} s (frame {frame})" for frame in shown]

@@ -1,0 +1,186 @@
+"""How well templates rank: hits in takes against manual segments, and clips that were left out of learning."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from rich import box
+from rich.table import Table
+
+from kinedex.catalog.classes import OWN, load_classes
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.evaluation.ranking_metrics import average_precision
+from kinedex.ops.ranking.hit_selection import KEYS
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import TakeWords
+from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
+from kinedex.pipelines.ranking.ranking import Hit
+from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.store.store import Store
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One ranking, judged.
+
+    fold: what was left out of learning, "" for nothing. relevant: whether each rank should be found, the best first.
+    total: how many things there were to find; found: how many are below τ. confused: classes that stand
+    above the last relevant rank, with how often, most often first.
+    """
+
+    evaluation: str
+    fold: str
+    label: str
+    relevant: tuple[bool, ...]
+    total: int
+    found: int
+    confused: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def average_precision(self) -> float:
+        """See `ops.evaluation.ranking_metrics.average_precision`."""
+        return average_precision(self.relevant, self.total)
+
+    @property
+    def recall(self) -> float:
+        """The share of what there was to find that is below τ; NaN with nothing to find."""
+        return self.found / self.total if self.total else math.nan
+
+
+def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]) -> GroundTruth:
+    """Read the ground truth of the takes that a SQL filter selects; labels without a template count as missed.
+
+    Parameters
+    ----------
+    pattern: files below the takes' source folders, a glob. subclasses: those that have templates.
+    """
+    takes = store.takes(where)
+    files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
+    labels = list(map(read_ground_truth, files))
+    return place_ground_truth(labels, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
+
+
+def names_filter(takes: Sequence[str]) -> str:
+    """A SQL filter that selects takes by their names."""
+    return "name IN (" + ", ".join("'" + name.replace("'", "''") + "'" for name in takes) + ")"
+
+
+def judge_hits(label: str, hits: Sequence[Hit], truth: Sequence[Manual], tau: float) -> Judged:
+    """Judge a class's ranked hits by the manual segments of all classes.
+
+    A hit is right where it shares at least half of the shorter of the two with a segment of its class that no better
+    hit has found; a second hit on one segment counts as wrong.
+    """
+    wanted = [segment for segment in truth if segment.label == label]
+    taken: set[int] = set()
+    relevant, found = [], 0
+    others: Counter[str] = Counter()
+    pending: Counter[str] = Counter()
+    for hit in hits:
+        match = next((i for i, one in enumerate(wanted) if i not in taken and _same(hit, one)), None)
+        relevant.append(match is not None)
+        if match is not None:
+            taken.add(match)
+            found += hit.cost < tau
+            others += pending
+            pending.clear()
+        else:
+            labels = [one.label for one in truth if _same(hit, one)]
+            pending[labels[0] if labels else "nothing"] += 1
+    return Judged("takes", "", label, tuple(relevant), len(wanted), found, tuple(others.most_common()))
+
+
+def _same(hit: Hit, segment: Manual) -> bool:
+    if hit.take != segment.take:
+        return False
+    both = min(hit.stop, segment.stop) - max(hit.start, segment.start)
+    return 2 * both >= min(hit.stop - hit.start, segment.stop - segment.start)
+
+
+def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
+    """The least distance of each template anywhere in each clip, float64 (C,); ∞ in clips that are too short for it."""
+    ranges = np.stack([clips.offsets[:-1], clips.offsets[1:]], axis=1)
+    curves = distance_curves(list(templates.values()), clips.words, ranges)
+    filled = np.flatnonzero(clips.frames > 0)
+    least = np.full((len(templates), len(clips)), np.inf)
+    if len(filled):
+        least[:, filled] = np.minimum.reduceat(curves, clips.offsets[:-1][filled], axis=1)
+    return dict(zip(templates, least, strict=True))
+
+
+def judge_clips(
+    fold: str, label: str, costs: np.ndarray, labels: Sequence[str], names: Sequence[str], tau: float
+) -> Judged:
+    """Judge the clips of a fold, ranked by their least distance; of equal ones the first by name comes first."""
+    keys = [round(cost * KEYS) if math.isfinite(cost) else math.inf for cost in costs.tolist()]
+    order = sorted(range(len(names)), key=lambda i: (keys[i], names[i]))
+    relevant = tuple(labels[i] == label for i in order)
+    total = sum(relevant)
+    last = max((place for place, right in enumerate(relevant) if right), default=-1)
+    confused = Counter(labels[i] for i in order[:last] if labels[i] != label)
+    found = sum(1 for i in order if labels[i] == label and costs[i] < tau)
+    return Judged("clips", fold, label, relevant, total, found, tuple(confused.most_common()))
+
+
+def mean_average_precision(judged: Sequence[Judged]) -> float:
+    """The mean over classes of the mean over folds; NaN where nothing was to be found."""
+    by_label: dict[str, list[float]] = {}
+    for one in judged:
+        if one.total:
+            by_label.setdefault(one.label, []).append(one.average_precision)
+    return float(np.mean([np.mean(values) for values in by_label.values()])) if by_label else math.nan
+
+
+def recall_at_tau(judged: Sequence[Judged]) -> float:
+    """The share of all there was to find that is below τ."""
+    total = sum(one.total for one in judged)
+    return sum(one.found for one in judged) / total if total else math.nan
+
+
+def retrieval_rows(judged: Sequence[Judged], run: str) -> pa.Table:
+    """Lay judged rankings out as results of the kind `retrieval`."""
+    rows = [
+        {
+            "run": run,
+            "evaluation": one.evaluation,
+            "fold": one.fold,
+            "class": one.label,
+            "relevant": one.total,
+            "found": one.found,
+            "average_precision": None if math.isnan(one.average_precision) else one.average_precision,
+            "recall_at_tau": None if math.isnan(one.recall) else one.recall,
+            "confused_with": [f"{label} {count}" for label, count in one.confused],
+        }
+        for one in judged
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("retrieval"))
+
+
+def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> Table:
+    """Show judged rankings, folds pooled by class: average precision, recall at τ, and what is confused."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left")
+    for column, side in (("class", "left"), ("to find", "right"), ("AP", "right"), (f"recall at {tau:g}", "right"),
+                         ("above the last right one", "left")):  # fmt: skip
+        table.add_column(column, justify="right" if side == "right" else "left")
+    for label in sorted({one.label for one in judged}):
+        own = [one for one in judged if one.label == label]
+        confused: Counter[str] = Counter()
+        for one in own:
+            confused.update(dict(one.confused))
+        shown = ", ".join(f"{name} {count}" for name, count in confused.most_common(3))
+        total = sum(one.total for one in own)
+        table.add_row(label, str(total), _number(mean_average_precision(own)), _number(recall_at_tau(own)), shown)
+    table.add_section()
+    every = sum(one.total for one in judged)
+    table.add_row("mean", str(every), _number(mean_average_precision(judged)), _number(recall_at_tau(judged)), "")
+    return table
+
+
+def _number(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.3f}"

@@ -1,0 +1,122 @@
+"""The stiffness experiment: what keyframe queries keep and what rankings lose as their gaps become rigid or loose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import pyarrow as pa
+
+from kinedex.catalog.queries.queries import SAME_FRAME, Gap, KeyframeQuery
+from kinedex.ops.evaluation.ranking_metrics import precision_recall
+from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
+from kinedex.pipelines.evaluation.ground_truth import Manual
+from kinedex.pipelines.ranking.ranking import Searched, rank_store
+from kinedex.pipelines.ranking.ranking_evaluation import Judged, judge_hits
+from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.store.store import Store
+
+EVERYWHERE = "all frames"
+WRITTEN = "as written"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The ranking of one class under one variant of its queries.
+
+    variant: `EVERYWHERE` (no preselection), `WRITTEN`, or a stiffness as text. stiffness: that of all gaps, or None.
+    kept: the share of the frames that was ranked.
+    """
+
+    variant: str
+    stiffness: float | None
+    judged: Judged
+    kept: float
+
+
+def stiffened(query: KeyframeQuery, stiffness: float) -> KeyframeQuery:
+    """The query with one stiffness in all gaps (thesis, Figure 3.14: σ ≡ 1.0).
+
+    A gap that was given as a range has the distance that the range stands for (Eq. 4.8). Parts of one keyframe stay in
+    one frame, and a gap without an upper bound, which has no distance, stays as it is.
+    """
+    gaps = tuple(_gap(gap, stiffness) for gap in query.gaps)
+    return replace(query, gaps=gaps, alternatives=tuple(stiffened(other, stiffness) for other in query.alternatives))
+
+
+def _gap(gap: Gap, stiffness: float) -> Gap:
+    if gap == SAME_FRAME:
+        return gap
+    distance = gap.distance
+    if distance is None:
+        if gap.high >= UNBOUNDED:
+            return gap
+        distance = round(nominal_gap(gap.low, gap.high)[0])
+    return Gap.of_distance(distance, stiffness)
+
+
+def mean_stiffness(queries: Iterable[KeyframeQuery]) -> float | None:
+    """The mean stiffness of all gaps of some queries (thesis, Table 3.2), but for parts of one keyframe."""
+    values = [
+        gap.nominal_stiffness for query in queries for chain in query.chains for gap in chain.gaps if gap != SAME_FRAME
+    ]
+    return sum(values) / len(values) if values else None
+
+
+def run_trials(
+    store: Store,
+    searched: Sequence[Searched],
+    truth: Sequence[Manual],
+    takes: str,
+    stiffnesses: Sequence[float],
+    tau: float,
+    workers: int | None = None,
+) -> list[Trial]:
+    """Rank takes to the last hit in all frames, within the hits of the queries as written, and with other stiffnesses.
+
+    Parameters
+    ----------
+    searched: templates; those without queries are ranked in all frames only. truth: what is to be found.
+    takes: a SQL filter over the columns of takes. stiffnesses: each in [0, 1], for all gaps of all queries.
+    tau: recall at this threshold is told with each judgement.
+    """
+    variants: list[tuple[str, float | None, list[Searched]]] = [
+        (EVERYWHERE, None, [replace(one, queries=()) for one in searched])
+    ]
+    asked = [one for one in searched if one.queries]
+    if asked:
+        variants.append((WRITTEN, None, asked))
+        for value in stiffnesses:
+            rigid = [replace(one, queries=tuple(stiffened(each, value) for each in one.queries)) for one in asked]
+            variants.append((f"{value:g}", value, rigid))
+    return [
+        Trial(name, value, judge_hits(ranking.name, ranking.hits, truth, tau), ranking.kept)
+        for name, value, templates in variants
+        for ranking in rank_store(store, templates, 1.0, None, takes, workers)
+    ]
+
+
+def trial_rows(trials: Sequence[Trial], run: str) -> pa.Table:
+    """Lay trials out as results of the kind `precision_recall`."""
+    rows = []
+    for trial in trials:
+        judged = trial.judged
+        precision, recall = precision_recall(judged.relevant, judged.total)
+        average = judged.average_precision
+        rows.append(
+            {
+                "run": run,
+                "variant": trial.variant,
+                "stiffness": trial.stiffness,
+                "class": judged.label,
+                "relevant": judged.total,
+                "ranked": sum(judged.relevant),
+                "found": judged.found,
+                "kept": trial.kept,
+                "average_precision": None if math.isnan(average) else average,
+                "precision": precision.tolist(),
+                "recall": recall.tolist() if judged.total else [],
+            }
+        )
+    return pa.Table.from_pylist(rows, schema=result_schema("precision_recall"))

@@ -1,0 +1,274 @@
+"""Figures of a comparison of methods: the τ sweep, timelines of methods side by side, confusion, boundary errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.evaluation.confusion import Confusion
+from kinedex.pipelines.evaluation.method_scores import Outcome
+from kinedex.pipelines.evaluation.study import Threshold
+from kinedex.pipelines.evaluation.test_takes import Exam
+from kinedex.pipelines.report.axes import Axis, percent, time_axis
+
+WIDTH, HEIGHT = 320.0, 150.0
+"""Of a small plot, in units of its own."""
+
+BINS, FURTHEST = 20, 1.0
+"""Of the histogram of boundary errors: bars, and seconds at its ends."""
+
+ROOMS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
+"""Widths of a strip, in pixels, at which more blocks have room for their class's number."""
+
+_DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and around a number
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve of a plot: what it is, and its path; a point where it has one value alone."""
+
+    name: str
+    path: str
+    point: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over τ of one level. ticks: (x, text). description: what a reader who sees no figure is told."""
+
+    title: str
+    lines: tuple[Line, ...]
+    ticks: tuple[tuple[float, str], ...]
+    description: str
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The curves of one kind of method, of frames and of segments, and its points as a table."""
+
+    method: str
+    plots: tuple[Plot, Plot]
+    points: tuple[Threshold, ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A segment on a strip: its place in percent, its class by number, whether it is wrong, what a pointer is told,
+    its frames, and what the player calls it.
+
+    middle: of the longest part that no later block covers, in percent, where the number stands. room: how wide a strip
+    must be, in pixels, so that the number has room there; one of `ROOMS`, None: no strip is.
+    """
+
+    left: float
+    width: float
+    number: int
+    middle: float
+    room: int | None
+    wrong: bool
+    tip: str
+    start: int
+    stop: int
+    called: str
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The segments of one method, or of a person."""
+
+    name: str
+    blocks: tuple[Block, ...]
+    description: str
+
+
+@dataclass(frozen=True)
+class Strips:
+    """A take with what every method labels. title: its name among the takes of all splits."""
+
+    title: str
+    what: str
+    exam: Exam
+    strips: tuple[Strip, ...]
+    axis: Axis
+    scores: dict[str, Counts]
+
+
+@dataclass(frozen=True)
+class Shade:
+    """One entry of a confusion: frames, their share of the row, and how dark it is drawn, in percent."""
+
+    frames: float
+    share: float
+    dark: int
+    right: bool
+
+
+@dataclass(frozen=True)
+class ConfusionRow:
+    """One row of a confusion: what it is, with its number (empty where it is no class), its frames, and its entries."""
+
+    label: str
+    number: str
+    frames: float
+    shades: tuple[Shade, ...]
+
+
+@dataclass(frozen=True)
+class ConfusionTable:
+    """A confusion as it is drawn. heads: of the columns, as (what they say, what a pointer is told)."""
+
+    heads: tuple[tuple[str, str], ...]
+    rows: tuple[ConfusionRow, ...]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One bar of a histogram, in units of the plot."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    tip: str
+
+
+def sweeps(points: Sequence[Threshold]) -> list[Sweep]:
+    """Draw precision, recall and F-measure over τ (thesis, Figure 5.6), for each kind of method."""
+    result = []
+    for curve in dict.fromkeys(point.curve for point in points):
+        own = tuple(sorted((point for point in points if point.curve == curve), key=lambda point: point.tau))
+        result.append(Sweep(curve, (_plot("frames", 1, own), _plot("segments", 2, own)), own))
+    return result
+
+
+def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
+    low, high = points[0].tau, points[-1].tau
+    across = [WIDTH * (point.tau - low) / (high - low) if high > low else WIDTH / 2 for point in points]
+    lines, said = [], []
+    for letter, name in (("p", "precision"), ("r", "recall"), ("f", "F-measure")):
+        values = [float(getattr(point.counts, f"{letter}{level}")) for point in points]
+        known = [(x, value) for x, value in zip(across, values, strict=True) if not math.isnan(value)]
+        path = "M" + "L".join(f"{x:.1f} {HEIGHT * (1 - value):.1f}" for x, value in known) if len(known) > 1 else ""
+        lines.append(Line(name, path, (known[0][0], HEIGHT * (1 - known[0][1])) if len(known) == 1 else None))
+        if path:
+            said.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
+        elif known:
+            said.append(f"{name} {known[0][1]:.2f}")
+    places = {0, len(points) // 2, len(points) - 1}
+    ticks = tuple((across[i], f"{points[i].tau:g}") for i in sorted(places))
+    span = f"τ from {low:g} to {high:g}" if high > low else f"τ = {low:g}"
+    return Plot(title, tuple(lines), ticks, f"{title}, {span}: {', '.join(said)}")
+
+
+def strips(
+    title: str,
+    what: str,
+    exam: Exam,
+    outcomes: Mapping[str, Outcome],
+    numbers: Mapping[str, int],
+    rate_hz: float,
+    scores: Mapping[str, Counts],
+) -> Strips:
+    """Lay out a take: what a person labelled on top, below it each method.
+
+    A block is wrong where the other side has none of its class on any of its frames: of a person, where the method
+    that leads (the first in `outcomes`) has none.
+    """
+    manual = sorted((start, stop, label) for label, start, stop in exam.truth)
+    leading = next(iter(outcomes.values()))[exam.name]
+    found = [(one.start, one.stop, one.label) for one in leading]
+    rows = [_strip("manual", manual, found, exam, numbers, rate_hz)]
+    for name, outcome in outcomes.items():
+        own = [(one.start, one.stop, one.label) for one in outcome[exam.name]]
+        rows.append(_strip(name, own, manual, exam, numbers, rate_hz))
+    return Strips(title, what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
+
+
+def _strip(
+    name: str,
+    segments: Sequence[tuple[int, int, str]],
+    others: Sequence[tuple[int, int, str]],
+    exam: Exam,
+    numbers: Mapping[str, int],
+    rate_hz: float,
+) -> Strip:
+    blocks, words = [], []
+    for place, (start, stop, label) in enumerate(segments):
+        wrong = not any(label == other and start < end and begin < stop for begin, end, other in others)
+        said = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
+        tip = f"{name}: {said}" + ("; " + ("not found" if name == "manual" else "not so by hand") if wrong else "")
+        left, right = bare_part((start, stop), [(begin, end) for begin, end, _ in segments[place + 1 :]])
+        blocks.append(
+            Block(
+                left=percent(start, exam.frames),
+                width=percent(stop - start, exam.frames),
+                number=numbers[label],
+                middle=percent((left + right) / 2, exam.frames),
+                room=room_for(numbers[label], (right - left) / exam.frames),
+                wrong=wrong,
+                tip=tip,
+                start=start,
+                stop=stop,
+                called=f"{name}: {label}",
+            )
+        )
+        words.append(said)
+    return Strip(name, tuple(blocks), f"{name}: {'; '.join(words) or 'nothing'}")
+
+
+def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The longest part of a block that no later one covers, the first of equal ones; (start, start) where none is
+    left."""
+    at, stop = block
+    best = (at, at)
+    for begin, end in [*sorted(one for one in later if one[0] < stop), (stop, stop)]:
+        if begin - at > best[1] - best[0]:
+            best = (at, begin)
+        at = max(at, end)
+    return best
+
+
+def room_for(number: int, share: float) -> int | None:
+    """How wide a strip must be, in pixels, so that a number has room in this share of it."""
+    wanted = _DIGIT * len(str(number)) + _ROUND
+    return next((width for width in ROOMS if width * share >= wanted), None)
+
+
+def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> ConfusionTable:
+    """Lay a confusion out; rows without a frame, and the column of labels too few without one, are left out."""
+    given = [str(numbers[label]) for label in confusion.classes]
+    few = confusion.frames[:, -1].any()
+    heads = [*zip([*given, "–", "+"], confusion.columns, strict=True)][: None if few else -1]
+    rows = []
+    for index, (label, number) in enumerate(zip(confusion.rows, [*given, "", ""], strict=True)):
+        frames = confusion.frames[index]
+        total = float(frames.sum())
+        if not total:
+            continue
+        shares = (frames / total).tolist()
+        shades = tuple(
+            Shade(count, share, round(60 * share**0.5), column == index)
+            for column, (count, share) in enumerate(zip(frames.tolist(), shares, strict=True))
+        )
+        rows.append(ConfusionRow(label, number, total, shades[: len(heads)]))
+    return ConfusionTable(tuple(heads), tuple(rows))
+
+
+def histogram(frames: npt.NDArray[np.int64], rate_hz: float) -> list[Bar]:
+    """Draw boundary errors in seconds; what is beyond the ends stands in the outermost bars."""
+    seconds = np.clip(frames / rate_hz, -FURTHEST, FURTHEST)
+    counts, edges = np.histogram(seconds, bins=BINS, range=(-FURTHEST, FURTHEST))
+    top = max(int(counts.max()), 1)
+    width = WIDTH / BINS
+    return [
+        Bar(
+            index * width + 1, HEIGHT * (1 - count / top), width - 2, HEIGHT * count / top,
+            f"{count} from {edges[index]:+.1f} to {edges[index + 1]:+.1f} s",
+        )
+        for index, count in enumerate(counts.tolist())
+    ]  # fmt: skip

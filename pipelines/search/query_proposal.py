@@ -1,0 +1,102 @@
+"""A keyframe query proposed from an example: YAML with comments that a person edits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.catalog.queries.query_writer import scalar
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.search.proposals import Pose, SetCounts, propose_poses
+from kinedex.ops.words import I64, TakeWords
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.search.search import search_store
+from kinedex.storage.store.store import Store
+
+
+def propose_query(store: Store, take: str, start: int, stop: int, *, name: str = "proposed", keyframes: int = 3) -> str:
+    """Propose a query that finds what is like an example, from the poses that are rare in the archive.
+
+    Parameters
+    ----------
+    store: a store whose index is built; its vocabulary says how rare a pose is.
+    take, start, stop: the example, frames [start, stop) of the take.
+    name: the query's name. keyframes: at most so many.
+
+    Returns
+    -------
+    The text of a query file with one query, which finds the example itself.
+
+    Raises
+    ------
+    StoreError: no take of that name, or no index. KinedexError: a range that is not inside the take, or without a
+    valid frame.
+    """
+    store.index_path()
+    words: TakeWords = store.words([store.take_id(take)])
+    if not 0 <= start < stop <= len(words.words):
+        raise KinedexError(
+            f"an example lies within [0, {len(words.words)}), the frames of {take}; got [{start}, {stop})"
+        )
+    clip = words.take(0)[start:stop]
+    try:
+        poses = propose_poses(clip, _counts(store), keyframes)
+    except KinedexError as fault:
+        raise KinedexError(f"{take}, frames {start} to {stop}: {fault}") from None
+    feature_set, rate_hz = store.feature_set, store.rate_hz
+    body = [f"{scalar(name)}:", f"  description: {scalar(f'like {take}, frames {start} to {stop}')}", "  keyframes:"]
+    for number, pose in enumerate(poses):
+        at = start + pose.frame
+        body.append(f"    # frame {at} of the take ({at / rate_hz:.2f} s); about {pose.share:.2%} of the archive is so")
+        gap = _gap(pose.frame - poses[number - 1].frame, rate_hz) if number else ""
+        body.append(f"    - {{{gap}{_switches(pose, feature_set)}}}")
+    query = parse_queries("\n".join(body), feature_set, "the proposal", rate_hz)
+    hits = search_store(store, query)
+    frames = int(np.sum(hits.column("stop").to_numpy() - hits.column("start").to_numpy()))
+    total = int(store.takes()["frames"].sum())
+    head = [
+        f"# Proposed from {stop - start} frames of {_comment(take)}, [{start}, {stop}).",
+        "# Each keyframe fixes the features that set its pose apart from the rest of this archive; whatever it does",
+        "# not name may be on or off. Take features out to find more, add some to find less; `after` is the time since",
+        "# the keyframe before, from half to twice that of the example.",
+        f"# As it stands it finds {counted(hits.num_rows, 'range')} in "
+        f"{counted(len(set(hits.column('take').to_pylist())), 'take')}, "
+        f"{frames / max(total, 1):.2%} of all frames.",
+    ]
+    return "\n".join([*head, *body]) + "\n"
+
+
+def _counts(store: Store) -> list[SetCounts]:
+    found = []
+    for word_set in store.feature_set.sets.values():
+        table = store.sql("SELECT word, frames FROM vocabulary WHERE feature_set = ?", [word_set.name])
+        frames: I64 = table.column("frames").to_numpy().astype(np.int64)
+        words = table.column("word").to_numpy().astype(np.uint64)
+        found.append(SetCounts(word_set.first, word_set.count, words, frames))
+    return found
+
+
+def _gap(frames: int, rate_hz: float) -> str:
+    low, high = math.ceil(frames / 2), 2 * frames
+    return f"after: {low} to {high} frames, "
+
+
+def _switches(pose: Pose, feature_set: FeatureSet) -> str:
+    names: dict[str, list[str]] = {"on": [], "off": []}
+    for feature in feature_set.features:
+        bit = 1 << (feature.number - 1)
+        if pose.mask & bit:
+            names["on" if pose.value & bit else "off"].append(feature.name)
+    told = [f"{word}: [{', '.join(those)}]" for word, those in names.items() if those]
+    if told:
+        return ", ".join(told)
+    anything = next(iter(feature_set.sets.values()))
+    return f'set: {anything.name}, pattern: "{"*" * anything.count}"'
+
+
+def _comment(text: str) -> str:
+    """A text that cannot end the line of a comment."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

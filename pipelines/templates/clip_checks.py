@@ -1,0 +1,62 @@
+"""What is wrong with the clips of a class: too few, of very different length, or one unlike all the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinedex.pipelines.console.wording import few
+
+FEW = 3
+"""Fewer clips than this say little about what varies."""
+
+UNLIKE_LENGTH = 2.0
+"""A clip so many times as long as the median of its class, or shorter by this factor: a path of a distance curve cannot
+be stretched further either."""
+
+LONELY_TIMES, LONELY_SPREADS, LONELY_EXCESS = 1.5, 5.0, 0.05
+"""A clip is far from the others if its cost is this many times the median of all clips' costs, as many median absolute
+deviations above it, and as far above it in itself. Of the 188 training clips of HDM05 it names four (a jog, two that
+lie down, one that sneaks)."""
+
+
+def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[float]) -> tuple[str, ...]:
+    """Say what is wrong with the clips of one class.
+
+    Parameters
+    ----------
+    names, lengths: of the clips; lengths in frames. costs: how far each clip is from the others (`Learned.clip_costs`).
+
+    Returns
+    -------
+    Sentences without the class's name; none where nothing is wrong.
+    """
+    if len(names) == 1:
+        return ("one clip only, which then is the template",)
+    remarks = []
+    if len(names) < FEW:
+        remarks.append(f"{len(names)} clips only: what two clips do not vary in counts as essential")
+    median = float(np.median(lengths))
+    unlike = [
+        f"{name} ({length} frames)"
+        for name, length in zip(names, lengths, strict=True)
+        if length > UNLIKE_LENGTH * median or UNLIKE_LENGTH * length < median
+    ]
+    if unlike:
+        remarks.append(f"clips of very different length, the median being {median:g} frames: {few(unlike)}")
+    lonely = [f"{names[index]} (cost {costs[index]:.3f})" for index in far_clips(costs)]
+    if lonely:
+        typical = float(np.median(costs))
+        remarks.append(f"clips far from all others, whose median cost is {typical:.3f}: {few(lonely)}")
+    return tuple(remarks)
+
+
+def far_clips(costs: Sequence[float]) -> list[int]:
+    """The places of clips that are far from all others; none among fewer than four, where any could be meant."""
+    if len(costs) <= FEW:
+        return []
+    median = float(np.median(costs))
+    spread = float(np.median(np.abs(np.asarray(costs) - median)))
+    least = max(LONELY_TIMES * median, median + LONELY_SPREADS * spread, median + LONELY_EXCESS)
+    return [index for index, cost in enumerate(costs) if cost >= least]

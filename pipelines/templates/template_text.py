@@ -1,0 +1,108 @@
+"""Templates in words and signs: what the terminal shows of one, and of two side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.templates.derived_templates import Contrast, consistency
+from kinedex.ops.templates.templates import CONVERGED, quantise
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.templates.learning import SubclassTemplate
+
+ON, OFF, WILDCARD = "█", "·", "▒"
+
+
+def template_lines(
+    one: SubclassTemplate, features: FeatureSet, delta: float, rate_hz: float, width: int
+) -> Iterator[str]:
+    """A template as lines: what it is, how it was learned, and its matrix with a row for each feature.
+
+    Parameters
+    ----------
+    delta: values within δ of 0 or 1 count as off and on. width: signs in a line of the terminal.
+    """
+    template = one.learned.template
+    yield heading(one, rate_hz)
+    if template.feature_weights is not None:
+        yield weights_line(template.feature_weights.tolist(), features)
+    yield from (f"! {remark}" for remark in one.remarks)
+    if len(one.learned.costs) > 1:
+        yield f"largest cost between two clips, round by round: {trace(one.learned.costs)}"
+    yield ""
+    names = [f"{feature.name} {feature.number:>2}" for feature in features.features]
+    room = max(width - max(map(len, names)) - 9, 10)
+    fold = -(-len(template) // room)
+    many = f"; each sign stands for {fold} columns" if fold > 1 else ""
+    yield f"{ON} on   {OFF} off   {WILDCARD} varies: anything fits (δ = {delta:g}){many}"
+    yield "at the end of a row: how much the clips agree about the feature"
+    values = quantise(template, delta).values(len(names))
+    agreement = consistency(template)
+    starts = {word_set.first for word_set in features.sets.values()}
+    for number, name in enumerate(names, 1):
+        if number in starts:
+            yield f"{features.set_of(number).name}:"
+        signs = "".join(_sign(values[at : at + fold, number - 1]) for at in range(0, len(values), fold))
+        yield f"{name:>{max(map(len, names))}} {signs} {agreement[number - 1]:>4.0%}"
+
+
+def heading(one: SubclassTemplate, rate_hz: float) -> str:
+    """What a template is, in one line."""
+    columns = len(one.learned.template)
+    made = one.origin
+    if made.startswith("learned"):
+        made = f"{counted(len(one.clips), 'clip')}, {counted(one.learned.rounds, 'round')} of averaging"
+        made += one.origin.removeprefix("learned").replace(", ", "; ", 1)
+    return f"{one.subclass}, {one.kind}: {counted(columns, 'column')} ({columns / rate_hz:.2f} s); {made}"
+
+
+def weights_line(weights: Sequence[float], features: FeatureSet) -> str:
+    """How much features count, those that do not count as 1 by name."""
+    pairs = zip(features.features, weights, strict=True)
+    unlike = [f"{feature.name} {weight:g}" for feature, weight in pairs if weight != 1]
+    return f"feature weights: {', '.join(unlike)}; all others 1" if unlike else "feature weights: all 1"
+
+
+def trace(costs: tuple[float, ...]) -> str:
+    """How the largest cost between two clips fell, and whether it settled."""
+    end = "settled" if costs[-1] < CONVERGED else "no longer changed, or stopped"
+    return f"{' → '.join(f'{cost:.3f}' for cost in costs)} ({end})"
+
+
+def contrast_lines(names: tuple[str, str], found: Contrast, features: FeatureSet, rate_hz: float) -> Iterator[str]:
+    """What distinguishes two templates, in words: the features that contradict each other, most often first."""
+    against, compared = int(np.abs(found.against).sum()), int(found.compared.sum())
+    if not compared:
+        yield f"{names[0]} and {names[1]} have no entry in common that neither leaves open"
+        return
+    yield (
+        f"{names[0]} and {names[1]} contradict each other in {against / compared:.1%} of the entries that neither "
+        f"leaves open, over {counted(len(found.path), 'aligned column')}"
+    )
+    columns = np.abs(found.against).sum(axis=0)
+    order = [index for index in np.argsort(-columns, kind="stable").tolist() if columns[index]]
+    for index in order:
+        feature = features.features[index]
+        said = []
+        for side, sign in enumerate((1, -1)):
+            count = int((found.against[:, index] == sign).sum())
+            if count:
+                when = _where(found, index, sign, names, rate_hz)
+                said.append(f"on in {names[side]}, off in {names[1 - side]}, {counted(count, 'column')} ({when})")
+        yield f"  {feature.description} (F{feature.number}): {'; '.join(said)}"
+    if len(order) < len(features.features):
+        yield f"the other {counted(len(features.features) - len(order), 'feature')} contradict nowhere"
+
+
+def _sign(values: np.ndarray) -> str:
+    """The sign of one column, or of several that are shown as one: a wildcard where they differ."""
+    return ON if np.all(values == 1) else OFF if np.all(values == 0) else WILDCARD
+
+
+def _where(found: Contrast, index: int, sign: int, names: tuple[str, str], rate_hz: float) -> str:
+    """From when to when in each of the two, in seconds."""
+    columns = found.path[found.against[:, index] == sign]
+    spans = [(columns[:, side].min() / rate_hz, (columns[:, side].max() + 1) / rate_hz) for side in (0, 1)]
+    return ", ".join(f"{name} {start:.2f}–{stop:.2f} s" for name, (start, stop) in zip(names, spans, strict=True))

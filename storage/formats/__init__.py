@@ -1,0 +1,1 @@
+"""File formats that kinedex reads and writes, by what they hold."""

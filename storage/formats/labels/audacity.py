@@ -1,0 +1,45 @@
+"""Audacity's label tracks: a line a label, start, stop and text, apart by tabs, in seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.texts import lines_of, parse_seconds, read_text, shown
+
+
+def write(labels: TakeLabels) -> str:
+    """A label track, six digits after the point, as Audacity writes them."""
+    rows = [f"{labels.seconds(one.start):.6f}\t{labels.seconds(one.stop):.6f}\t{one.label}\n" for one in labels.labels]
+    return "".join(rows)
+
+
+def read(path: str | Path) -> LabelFile:
+    """Read a label track of the take that the file is named after.
+
+    Lines that begin with a backslash give frequencies to the label above them, and are left alone.
+
+    Raises
+    ------
+    SourceError: file and line of what is no label, of one without text, and of a point in time (start = stop).
+    """
+    take, found = Path(path).stem, []
+    for line, text in enumerate(lines_of(read_text(path)), 1):
+        if not text.strip() or text.startswith("\\"):
+            continue
+        parts = text.split("\t", 2)
+        if len(parts) < 3:
+            raise SourceError(path, f"expected start, stop and label apart by tabs, got '{shown(text)}'", line=line)
+        times = [parse_seconds(part.strip()) for part in parts[:2]]
+        start, stop = times
+        if start is None or stop is None:
+            bad = parts[0] if start is None else parts[1]
+            raise SourceError(path, f"expected seconds such as 12.5, got '{shown(bad)}'", line=line)
+        label = parts[2].strip()
+        if not label:
+            raise SourceError(path, "the label has no text, which would be its class", line=line)
+        if start >= stop:
+            raise SourceError(path, f"start {start:g} s must be before stop {stop:g} s", line=line)
+        found.append(ManualSegment(take, label, start, stop, str(path), line, in_seconds=True))
+    return LabelFile.of_take(path, take, found)

@@ -1,0 +1,222 @@
+"""ELAN's annotation files (.eaf, version 3.0): tiers of annotations between time slots, in XML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, read_bytes, shown
+
+_TAKE = "kinedex take"
+_HEAD = """<?xml version="1.0" encoding="UTF-8"?>
+<ANNOTATION_DOCUMENT AUTHOR="kinedex" DATE="{date}" FORMAT="3.0" VERSION="3.0" \
+xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \
+xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">
+    <HEADER MEDIA_FILE="" TIME_UNITS="milliseconds">
+        <PROPERTY NAME="{name}">{take}</PROPERTY>
+        <PROPERTY NAME="lastUsedAnnotationId">{last}</PROPERTY>
+    </HEADER>
+"""
+_TYPE = '    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="class" TIME_ALIGNABLE="true"/>\n'
+
+
+def write(labels: TakeLabels) -> str:
+    """An EAF file: a tier for each class, because annotations of one tier must not overlap.
+
+    Every annotation's value is its class. Where labels of one class overlap, the later one is in a further tier, named
+    after the class and a number.
+    """
+    tiers = _tiers(labels.labels)
+    placed = [(tier, one) for tier, members in tiers.items() for one in members]
+    edges = [labels.milliseconds(edge) for _, one in placed for edge in (one.start, one.stop)]
+    # slots of its own for every annotation, in order of time: one that two share would move for both in ELAN
+    order = sorted(range(len(edges)), key=lambda place: (edges[place], place))
+    slot = {place: f"ts{number}" for number, place in enumerate(order, 1)}
+    head = _HEAD.format(date=labels.made, name=_TAKE, take=_escaped(labels.take), last=len(placed))
+    lines = [head, "    <TIME_ORDER>\n"]
+    lines += [f'        <TIME_SLOT TIME_SLOT_ID="{slot[place]}" TIME_VALUE="{edges[place]}"/>\n' for place in order]
+    lines += ["    </TIME_ORDER>\n"]
+    begun = None
+    for number, (tier, one) in enumerate(placed):
+        if tier != begun:
+            lines += ["    </TIER>\n"] if begun is not None else []
+            lines.append(f'    <TIER LINGUISTIC_TYPE_REF="class" TIER_ID="{_escaped(tier)}">\n')
+            begun = tier
+        lines.append(
+            f'        <ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a{number + 1}" '
+            f'TIME_SLOT_REF1="{slot[2 * number]}" TIME_SLOT_REF2="{slot[2 * number + 1]}">'
+            f"<ANNOTATION_VALUE>{_escaped(one.label)}</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>\n"
+        )
+    lines += ["    </TIER>\n"] if begun is not None else []
+    return "".join([*lines, _TYPE, "</ANNOTATION_DOCUMENT>\n"])
+
+
+def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
+    """Labels by tier, in which none overlap; the first tier of a class bears its name."""
+    classes = {one.label for one in labels}
+    rows: dict[str, list[list[Label]]] = {name: [] for name in sorted(classes)}
+    for one in sorted(labels, key=lambda one: (one.start, one.stop)):
+        free = next((row for row in rows[one.label] if row[-1].stop <= one.start), None)
+        if free is None:
+            rows[one.label].append([one])
+        else:
+            free.append(one)
+    tiers: dict[str, list[Label]] = {}
+    for name, groups in rows.items():
+        for number, row in enumerate(groups, 1):
+            tier, again = name if number == 1 else f"{name} ({number})", number
+            while tier in tiers or (tier in classes and tier != name):
+                again += 1
+                tier = f"{name} ({again})"
+            tiers[tier] = row
+    return tiers
+
+
+@dataclass
+class _Annotation:
+    line: int
+    tier: str
+    slots: tuple[str, str]
+    name: str
+    value: str = ""
+
+
+@dataclass
+class _Document:
+    """What is gathered while an EAF file is read; the methods are called by the parser."""
+
+    path: str
+    parser: expat.XMLParserType
+    take: str = ""
+    root: str = ""
+    tier: str | None = None
+    slots: dict[str, int | None] = field(default_factory=dict)
+    annotations: list[_Annotation] = field(default_factory=list)
+    text: list[str] | None = None
+    open: _Annotation | None = None
+
+    def error(self, message: str, line: int | None = None) -> SourceError:
+        return SourceError(self.path, message, line=self.parser.CurrentLineNumber if line is None else line)
+
+    def doctype(self, *_: object) -> None:
+        raise self.error("has a document type declaration, which an EAF file has no need of; it is not read")
+
+    def start(self, name: str, given: dict[str, str]) -> None:
+        if not self.root:
+            self.root = name
+            if name != "ANNOTATION_DOCUMENT":
+                raise self.error(f"is no EAF file: expected the element ANNOTATION_DOCUMENT, got {shown(name)}")
+        elif name == "HEADER":
+            unit = given.get("TIME_UNITS", "milliseconds")
+            if unit != "milliseconds":
+                raise self.error(f"TIME_UNITS must be milliseconds, got '{shown(unit)}'")
+        elif name == "PROPERTY" and given.get("NAME") == _TAKE:
+            self.text = []
+        elif name == "TIME_SLOT":
+            self.slots[self._attribute(name, given, "TIME_SLOT_ID")] = self._time(given)
+        elif name == "TIER":
+            # a tier that depends on another one says more about that one's annotations
+            own = self._attribute(name, given, "TIER_ID")
+            self.tier = None if given.get("PARENT_REF") else own
+        elif name == "ALIGNABLE_ANNOTATION" and self.tier is not None:
+            ends = (self._attribute(name, given, "TIME_SLOT_REF1"), self._attribute(name, given, "TIME_SLOT_REF2"))
+            own = given.get("ANNOTATION_ID", f"number {len(self.annotations) + 1}")
+            self.open = _Annotation(self.parser.CurrentLineNumber, self.tier, ends, shown(own))
+        elif name == "ANNOTATION_VALUE" and self.open is not None:
+            self.text = []
+
+    def characters(self, text: str) -> None:
+        if self.text is not None:
+            self.text.append(text)
+
+    def end(self, name: str) -> None:
+        said = "".join(self.text or ()).strip()
+        if name == "PROPERTY" and self.text is not None:
+            self.take, self.text = said, None
+        elif name == "ANNOTATION_VALUE" and self.open is not None:
+            self.open.value, self.text = said, None
+        elif name == "ALIGNABLE_ANNOTATION" and self.open is not None:
+            self.annotations.append(self.open)
+            self.open = None
+        elif name == "TIER":
+            self.tier = None
+
+    def _attribute(self, element: str, given: dict[str, str], name: str) -> str:
+        if not given.get(name):
+            raise self.error(f"{element} has no {name}")
+        return given[name]
+
+    def _time(self, given: dict[str, str]) -> int | None:
+        text = given.get("TIME_VALUE")
+        if text is None:
+            return None
+        if not (text.isascii() and text.isdecimal()) or len(text) > 15 or int(text) > 1000 * LONGEST_SECONDS:
+            raise self.error(f"TIME_VALUE must be milliseconds, a whole number from 0, got '{shown(text)}'")
+        return int(text)
+
+    def labels(self) -> LabelFile:
+        """The annotations as segments, by time."""
+        take = self.take or Path(self.path).stem
+        found = sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
+        return LabelFile.of_take(self.path, take, found)
+
+    def _segment(self, take: str, one: _Annotation) -> ManualSegment:
+        times = []
+        for name in one.slots:
+            if name not in self.slots:
+                raise self.error(
+                    f"annotation {one.name} names the time slot {shown(name)}, which is not there", one.line
+                )
+            time = self.slots[name]
+            if time is None:
+                raise self.error(
+                    f"annotation {one.name} ends at the time slot {shown(name)}, which has no time", one.line
+                )
+            times.append(time)
+        start, stop = times
+        if start >= stop:
+            raise self.error(f"annotation {one.name}: start {start} ms must be before stop {stop} ms", one.line)
+        label = one.value or one.tier.strip()
+        if not label:
+            raise self.error(f"annotation {one.name} has no value and its tier no name: there is no class", one.line)
+        return ManualSegment(
+            take, label, start / 1000, stop / 1000, self.path, one.line, True, f"annotation {one.name}"
+        )
+
+
+def read(path: str | Path) -> LabelFile:
+    """Read the annotations of an EAF file.
+
+    An annotation's class is its value; where that is empty, the name of its tier: files that have a tier for each class
+    and files that have one tier of values are both read as they are meant. Tiers that depend on another tier
+    (PARENT_REF) say more about its annotations and are left alone. The take is the one of kinedex's own property, or
+    else the one that the file is named after.
+
+    Raises
+    ------
+    SourceError: file and line of what is no XML or no EAF, of a document type declaration (none is followed, no entity
+        is expanded), and of a time that is missing or out of order.
+    """
+    data = read_bytes(path)
+    parser = expat.ParserCreate()
+    document = _Document(str(path), parser)
+    parser.buffer_text = True
+    parser.StartDoctypeDeclHandler = document.doctype
+    parser.StartElementHandler = document.start
+    parser.EndElementHandler = document.end
+    parser.CharacterDataHandler = document.characters
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as fault:
+        raise SourceError(path, f"is not XML: {expat.ErrorString(fault.code)}", line=fault.lineno) from None
+    except (ValueError, LookupError) as fault:
+        raise SourceError(path, f"is in an encoding that is not read: {fault}") from None
+    return document.labels()
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")

@@ -1,0 +1,153 @@
+"""The formats of label files by their endings: which there are, writing takes, reading ground truth."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.storage.formats.labels import audacity, elan, tables, webvtt
+from kinedex.storage.formats.labels.segments import LabelFile, TakeLabels, check_writable
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of label files: how the labels of takes become a text, what a file says, and whether one
+    file holds several takes."""
+
+    title: str
+    write: Callable[[Sequence[TakeLabels]], str]
+    read: Callable[[str | Path], LabelFile]
+    several: bool = False
+
+
+def _of_one(write: Callable[[TakeLabels], str]) -> Callable[[Sequence[TakeLabels]], str]:
+    def write_one(takes: Sequence[TakeLabels]) -> str:
+        (labels,) = takes
+        return write(labels)
+
+    return write_one
+
+
+FORMATS: dict[str, Format] = {
+    "csv": Format("CSV", tables.write_csv, tables.read_csv, several=True),
+    "json": Format("JSON", tables.write_json, tables.read_json, several=True),
+    "eaf": Format("ELAN", _of_one(elan.write), elan.read),
+    "vtt": Format("WebVTT", _of_one(webvtt.write), webvtt.read),
+    "txt": Format("Audacity labels", _of_one(audacity.write), audacity.read),
+}
+"""File ending → format."""
+
+ENDINGS = ", ".join(f".{name} ({form.title})" for name, form in FORMATS.items())
+
+
+def read_labels(path: str | Path) -> LabelFile:
+    """Read a label file in the format that its ending says.
+
+    Raises
+    ------
+    SourceError: an unknown ending; or file and line of what is not as the format has it.
+    """
+    ending = Path(path).suffix.lower().removeprefix(".")
+    if ending not in FORMATS:
+        raise SourceError(path, f"is not read as labels: the ending must be one of {ENDINGS}")
+    return FORMATS[ending].read(path)
+
+
+def write_labels(
+    takes: Sequence[TakeLabels], form: str | None, output: str | Path, *, force: bool = False
+) -> list[Path]:
+    """Write the labels of takes: a file for each into a folder, or one file.
+
+    Parameters
+    ----------
+    form: a key of `FORMATS`, in letters of either case; None: as the name of a file ends, CSV for a folder.
+    output: a file where its name ends as the format's do; a folder where it does not, where it is one, or where a slash
+        is at its end. Folders are made where missing, and the files in them bear the takes' names.
+    force: put new files in the place of old ones.
+
+    Returns
+    -------
+    The files, each of them whole.
+
+    Raises
+    ------
+    KinedexError: an unknown format, files that are there already (none is written then), several takes for one file of
+        a format that holds one, a name that cannot be written, or a file that cannot.
+    """
+    folder = str(output).endswith("/") or Path(output).is_dir()
+    kind = _format(form, output, folder)
+    for labels in takes:
+        check_writable(labels)
+    targets = _targets(takes, kind, Path(output), folder)
+    standing = []
+    for path in targets:
+        with _writing(path):
+            standing += [path] if path.exists() else []
+    if standing and not force:
+        more = f" and {len(standing) - 1} more" if len(standing) > 1 else ""
+        raise KinedexError(f"{standing[0]}{more}: there already; nothing is overwritten without --force")
+    for path, members in targets.items():
+        text = FORMATS[kind].write(members)
+        with _writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write_whole(path, text)
+    return list(targets)
+
+
+def _format(form: str | None, output: str | Path, folder: bool) -> str:
+    ending = Path(output).suffix.lower().removeprefix(".")
+    if form is not None:
+        if form.lower() not in FORMATS:
+            raise KinedexError(f"no format of labels is named '{form}'{did_you_mean(form, FORMATS)}")
+        return form.lower()
+    if folder or not ending:
+        return "csv"
+    if ending not in FORMATS:
+        raise KinedexError(
+            f"{output}: its ending, '.{ending}', is no format of labels{did_you_mean(ending, FORMATS)}; for a folder "
+            "of this name give --format, or put a / at its end"
+        )
+    return ending
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Name the file that is wanted, and what is in its way, where it cannot be written."""
+    try:
+        yield
+    except OSError as fault:
+        other = next((one for one in path.parents if one.exists() and not one.is_dir()), None)
+        if other is not None:
+            raise KinedexError(f"{other}: is no folder, so {path.name} cannot be written into it") from None
+        raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
+
+
+def _targets(takes: Sequence[TakeLabels], form: str, output: Path, folder: bool) -> dict[Path, Sequence[TakeLabels]]:
+    if output.suffix.lower() == f".{form}" and not folder:
+        if len(takes) != 1 and not FORMATS[form].several:
+            title = FORMATS[form].title
+            raise KinedexError(f"{output}: a file of {title} holds one take, not {len(takes)}; name a folder")
+        return {output: takes}
+    targets: dict[Path, Sequence[TakeLabels]] = {}
+    for labels in takes:
+        if labels.take in (".", "..") or any(mark in labels.take for mark in "/\0"):
+            raise KinedexError(f"take '{labels.take}' cannot be the name of a file; export it to a file that you name")
+        targets[output / f"{labels.take}.{form}"] = (labels,)
+    return targets
+
+
+def _write_whole(path: Path, text: str) -> None:
+    handle, temporary = tempfile.mkstemp(prefix=".tmp-", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,72 @@
+"""Ground truth: manual segments from label files, found by a pattern and read with the line of every fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.formats.labels.formats import ENDINGS, read_labels
+from kinedex.storage.formats.labels.segments import LabelFile as LabelFile
+from kinedex.storage.formats.labels.segments import ManualSegment as ManualSegment
+from kinedex.storage.formats.labels.tables import COLUMNS
+
+
+def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
+    """Find the label files of a pattern, sorted.
+
+    Parameters
+    ----------
+    pattern: a glob relative to each source root, such as "**/ground_truth.csv", or an absolute path or glob.
+    roots: the folders that the archive's takes come from.
+
+    Raises
+    ------
+    KinedexError: none found, or a root is gone; the message says where was looked.
+    """
+    folders, below = _places(pattern, roots)
+    found = _found(folders, below)
+    if not found:
+        raise KinedexError(
+            f"ground truth: no file '{below}' below {', '.join(map(str, folders)) or 'any source folder'}. "
+            f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open), or labels of another "
+            f"kind: {ENDINGS}; where there is none, set `ground_truth` of this stage to none, as with "
+            "`--set evaluate.ground_truth=none` for the stage evaluate"
+        )
+    return found
+
+
+def any_ground_truth(pattern: str, roots: Iterable[str | Path]) -> bool:
+    """Whether a pattern finds label files; parameters and errors as `ground_truth_files`, but none found is none."""
+    return bool(_found(*_places(pattern, roots)))
+
+
+def _places(pattern: str, roots: Iterable[str | Path]) -> tuple[list[Path], str]:
+    """The folders to look below, and the glob relative to them."""
+    path = Path(pattern).expanduser()
+    if path.is_absolute():
+        return [Path(path.anchor)], str(path.relative_to(path.anchor))
+    return [Path(root).expanduser() for root in roots], pattern
+
+
+def _found(folders: Sequence[Path], pattern: str) -> list[Path]:
+    gone = [str(folder) for folder in folders if not folder.is_dir()]
+    if gone:
+        raise KinedexError(f"ground truth: the source folder {gone[0]} is no longer there; give an absolute path")
+    try:
+        return sorted({file for folder in folders for file in folder.glob(pattern) if file.is_file()})
+    except (ValueError, OSError) as fault:
+        raise KinedexError(f"ground truth: '{pattern}' does not work as a path or glob: {fault}") from None
+
+
+def read_ground_truth(path: str | Path) -> LabelFile:
+    """Read takes and their manual segments from a label file: CSV, JSON, ELAN, WebVTT or Audacity, as its ending says.
+
+    Where a format does not carry the take's name, the file bears it. Frames are of the source rate, from 0, and
+    half-open; seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).
+
+    Raises
+    ------
+    SourceError: file and line of what is not as the format has it.
+    """
+    return read_labels(path)

@@ -1,0 +1,208 @@
+"""Label files as tables: CSV with a header, as ground truth is written, and rows in JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, parse_seconds, read_text, shown
+
+NAMES = ("take", "class")
+FRAMES = ("start", "stop")
+SECONDS = ("start_seconds", "stop_seconds")
+COLUMNS = (*NAMES, *FRAMES)
+"""The columns of ground truth in CSV."""
+
+_WRITTEN = ("take", "class", "subclass", *FRAMES, *SECONDS, "cost", "confidence")
+_MOST_DIGITS = 15
+
+
+def write_csv(takes: Sequence[TakeLabels]) -> str:
+    """A CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
+
+    A take without labels has a row of its name alone.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _WRITTEN, lineterminator="\n")
+    writer.writeheader()
+    for labels in takes:
+        writer.writerows({"take": labels.take, **row} for row in [*_rows(labels)] or [{}])
+    return text.getvalue()
+
+
+def write_json(takes: Sequence[TakeLabels]) -> str:
+    """A JSON file of the labels of takes, with the rate and length of each."""
+    content = [
+        {
+            "take": labels.take,
+            "source_rate_hz": labels.rate_hz,
+            "source_frames": labels.frames,
+            "segments": list(_rows(labels)),
+        }
+        for labels in takes
+    ]
+    return json.dumps({"takes": content}, ensure_ascii=False, indent=1) + "\n"
+
+
+def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
+    for one in labels.labels:
+        times = dict(zip(SECONDS, (round(labels.seconds(edge), 6) for edge in (one.start, one.stop)), strict=True))
+        yield {
+            "class": one.label,
+            "subclass": one.subclass,
+            "start": one.start,
+            "stop": one.stop,
+            **times,
+            "cost": None if one.cost is None else round(one.cost, 6),
+            "confidence": None if one.confidence is None else round(one.confidence, 6),
+        }
+
+
+# ---- CSV -------------------------------------------------------------------------------------------------
+
+
+def read_csv(path: str | Path) -> LabelFile:
+    """Read a CSV file with a header and the columns take, class, start, stop; further columns are left alone.
+
+    start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
+    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, says that somebody
+    looked at the take. UTF-8, with or without a byte order mark.
+
+    Raises
+    ------
+    SourceError: file and line of a missing column, an empty name, a frame that is no whole number, or a segment
+        that does not end after it starts.
+    """
+    try:
+        rows = list(_csv_rows(str(path), csv.DictReader(io.StringIO(read_text(path), newline=""))))
+    except csv.Error as fault:
+        raise SourceError(path, f"is not a CSV file: {fault}") from None
+    segments = tuple(segment for _, segment in rows if segment is not None)
+    return LabelFile(str(path), tuple(dict.fromkeys(take for take, _ in rows)), segments)
+
+
+def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, ManualSegment | None]]:
+    """The take of each row, and its segment where it has one."""
+    header = [(name or "").strip() for name in reader.fieldnames or ()]
+    if not header:
+        raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
+    reader.fieldnames = header
+    edges = SECONDS if not set(FRAMES) & set(header) and set(SECONDS) & set(header) else FRAMES
+    columns = (*NAMES, *edges)
+    for name in columns:
+        if name not in header:
+            raise SourceError(path, f"has no column '{name}'{did_you_mean(name, header)}", line=1)
+    for row in reader:
+        line = reader.line_num
+        texts = {name: (row[name] or "").strip() for name in columns}
+        if not any(texts.values()):
+            continue
+        take = texts["take"]
+        if take and not any(text for name, text in texts.items() if name != "take"):
+            yield take, None
+            continue
+        for name in NAMES:
+            if not texts[name]:
+                raise SourceError(path, f"{name} is empty", line=line)
+        parse = _frame if edges is FRAMES else _second
+        start, stop = (parse(path, line, name, texts[name]) for name in edges)
+        if start >= stop:
+            unit = "half-open source frames" if edges is FRAMES else "seconds"
+            raise SourceError(path, f"start {start} must be before stop {stop} ({unit})", line=line)
+        yield take, ManualSegment(take, texts["class"], start, stop, path, line, edges is SECONDS)
+
+
+def _frame(path: str, line: int, name: str, text: str) -> int:
+    # no take has so many frames, and Python refuses to read thousands of digits
+    if not text.isdecimal() or len(text) > _MOST_DIGITS:
+        raise SourceError(path, f"{name} must be a source frame, a whole number from 0, got '{shown(text)}'", line=line)
+    return int(text)
+
+
+def _second(path: str, line: int, name: str, text: str) -> float:
+    value = parse_seconds(text)
+    if value is None:
+        raise SourceError(path, f"{name} must be seconds from 0, such as 12.5, got '{shown(text)}'", line=line)
+    return value
+
+
+# ---- JSON ------------------------------------------------------------------------------------------------
+
+
+def read_json(path: str | Path) -> LabelFile:
+    """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}, further keys left alone.
+
+    start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds.
+
+    Raises
+    ------
+    SourceError: the line of what is no JSON; the element ("takes[0].segments[3]") that is not as it should be.
+    """
+    try:
+        content = json.loads(read_text(path), parse_constant=_no_number)
+    except json.JSONDecodeError as fault:
+        raise SourceError(path, f"is not JSON: {fault.msg}", line=fault.lineno) from None
+    except RecursionError:
+        raise SourceError(path, "is nested too deeply") from None
+    except ValueError as fault:
+        raise SourceError(path, f"is not JSON: {fault}") from None
+    names, found = [], []
+    for number, take in enumerate(_list(path, content, "takes", "the file")):
+        place = f"takes[{number}]"
+        name = _name(path, take, "take", place)
+        names.append(name)
+        for count, one in enumerate(_list(path, take, "segments", place)):
+            found.append(_segment(path, name, one, f"{place}.segments[{count}]"))
+    return LabelFile(str(path), tuple(dict.fromkeys(names)), tuple(found))
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def _list(path: str | Path, value: Any, key: str, place: str) -> list[Any]:
+    inner = value.get(key) if isinstance(value, dict) else None
+    if not isinstance(inner, list):
+        raise SourceError(path, f"{place} must be an object with a list '{key}'")
+    return inner
+
+
+def _name(path: str | Path, value: Any, key: str, place: str) -> str:
+    name = value.get(key) if isinstance(value, dict) else None
+    if not isinstance(name, str) or not name.strip():
+        raise SourceError(path, f"{place} must have a name '{key}'")
+    return _unicode(path, name.strip(), f"{place}.{key}")
+
+
+def _unicode(path: str | Path, text: str, place: str) -> str:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise SourceError(path, f"{place} has half a character in it (\\ud800 to \\udfff)") from None
+    return text
+
+
+def _segment(path: str | Path, take: str, value: Any, place: str) -> ManualSegment:
+    label = _name(path, value, "class", place)
+    in_seconds = not set(FRAMES) & value.keys() and bool(set(SECONDS) & value.keys())
+    start, stop = (_edge(path, value, key, place, in_seconds) for key in (SECONDS if in_seconds else FRAMES))
+    if start >= stop:
+        raise SourceError(path, f"{place}: start {start} must be before stop {stop}")
+    return ManualSegment(take, label, start, stop, str(path), None, in_seconds, place)
+
+
+def _edge(path: str | Path, value: dict[str, Any], key: str, place: str, in_seconds: bool) -> float:
+    number = value.get(key)
+    known = isinstance(number, (int, float) if in_seconds else int) and not isinstance(number, bool)
+    most = LONGEST_SECONDS if in_seconds else 10**_MOST_DIGITS - 1
+    if number is None or not known or not 0 <= number <= most:
+        what = "seconds from 0" if in_seconds else "a source frame, a whole number from 0"
+        raise SourceError(path, f"{place}.{key} must be {what}, got {shown(repr(number))}")
+    edge: float = number
+    return edge

@@ -1,0 +1,177 @@
+"""AMASS files: the joint angles of SMPL bodies; where the joints are at rest, a body model of the user's own says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.body import axisangle
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.body import NOTHING_GIVEN, Body, Given, built, orientation, refuse_far
+from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, LARGEST, load_body_model
+from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.formats.motion.numpy_arrays import array_names, load_arrays
+from kinedex.storage.formats.motion.positions import ARRAYS
+
+F64 = npt.NDArray[np.float64]
+
+RATES = ("mocap_framerate", "mocap_frame_rate")
+"""The keys of the rate: older files have the one, newer ones the other."""
+
+PARTS = ("root_orient", "pose_body", "pose_hand", "pose_jaw", "pose_eye")
+"""The keys of newer files, which hold the angles in parts."""
+
+_POSED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
+
+
+@dataclass(frozen=True)
+class Poses:
+    """The angles of a body over time.
+
+    names: the joints that turn. turns: float64 (T, J, 3), rotation vectors. places: float64 (T, 3), the root's way from
+    its place at rest. shape: float64 (B,), the figure's shape (betas). gender: male, female or neutral.
+    """
+
+    names: tuple[str, ...]
+    turns: F64
+    places: F64
+    shape: F64
+    gender: str
+    rate_hz: float | None
+
+
+def holds_poses(path: Path) -> bool:
+    """Whether an NPZ file holds joint angles, and no positions."""
+    names = set(array_names(path))
+    return bool(names & {"poses", "pose_body"}) and not names & set(ARRAYS)
+
+
+def read_amass(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN) -> Body:
+    """Read an AMASS file, with the body model that is given.
+
+    Raises
+    ------
+    SourceError: what of the file is wrong, or that there is no body model.
+    """
+    poses = parse_amass(path)
+    if given.body_model is None:
+        raise SourceError(
+            path,
+            "holds the joint angles of a body (AMASS), and where its joints are at rest only a body model says, which "
+            "may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints at rest; "
+            "docs/formats.md says how",
+        )
+    model = load_body_model(given.body_model, poses.gender)
+    warnings: list[str] = []
+    rest = model.rest(poses.shape)
+    if poses.shape.any() and not model.shapes.shape[2]:
+        warnings.append("the figure has the shape of the body model; that of the file (betas) is left out")
+    turns = np.zeros((len(poses.turns), len(model.names), 3))
+    for i, name in enumerate(model.names):
+        if name in poses.names:
+            turns[:, i] = poses.turns[:, poses.names.index(name)]
+    fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
+    places, turned = axisangle.forward(rest, model.parents, turns, poses.places)
+    positions = fit.apply(places, joints)
+    unit_m = fit.mapping.unit_m or 1.0
+    positions *= unit_m
+    refuse_far(path, positions, joints, fit.unknown)
+    if poses.rate_hz is not None:
+        rate_hz = given.rate_of(poses.rate_hz, warnings)
+    elif (said := given.override_rate_hz or given.rate_hz) is not None:
+        rate_hz = said
+    else:
+        raise SourceError(path, f"has none of {', '.join(RATES)}: give `rate_hz`, or --rate")
+    return Body(
+        positions=positions,
+        orientation=orientation(fit, turned),
+        rate_hz=rate_hz,
+        unit=f"{unit_m:.6g} m",
+        skeleton=fit.mapping.name,
+        unknown=fit.unknown,
+        warnings=(*warnings, *built(fit)),
+    )
+
+
+def parse_amass(path: Path) -> Poses:
+    """Read the angles of an AMASS file, in one array (`poses`) or in parts (`root_orient`, `pose_body`, …).
+
+    Raises
+    ------
+    SourceError: an array is missing, has another shape, or holds what is no number.
+    """
+    arrays, names = load_arrays(path, ("poses", "trans", "betas", "gender", *PARTS, *RATES))
+    posed, turns = _turns(path, arrays)
+    frames = len(turns)
+    if "trans" not in arrays:
+        raise SourceError(path, f"has no `trans`, where the body is in every frame; it has {', '.join(names)}")
+    places = _numbers(path, arrays, "trans")
+    if places.shape != (frames, 3):
+        raise SourceError(
+            path, f"`trans` must have {frames} frames of 3 numbers, as many as angles, got {places.shape}"
+        )
+    shape = _numbers(path, arrays, "betas").ravel() if "betas" in arrays else np.zeros(0)
+    rate = next((_numbers(path, arrays, key) for key in RATES if key in arrays), None)
+    if rate is not None and (rate.size != 1 or not SLOWEST_HZ <= float(rate.ravel()[0]) <= FASTEST_HZ):
+        raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
+    rate_hz = None if rate is None else float(rate.ravel()[0])
+    return Poses(posed, turns, places, shape, _gender(path, arrays), rate_hz)
+
+
+def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
+    """The joints that turn, and their rotation vectors (T, J, 3)."""
+    if "poses" in arrays:
+        poses = _angles(path, arrays, "poses")
+        if poses.shape[1] not in _POSED:
+            counts = ", ".join(str(3 * count) for count in _POSED)
+            raise SourceError(path, f"`poses` must have {counts} angles a frame, got {3 * poses.shape[1]}")
+        return _POSED[poses.shape[1]], poses
+    names: list[str] = []
+    parts: list[F64] = []
+    for key, joints in zip(PARTS, (BODY[:1], BODY[1:], HANDS, FACE[:1], FACE[1:]), strict=True):
+        if key not in arrays:
+            if key in PARTS[:2]:
+                raise SourceError(path, f"has no `{key}`, nor `poses`")
+            continue
+        part = _angles(path, arrays, key)
+        if part.shape[1] != len(joints) or (parts and len(part) != len(parts[0])):
+            raise SourceError(
+                path,
+                f"`{key}` must have {3 * len(joints)} angles in every frame, got {len(part)} × {3 * part.shape[1]}",
+            )
+        names += joints
+        parts.append(part)
+    return tuple(names), np.concatenate(parts, axis=1)
+
+
+def _angles(path: Path, arrays: dict[str, Any], key: str) -> F64:
+    angles = _numbers(path, arrays, key)
+    if angles.ndim != 2 or not angles.size or angles.shape[1] % 3:
+        raise SourceError(path, f"`{key}` must be angles of frames × three a joint, got {angles.shape}")
+    return angles.reshape(len(angles), -1, 3)
+
+
+def _numbers(path: Path, arrays: dict[str, Any], key: str) -> F64:
+    array = arrays[key]
+    if array.dtype.kind not in "fiu":
+        raise SourceError(path, f"`{key}` must be numbers, got {array.dtype}")
+    numbers: F64 = array.astype(np.float64)
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise SourceError(path, f"`{key}` has numbers that are none, infinite, or beyond {LARGEST:g}")
+    return numbers
+
+
+def _gender(path: Path, arrays: dict[str, Any]) -> str:
+    if "gender" not in arrays:
+        return "neutral"
+    value = arrays["gender"].ravel()[:1]
+    text = value.astype("U") if value.dtype.kind in "SU" else np.array(["?"])
+    gender = str(text[0]) if len(text) else "?"
+    if gender not in ("male", "female", "neutral"):
+        raise SourceError(path, f"`gender` must be male, female or neutral, got {gender!r}")
+    return gender

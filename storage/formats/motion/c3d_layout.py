@@ -1,0 +1,272 @@
+"""The layout of C3D files: what their header and parameters say of their frames, held against the file's size.
+
+Blocks of 512 bytes: a header, parameters, frames (the C3D user guide, c3d.org). Nothing here trusts a count.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.positions import MOST_POINTS
+
+BLOCK = 512
+KEY = 0x50
+INTEL, DEC, MIPS = 84, 85, 86
+"""Processor types: how numbers are written."""
+
+_USED = ("POINT", "ANALOG", "TRIAL")  # the groups that are looked into; what else is there may be as it likes
+_MOST_SAID = 0xFFFF  # frames that a word can count
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as it stands in the file. kind: bytes of a value, −1 for text. dims: the counts of its values."""
+
+    kind: int
+    dims: tuple[int, ...]
+    values: bytes
+
+    @property
+    def words(self) -> tuple[int, ...]:
+        """The values as unsigned numbers, where they are two bytes each."""
+        return struct.unpack(f"<{len(self.values) // 2}H", self.values) if self.kind == 2 else ()
+
+    @property
+    def real(self) -> bytes:
+        """The bytes of the first value, where it is a number of four bytes; empty where not."""
+        return self.values[:4] if self.kind == 4 else b""
+
+    @property
+    def texts(self) -> list[str]:
+        """The values as texts, as many characters each as the first dimension says."""
+        width = self.dims[0] if self.dims else 1
+        if self.kind != -1 or not width:
+            return []
+        cut = [self.values[at : at + width] for at in range(0, len(self.values), width)]
+        return [_decoded(text).strip(" \0") for text in cut]
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def real(raw: bytes, processor: int) -> float:
+    """A number of four bytes; DEC's has its halves exchanged and is four times as large."""
+    if processor == INTEL:
+        return float(struct.unpack("<f", raw)[0])
+    return float(struct.unpack("<f", raw[2:] + raw[:2])[0]) / 4.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything is.
+
+    points: markers of a frame. analog: analog samples of a frame. frames: those that the file holds. first: the number
+    of the first of them. start: the byte where they begin. size: bytes of one number. processor: INTEL or DEC.
+    scale: the bytes of what whole numbers are multiplied with. rates: frames per second by the parameters, and by the
+    header. said: the parameters of the markers.
+    """
+
+    points: int
+    analog: int
+    frames: int
+    first: int
+    start: int
+    size: int
+    processor: int
+    scale: bytes
+    rates: tuple[float, ...]
+    said: dict[str, Parameter]
+    warnings: tuple[str, ...]
+
+
+def read_layout(path: Path) -> Layout:
+    """What a file is made of.
+
+    Raises
+    ------
+    SourceError: what of it contradicts itself or its size.
+    """
+    head, size = _head(path)
+    begin = (head[0] - 1) * BLOCK if head else 0
+    if len(head) < BLOCK or head[1] != KEY or not BLOCK <= begin < len(head) - 4:
+        raise SourceError(path, "is no C3D file: its first two bytes do not lead to its parameters")
+    blocks, processor = head[begin + 2], head[begin + 3]
+    if processor not in (INTEL, DEC):
+        what = f"numbers in the order of {'MIPS machines' if processor == MIPS else f'processor {processor}'}"
+        raise SourceError(path, f"{what}, which are not read; save it again in that of Intel")
+    # Some programs leave the count of blocks at 0; the frames begin after the parameters anyhow.
+    end = begin + blocks * BLOCK if blocks else len(head)
+    found = dict(_parameters(path, head, begin + 4, min(end, len(head))))
+    points, analog, first, last = struct.unpack_from("<4H", head, 2)
+    start_block, per_frame = struct.unpack_from("<2H", head, 16)
+    said = found.get("POINT:USED")
+    if said is not None and said.words:
+        points = said.words[0]
+    if not 0 < points <= MOST_POINTS:
+        raise SourceError(path, f"expected 1 to {MOST_POINTS} markers, it says {points}")
+    channels = found.get("ANALOG:USED")
+    start = _start(path, found, start_block, begin + 4, size)
+    number = _number_size(_real(found, "POINT:SCALE") or head[12:16], processor)
+    counts = _frame_counts(found, first, last)
+    samples = {analog}
+    if channels is not None and channels.words:
+        samples.add(channels.words[0] * per_frame)
+    analog, frames, warnings = _fit(path, start, size, number, points, samples, counts)
+    begins = _long(found.get("TRIAL:ACTUAL_START_FIELD"))
+    rates = [real(raw, processor) for raw in (_real(found, "POINT:RATE"), head[20:24]) if raw]
+    of_points = {name.removeprefix("POINT:"): what for name, what in found.items() if name.startswith("POINT:")}
+    return Layout(
+        points=points,
+        analog=analog,
+        frames=frames,
+        first=first if begins is None else begins,
+        start=start,
+        size=number,
+        processor=processor,
+        scale=_real(found, "POINT:SCALE") or head[12:16],
+        rates=tuple(rates),
+        said=of_points,
+        warnings=warnings,
+    )
+
+
+def _real(found: dict[str, Parameter], name: str) -> bytes:
+    return found[name].real if name in found else b""
+
+
+def _head(path: Path) -> tuple[bytes, int]:
+    """The first bytes of the file, in which header and parameters lie, and its size."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(BLOCK * (255 + 255))
+            return head, file.seek(0, 2)
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from None
+
+
+def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[str, Parameter]]:
+    """All parameters as "GROUP:NAME"; one of those needed that cannot be one is an error."""
+    groups: dict[int, str] = {}
+    loose: list[tuple[int, str, Parameter | None]] = []
+    while True:
+        if at + 2 > end:
+            raise SourceError(path, "its parameters do not end where it says")
+        length, group = struct.unpack_from("<bb", head, at)
+        if group == 0 or (length == 0 and group > 0):
+            break
+        after = at + 2 + abs(length)
+        if after + 2 > end:
+            raise SourceError(path, "a parameter's name reaches beyond the parameters")
+        name = head[at + 2 : after].decode("latin-1").strip().upper()
+        (step,) = struct.unpack_from("<H", head, after)
+        if group < 0:
+            groups.setdefault(-group, name)
+        else:
+            loose.append((group, name, _parameter(head[:end], after + 2)))
+        if step == 0:
+            break
+        if step < 2:
+            raise SourceError(path, f"what follows its parameter '{name}' cannot be found")
+        at = after + step
+    for group, name, parameter in loose:
+        of = groups.get(group, "")
+        if parameter is not None:
+            yield f"{of}:{name}", parameter
+        elif of in _USED:
+            raise SourceError(path, f"its parameter {of}:{name} is larger than there is room for, or of no known kind")
+
+
+def _parameter(head: bytes, at: int) -> Parameter | None:
+    """What stands at a byte; None where that cannot be a parameter."""
+    try:
+        kind, count = struct.unpack_from("<bB", head, at)
+        dims = struct.unpack_from(f"<{count}B", head, at + 2)
+    except struct.error:
+        return None
+    begin, size = at + 2 + count, abs(kind) * math.prod(dims)
+    if kind not in (-1, 1, 2, 4) or count > 7 or begin + size > len(head):
+        return None
+    return Parameter(kind, dims, head[begin : begin + size])
+
+
+def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size: int) -> int:
+    """The byte where the frames begin: by the header, else by the parameters."""
+    said = found.get("POINT:DATA_START")
+    for candidate in (block, *(said.words[:1] if said is not None else ())):
+        start = (candidate - 1) * BLOCK
+        if least < start < size:
+            return start
+    raise SourceError(path, f"its frames should begin at block {block}, but it has {size // BLOCK} blocks")
+
+
+def _number_size(scale: bytes, processor: int) -> int:
+    """Bytes of one number: 4 where the scale is negative, else 2."""
+    return 4 if scale[3 if processor == INTEL else 1] & 0x80 else 2
+
+
+def _long(parameter: Parameter | None) -> int | None:
+    """A count in two words of 16 bits each, the lower first, as TRIAL:ACTUAL_START_FIELD has it."""
+    if parameter is None or len(parameter.words) < 2:
+        return None
+    return parameter.words[0] + (parameter.words[1] << 16)
+
+
+def _frame_counts(found: dict[str, Parameter], first: int, last: int) -> list[int]:
+    """What the file says of its number of frames, the places that can hold a large one first."""
+    counts = []
+    start, end = (_long(found.get(f"TRIAL:ACTUAL_{name}_FIELD")) for name in ("START", "END"))
+    if start is not None and end is not None:
+        counts.append(end - start + 1)
+    for name in ("POINT:LONG_FRAMES", "POINT:FRAMES"):
+        said = found.get(name)
+        if said is not None and said.words:
+            counts.append(said.words[0])
+        elif said is not None and said.kind == 4 and len(said.values) == 4:
+            (value,) = struct.unpack("<f", said.values)
+            counts.append(int(value) if 0 < value < 2**31 else 0)
+    counts.append(last - first + 1)
+    return [count for count in counts if count > 0]
+
+
+def _fit(
+    path: Path, start: int, end: int, number: int, points: int, samples: set[int], counts: list[int]
+) -> tuple[int, int, tuple[str, ...]]:
+    """Analog samples a frame and frames, as they fit the bytes from start to end; with a warning where they do not."""
+    room = end - start
+    # The frames fill their last block, or end where they end; some programs add a block to those that fill it exactly.
+    sizes = {analog: number * (4 * points + analog) for analog in sorted(samples)}
+    for analog, size in sizes.items():
+        for count in counts:
+            if count * size <= room <= count * size + BLOCK:
+                return analog, count, ()
+    if len(sizes) > 1:
+        raise SourceError(path, "its header and its parameters contradict each other in how large a frame is")
+    ((analog, size),) = sizes.items()
+    there = room // size
+    if not there or not counts:
+        raise SourceError(path, "holds no frames" if counts else "does not say how many frames it holds")
+    if counts[0] > there:
+        return analog, there, (f"the file says {counts[0]} frames, it holds {there}, which are kept",)
+    if counts[0] == _MOST_SAID:
+        there -= _empty(path, start + there * size, size)
+        return analog, there, (f"the file says {counts[0]} frames, the most that it can say, and holds {there}",)
+    return analog, counts[0], (f"the file says {counts[0]} frames, which are read; it has room for {there}",)
+
+
+def _empty(path: Path, end: int, size: int) -> int:
+    """How many frames before a byte are nothing but what fills the last block up."""
+    with path.open("rb") as file:
+        file.seek(end - BLOCK // size * size)
+        tail = file.read(BLOCK // size * size)
+    return next(
+        (i for i in range(BLOCK // size) if any(tail[len(tail) - (i + 1) * size : len(tail) - i * size])), BLOCK // size
+    )

@@ -1,0 +1,292 @@
+"""Sources: the motion files of an archive, their skeleton files, and what their paths say."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import stat
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from kinedex.ops.errors import SourceError, StoreError
+from kinedex.storage.formats.motion.positions import is_positions_csv
+
+MOTIONS = (".amc", ".bvh", ".c3d", ".trc", ".csv", ".npz", ".npy")
+"""Endings of motion files; a .csv is one where its header names joint positions."""
+
+UNREAD = {
+    ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
+    ".htr": "export it as BVH",
+    ".bip": "export it as BVH",
+    ".glb": "convert it to BVH first, for instance with Blender (import glTF, export BVH)",
+}
+"""Endings of motion files that kinedex does not read, and the way out."""
+
+
+def readable(text: str) -> str:
+    """A text with what is not UTF-8 in it (Python's stand-ins for such bytes of a file name) written as \\xNN."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One motion file of an archive: its path relative to the source root (with /), size, and time of change.
+
+    `path` is text that can be written anywhere; bytes of the file's name that are not UTF-8 stand in it as \\xNN, and
+    `on_disk` is then the path as the file system has it.
+    """
+
+    root: str
+    path: str
+    size: int
+    mtime_ns: int
+    on_disk: str = ""
+
+    @property
+    def absolute(self) -> Path:
+        """Where the file lies."""
+        return Path(self.root) / (self.on_disk or self.path)
+
+    @property
+    def stem(self) -> str:
+        """The file's name without folder and ending: the take's name."""
+        return os.path.splitext(os.path.basename(self.path))[0]
+
+    @property
+    def format(self) -> str:
+        """The file's ending in small letters, without the dot: "amc" or "bvh" of a motion file."""
+        return os.path.splitext(self.path)[1][1:].lower()
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A file or folder of an archive that is not read: its path relative to the source root, and why."""
+
+    path: str
+    fault: SourceError
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What a source root holds: motion files and skeleton files, each sorted by path.
+
+    unread: the motion files of formats that kinedex does not read, see `UNREAD`.
+    refused: what might be motion files but cannot be looked at, or leads out of the root.
+    """
+
+    motions: tuple[SourceFile, ...]
+    skeletons: tuple[SourceFile, ...]
+    unread: tuple[SourceFile, ...] = ()
+    refused: tuple[Refused, ...] = ()
+
+    def hidden(self, path: str) -> bool:
+        """Whether a path lies where the scan could not look, so that nothing is known of it."""
+        return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
+
+    @cached_property
+    def _skeletons_in(self) -> dict[str, _Folder]:
+        return _by_folder(self.skeletons)
+
+    def skeleton_of(self, motion: SourceFile) -> SourceFile:
+        """The skeleton file that belongs to one of the motion files, by the rule of `skeleton_of`."""
+        return _nearest(motion, self._skeletons_in)
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of every file's path, size and time: equal means that nothing has changed."""
+        hasher = hashlib.sha256()
+        for file in (*self.motions, *self.skeletons):
+            hasher.update(f"{file.path}\0{file.size}\0{file.mtime_ns}\n".encode())
+        for refused in self.refused:
+            hasher.update(f"{refused.path}\0{refused.fault.reason}\n".encode())
+        return hasher.hexdigest()[:16]
+
+    def unread_lines(self) -> list[str]:
+        """One line for every format that is there and not read: how many files, and the way out."""
+        counts = Counter(f".{file.format}" for file in self.unread)
+        return [
+            f"{count} {'file' if count == 1 else 'files'} of a format not read ({ending}): {UNREAD[ending]}"
+            for ending, count in sorted(counts.items())
+        ]
+
+
+def scan(root: str | Path) -> Scan:
+    """List the motion files (`MOTIONS`) and skeleton files (.asf) below a source root, in any letter case.
+
+    Folders are not entered by way of links, so links that form a loop do no harm; a folder that a link leads to inside
+    the root is found where it is. Links to files are followed inside the root. What leads out of it, leads nowhere, or
+    cannot be looked at is refused by name: nothing outside the root is read, and nothing is left out silently.
+
+    Raises
+    ------
+    StoreError: the root is no folder, or its own path is not UTF-8.
+    """
+    root = Path(os.path.realpath(Path(root).expanduser()))
+    if readable(str(root)) != str(root):
+        raise StoreError(f"source '{readable(str(root))}' is not UTF-8 text: rename the folder, or link to it")
+    if not root.is_dir():
+        raise StoreError(f"source '{root}' is not a folder: give the folder that holds the motion files")
+    motions: list[SourceFile] = []
+    skeletons: list[SourceFile] = []
+    unread: list[SourceFile] = []
+    refused: list[Refused] = []
+    kinds = dict.fromkeys(MOTIONS, motions) | {".asf": skeletons} | dict.fromkeys(UNREAD, unread)
+    for folder, name in _entries(root, refused):
+        ending = os.path.splitext(name)[1].lower()
+        kind = kinds.get(ending)
+        if kind is not None:
+            try:
+                file = _source_file(root, folder, name)
+                if ending != ".csv" or is_positions_csv(file.absolute):
+                    kind.append(file)
+            except SourceError as fault:
+                refused.append(Refused(readable(_below(root, folder, name)), fault))
+    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused))
+
+
+def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
+    """Every entry below the root that is no folder, as its folder and its name; what cannot be entered is refused."""
+
+    def refuse(path: str, message: str) -> None:
+        shown = readable(Path(path).relative_to(root).as_posix())
+        refused.append(Refused(shown, SourceError(readable(path), message)))
+
+    def unreadable(fault: OSError) -> None:
+        refuse(os.fsdecode(fault.filename), f"the folder cannot be read: {fault.strerror}")
+
+    for folder, folders, names in os.walk(root, onerror=unreadable):
+        folders.sort()
+        for name in folders:
+            path = os.path.join(folder, name)
+            if os.path.islink(path) and not (target := Path(os.path.realpath(path))).is_relative_to(root):
+                refuse(path, f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}")
+        yield from ((folder, name) for name in sorted(names))
+
+
+_BRING_IN = "copy what it leads to into the source, or ingest that folder as a source of its own"
+
+
+def _below(root: Path, folder: str, name: str) -> str:
+    """The path of an entry relative to the root, with /."""
+    return os.path.join(folder, name)[len(os.path.join(root, "")) :].replace(os.sep, "/")
+
+
+def _source_file(root: Path, folder: str, name: str) -> SourceFile:
+    path = os.path.join(folder, name)
+    try:
+        found = os.lstat(path)
+        if stat.S_ISLNK(found.st_mode):
+            target = Path(os.path.realpath(path))
+            if not target.is_relative_to(root):
+                raise SourceError(
+                    readable(path), f"is a link to {readable(str(target))}, outside the source; {_BRING_IN}"
+                )
+            found = os.stat(path)
+    except OSError as fault:
+        # gone since the folder was listed, a link to nowhere, or links in a circle
+        raise SourceError(readable(path), f"cannot be read: {fault.strerror}") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise SourceError(readable(path), "is no file (but a pipe, a device or a socket, or a link to a folder)")
+    relative = _below(root, folder, name)
+    shown = readable(relative)
+    return SourceFile(str(root), shown, found.st_size, found.st_mtime_ns, "" if shown == relative else relative)
+
+
+def checksum(path: Path) -> str:
+    """The SHA-256 of a file, in hexadecimal.
+
+    Raises
+    ------
+    SourceError: it cannot be read.
+    """
+    hasher = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                hasher.update(block)
+    except OSError as fault:
+        raise SourceError(readable(str(path)), f"cannot be read: {fault.strerror}") from fault
+    return hasher.hexdigest()
+
+
+def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFile:
+    """The skeleton file that belongs to a motion file.
+
+    The same stem, else the longest common name prefix, in the motion's folder; then the same in the folders above, up
+    to the source root. Letter case does not count.
+
+    Raises
+    ------
+    SourceError: none, or a tie; the message names the candidates.
+    """
+    return _nearest(motion, _by_folder(skeletons))
+
+
+@dataclass
+class _Folder:
+    """The skeleton files of one folder, and the same by their stems in small letters."""
+
+    files: list[SourceFile] = field(default_factory=list)
+    of_stem: dict[str, list[SourceFile]] = field(default_factory=dict)
+
+
+def _by_folder(skeletons: Iterable[SourceFile]) -> dict[str, _Folder]:
+    folders: dict[str, _Folder] = {}
+    for skeleton in skeletons:
+        folder = folders.setdefault(os.path.dirname(skeleton.path), _Folder())
+        folder.files.append(skeleton)
+        folder.of_stem.setdefault(skeleton.stem.casefold(), []).append(skeleton)
+    return folders
+
+
+def _nearest(motion: SourceFile, folders: Mapping[str, _Folder]) -> SourceFile:
+    """See `skeleton_of`; a skeleton of the motion's own name is found without a look at the others."""
+    stem = motion.stem.casefold()
+    at = os.path.dirname(motion.path)
+    seen: list[str] = []
+    while True:
+        here = folders.get(at, _NO_SKELETONS)
+        best = here.of_stem.get(stem) or _alike(stem, here)
+        if len(best) == 1:
+            return best[0]
+        if best:
+            names = ", ".join(s.path for s in best)
+            raise SourceError(motion.absolute, f"several skeletons fit its name equally well: {names}; rename one")
+        seen += [skeleton.path for skeleton in here.files]
+        if not at:
+            break
+        at = os.path.dirname(at)
+    found = f"found only {', '.join(seen)}" if seen else "found none in its folder nor above, up to the source root"
+    example = re.split(r"[-_. ]", motion.stem)[0] or motion.stem
+    above = " or in a folder above" if os.path.dirname(motion.path) else ""
+    raise SourceError(
+        motion.absolute,
+        f"no ASF skeleton whose name begins like '{motion.stem}': {found}; put e.g. '{example}.asf' beside it{above}",
+    )
+
+
+_NO_SKELETONS = _Folder()
+
+
+def _alike(stem: str, folder: _Folder) -> list[SourceFile]:
+    """The skeletons of a folder whose stems share the longest beginning with another, if they share any."""
+    shared = {other: _shared_prefix(stem, other) for other in folder.of_stem}
+    longest = max(shared.values(), default=0)
+    return [s for other, length in shared.items() if length == longest > 0 for s in folder.of_stem[other]]
+
+
+def _shared_prefix(a: str, b: str) -> int:
+    return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+
+
+def path_groups(path: str, patterns: Sequence[re.Pattern[str]]) -> Mapping[str, str] | None:
+    """What a path says: the named groups of the first pattern that it matches, or None where none does."""
+    for pattern in patterns:
+        found = pattern.search(path)
+        if found:
+            return {name: value for name, value in found.groupdict().items() if value is not None}
+    return None

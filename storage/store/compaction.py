@@ -1,0 +1,324 @@
+"""Compaction: small parts become large ones and tombstones go, at a cost that follows what was added, not the archive.
+
+Every ingest leaves parts of the size of its batches. What to merge is decided by tiers: a part whose live rows number
+at least `FANOUT` ** k, but fewer than `FANOUT` ** (k + 1), is of tier k, and a tier is merged once it holds `FANOUT`
+parts or more. Such a merge has at least `FANOUT` ** (k + 1) rows, so it lies in a higher tier: each time that a row is
+written again, it climbs. A part of `target_bytes` is full and left alone; for the frames of a 100 MB part, some 500,000
+rows, that is at most log8(500,000) < 7 tiers, however many ingests there were. N rows that come in bit by bit thus cost
+O(N log N) row writes in all, and adding 10 files to 10,000 takes mostly merges nothing. The lower tiers stay below
+`FANOUT` parts each, so a store has some 50 small parts at most. (Log-structured merge trees do the same: O'Neil et al.,
+"The log-structured merge-tree", 1996; the rule by sizes is known as size-tiered compaction.)
+
+A part more than half of whose rows are tombstones is written again for itself: it costs fewer row writes than rows were
+replaced or dropped since it was made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import accumulate, groupby
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import StoreError
+from kinedex.storage.store.manifest import Part, ResultPart
+from kinedex.storage.store.parts import ROW_GROUP, FramesWriter, part_file, write_part
+from kinedex.storage.store.schemas import takes_schema
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
+
+TARGET_BYTES = 100_000_000
+"""A frames part of this size is full: it is not merged any more."""
+
+FANOUT = 8
+"""How many parts of one tier are merged; also the ratio of the tiers' sizes."""
+
+KEPT_ROWS = 2 * ROW_GROUP
+"""Most rows of the old parts that a merge holds in memory: some 90 MB. A single row group or take may be larger."""
+
+AnyPart = TypeVar("AnyPart", Part, ResultPart)
+
+
+class Map(Protocol):
+    """What spreads merges over cores, such as an executor's `map`: results in the order of the items."""
+
+    def __call__(self, function: Callable[[Merge], Part], items: Iterable[Merge], /) -> Iterator[Part]:
+        """Apply the function to every item."""
+        ...
+
+
+@dataclass(frozen=True)
+class Merge:
+    """One new frames part: the takes that it shall hold, ascending, and the old parts where they lie now."""
+
+    store: Path
+    feature_set: FeatureSet
+    rate_hz: float
+    parts: tuple[Part, ...]
+    take_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Compaction:
+    """What a compaction did: how many frames parts became how many, the same of takes, and the bytes it wrote."""
+
+    frames_before: int
+    frames_after: int
+    takes_before: int
+    takes_after: int
+    written_bytes: int
+
+    @property
+    def changed(self) -> bool:
+        """Whether there was anything to do."""
+        return self.frames_before + self.takes_before > 0
+
+
+def compact(
+    writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Map = map, workers: int = 1
+) -> Compaction:
+    """Merge what is worth merging in a store, and commit the swap as one version.
+
+    The takes, their ids and the index stay valid. The old files stay too, for readers of older versions, until
+    `storage.store.garbage_collection.collect`. Killed before the commit, the store is what it was.
+
+    Parameters
+    ----------
+    writer: holds the store's lock; what it was given must be committed.
+    target_bytes: frames parts of this size and above are full.
+    spread: where the merges run; each needs at most about half a gigabyte, whatever the store's size.
+    workers: how many merges run at a time there; a large merge is divided among them.
+
+    Raises
+    ------
+    StoreError: an old part is damaged or missing, or the disk is full; nothing is changed.
+    """
+    store = writer.store
+    groups = worthwhile(store.manifest.frames, target_bytes)
+    merges = [_merges(store, group, target_bytes, workers) for group in groups]
+    new_frames = list(spread(merge, [task for group in merges for task in group]))
+    if groups:
+        writer.swap_parts("frames", [part for group in groups for part in group], new_frames)
+    old_takes = [part for group in worthwhile(store.manifest.takes) for part in group]
+    new_takes = [_merge_takes(store, old_takes)] if old_takes else []
+    if old_takes:
+        writer.swap_parts("takes", old_takes, new_takes)
+    writer.commit()
+    return Compaction(
+        frames_before=sum(len(group) for group in groups),
+        frames_after=len(new_frames),
+        takes_before=len(old_takes),
+        takes_after=len(new_takes),
+        written_bytes=sum(part.bytes for part in (*new_frames, *new_takes)),
+    )
+
+
+def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:
+    """Which parts to merge with which: groups of `FANOUT` and more of one tier, and parts that are mostly tombstones.
+
+    Parameters
+    ----------
+    parts: all parts of one kind. full_bytes: live bytes from which a part is left alone (estimated by rows).
+    """
+    tiers: dict[int, list[AnyPart]] = {}
+    alone = []
+    for part in parts:
+        if part.bytes * _live_share(part) >= full_bytes:
+            if part.dropped_rows > part.live_rows:
+                alone.append([part])
+        else:
+            tiers.setdefault(_tier(part.live_rows), []).append(part)
+    groups = []
+    for tier in sorted(tiers):
+        if len(tiers[tier]) >= FANOUT:
+            groups.append(tiers[tier])
+        else:
+            alone += [[part] for part in tiers[tier] if part.dropped_rows > part.live_rows]
+    return groups + alone
+
+
+def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
+    """Into how many new parts a merge goes that would make `count` of them, so that no worker waits for another.
+
+    Parameters
+    ----------
+    fits: how many of the full size there are rows for. worth: how many that climb a tier and fill a row group; of parts
+        that are not full, a merge makes half of `FANOUT` at most, or they would soon have to be merged again.
+    """
+    if count < workers:
+        return max(count, min(workers, worth, FANOUT // 2))
+    even = -(-count // workers) * workers
+    return even if even <= fits else count
+
+
+def merge(task: Merge) -> Part:
+    """Write one new frames part; runs in any process, and twice does no harm.
+
+    The old parts are read a row group at a time. One whose content does not fit its checksum is refused: it must not
+    get a fresh checksum.
+    """
+    homes = {take: place for place, part in enumerate(task.parts) for take in part.live}
+    stretches = [_stretches(task.store, part) for part in task.parts]
+    groups = _RowGroups([task.store / part.path for part in task.parts])
+    with FramesWriter(task.store, task.feature_set, task.rate_hz) as writer:
+        for place, takes in groupby(task.take_ids, key=homes.__getitem__):
+            ids = list(takes)
+            # takes that follow each other in an old part are copied as one stretch
+            for start, stop, members in _joined(ids, stretches[place]):
+                writer.add_pieces(members, groups.rows(place, start, stop))
+        return writer.close()
+
+
+def _tier(rows: int) -> int:
+    tier = 0
+    while rows >= FANOUT ** (tier + 1):
+        tier += 1
+    return tier
+
+
+def _live_share(part: Part | ResultPart) -> float:
+    return part.live_rows / part.rows if part.rows else 1.0
+
+
+def _merges(store: Store, group: list[Part], target_bytes: int, workers: int) -> list[Merge]:
+    """Lay the live takes of a group out in new parts, each of the target's size or above where there is enough."""
+    takes = sorted(take for part in group for take in part.live)
+    if not takes:
+        return []
+    frames = _frames_of(store)
+    live_bytes = sum(part.bytes * _live_share(part) for part in group)
+    rows = sum(frames[take] for take in takes)
+    # a tenth more than the target, since merged parts compress a little better
+    count = max(1, int(live_bytes / (1.1 * target_bytes)))
+    if len(group) > 1:
+        climbs = FANOUT ** (_tier(group[0].live_rows) + 1)
+        count = divided(count, workers, fits=int(live_bytes / target_bytes), worth=rows // max(climbs, ROW_GROUP))
+    share = rows / count
+    merges = []
+    ends = accumulate(frames[take] for take in takes)
+    for _, chosen in groupby(
+        zip(takes, ends, strict=True), key=lambda item: min(count - 1, int((item[1] - 1) / share)) if share else 0
+    ):
+        ids = tuple(take for take, _ in chosen)
+        parts = tuple(part for part in group if not set(ids).isdisjoint(part.live))
+        merges.append(Merge(store.path, store.feature_set, store.rate_hz, parts, ids))
+    return merges
+
+
+def _frames_of(store: Store) -> dict[int, int]:
+    return dict(store.takes().select("take_id", "frames").iter_rows())
+
+
+def _stretches(store: Path, part: Part) -> dict[int, tuple[int, int]]:
+    """The rows [start, stop) of each live take of a part, once the part is found to be sound."""
+    path = _sound(store, part)
+    try:
+        ids = pq.read_table(path, columns=["take_id"]).column("take_id").to_numpy()
+    except (OSError, pa.ArrowException) as fault:
+        raise _unreadable(path, fault) from None
+    live = np.array(part.live, np.int64)
+    starts, stops = np.searchsorted(ids, live, "left"), np.searchsorted(ids, live, "right")
+    return dict(zip(part.live, zip(starts.tolist(), stops.tolist(), strict=True), strict=True))
+
+
+def _sound(store: Path, part: Part) -> Path:
+    """The file of a part whose content fits its checksum."""
+    path = part_file(store, part.path)
+    try:
+        with open(path, "rb") as content:
+            found = hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as fault:
+        raise _unreadable(path, fault) from None
+    if found != part.sha256:
+        raise StoreError(f"{path}: its content does not fit its checksum, so it is not merged; {_VERIFY}")
+    return path
+
+
+def _joined(ids: list[int], stretches: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
+    """Stretches of rows that follow each other without a gap, with the takes that lie in them."""
+    start, stop = stretches[ids[0]]
+    members: list[int] = []
+    for take in ids:
+        first, last = stretches[take]
+        if first != stop and members:
+            yield start, stop, members
+            start, members = first, []
+        elif not members:
+            start = first
+        stop = last
+        members.append(take)
+    yield start, stop, members
+
+
+class _RowGroups:
+    """Reads stretches of rows from Parquet files, keeping the row groups that were read last."""
+
+    def __init__(self, files: list[Path]) -> None:
+        self._files = files
+        self._ends: dict[int, list[int]] = {}
+        self._kept: OrderedDict[tuple[int, int], pa.Table] = OrderedDict()
+
+    def rows(self, file: int, start: int, stop: int) -> Iterator[pa.Table]:
+        """The rows [start, stop) of a file, in pieces."""
+        if file not in self._ends:
+            self._ends[file] = self._row_group_ends(file)
+        ends = self._ends[file]
+        while start < stop:
+            group = bisect_right(ends, start)
+            first = ends[group - 1] if group else 0
+            end = min(stop, ends[group])
+            table = self._group(file, group)
+            # a slice would keep the whole row group in memory for as long as it waits to be written
+            whole = end - start == table.num_rows
+            yield table if whole else table.take(np.arange(start - first, end - first))
+            start = end
+
+    def _row_group_ends(self, file: int) -> list[int]:
+        metadata = pq.read_metadata(self._files[file])
+        return list(accumulate(metadata.row_group(group).num_rows for group in range(metadata.num_row_groups)))
+
+    def _group(self, file: int, group: int) -> pa.Table:
+        key = (file, group)
+        if key not in self._kept:
+            try:
+                with pq.ParquetFile(self._files[file]) as opened:
+                    table = opened.read_row_group(group)
+            except (OSError, pa.ArrowException) as fault:
+                raise _unreadable(self._files[file], fault) from None
+            rows = table.num_rows + sum(kept.num_rows for kept in self._kept.values())
+            while self._kept and rows > KEPT_ROWS:
+                rows -= self._kept.popitem(last=False)[1].num_rows
+            self._kept[key] = table
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+
+def _merge_takes(store: Store, parts: list[Part]) -> Part:
+    """Write the live rows of takes parts as one part; a row is some hundred bytes, so they fit into memory."""
+    tables = []
+    for part in parts:
+        path = _sound(store.path, part)
+        try:
+            table = pq.read_table(path, schema=takes_schema())
+        except (OSError, pa.ArrowException) as fault:
+            raise _unreadable(path, fault) from None
+        gone = set(part.dropped)
+        tables.append(table.filter(pa.array([t not in gone for t in table.column("take_id").to_pylist()], pa.bool_())))
+    rows = pa.concat_tables(tables).sort_by("take_id")
+    return write_part(store.path, "takes", rows, rows.column("take_id").to_pylist())
+
+
+_VERIFY = "see `kinedex verify`"
+
+
+def _unreadable(path: Path, fault: Exception) -> StoreError:
+    return StoreError(f"{path}: the part cannot be read: {str(fault).splitlines()[0]}; {_VERIFY}")

@@ -1,0 +1,97 @@
+"""Reading frames parts: the words of many takes at once, and the rows of one take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from kinedex.ops.errors import StoreError
+from kinedex.ops.words import NO_WORD, TakeWords
+from kinedex.storage.store.manifest import Manifest, Part
+from kinedex.storage.store.parts import part_file
+
+I64 = npt.NDArray[np.int64]
+
+
+def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) -> TakeWords:
+    """Read the words of the takes asked for (all live ones for None), in order of take_id.
+
+    Only the columns take_id and word of the parts and row groups that hold these takes are read.
+    """
+    alive = manifest.live_takes
+    wanted = alive if take_ids is None else sorted({int(take) for take in take_ids})
+    if take_ids is not None and (unknown := sorted(set(wanted).difference(alive))):
+        shown = ", ".join(map(str, unknown[:5]))
+        raise StoreError(f"{store}: no live take has the id {shown}; `Store.takes()` lists those that are")
+    asked = np.array(wanted, np.int64)
+    read = [_part_words(store, part, here) for part in manifest.frames if (here := _here(part, asked)) is not None]
+    ids = np.concatenate([np.empty(0, np.int64), *(takes for takes, _, _ in read)])
+    lengths = np.concatenate([np.empty(0, np.int64), *(counts for _, counts, _ in read)])
+    # a copy even of a single part: what Arrow holds cannot be written to, and kernels would be compiled for it anew
+    words = np.concatenate([np.empty(0, np.uint64), *(found for *_, found in read)])
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    if np.any(np.diff(ids) < 0):
+        # the takes of several parts interleave
+        order = np.argsort(ids)
+        ids, lengths, starts = ids[order], lengths[order], offsets[:-1][order]
+        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        words = words[np.arange(len(words)) + np.repeat(starts - offsets[:-1], lengths)]
+    return TakeWords(ids, offsets, words)
+
+
+def _here(part: Part, asked: I64) -> I64 | None:
+    """Those of the takes asked for that are live in a part; None where none is."""
+    live = np.array(part.live, np.int64)
+    places = np.searchsorted(asked, live)
+    live, places = live[places < len(asked)], places[places < len(asked)]
+    here = live[asked[places] == live]
+    return here if len(here) else None
+
+
+def _part_words(store: Path, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
+    """The takes asked for of one part, their lengths, and their words one after the other; no copy of a whole part."""
+    table = _read(store, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
+    ids = table.column("take_id").to_numpy()
+    words = words_of(table)
+    starts = np.searchsorted(ids, takes, side="left")
+    lengths = np.searchsorted(ids, takes, side="right") - starts
+    if int(lengths.sum()) != len(words):
+        words = words[np.arange(lengths.sum()) + np.repeat(starts - (np.cumsum(lengths) - lengths), lengths)]
+    return takes, lengths, words
+
+
+def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
+    """The words of rows of a frames part, uint64; `NO_WORD` where a frame is invalid."""
+    words: npt.NDArray[np.uint64] = frames.column("word").fill_null(NO_WORD.item()).to_numpy()
+    return words
+
+
+def read_frames(store: Path, manifest: Manifest, take_id: int, start: int, stop: int) -> pa.Table:
+    """Read the rows of frames [start, stop) of one live take, all columns."""
+    part = next(part for part in manifest.frames if take_id in part.live)
+    table = _read(store, part, None, take_id, take_id)
+    ids = table.column("take_id").to_numpy()
+    first = int(np.searchsorted(ids, take_id, side="left"))
+    return table.slice(first + start, stop - start).combine_chunks()
+
+
+def _read(store: Path, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
+    """Read the row groups that can hold takes from lowest to highest; the parts are sorted by take."""
+    path = part_file(store, part.path)
+    try:
+        with pq.ParquetFile(path) as file:
+            column = file.schema_arrow.get_field_index("take_id")
+            groups = []
+            for group in range(file.num_row_groups):
+                known = file.metadata.row_group(group).column(column).statistics
+                if known is None or not known.has_min_max or (known.min <= highest and known.max >= lowest):
+                    groups.append(group)
+            return file.read_row_groups(groups, columns)
+    except (OSError, pa.ArrowException) as fault:
+        reason = str(fault).splitlines()[0]
+        raise StoreError(f"{path}: the part cannot be read: {reason}; see `kinedex verify`") from None

@@ -1,0 +1,84 @@
+"""Before a writer works: whether it may have a store, and what killed ones have left there."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import NewStoreError, StoreError
+from kinedex.storage.store.manifest import FOLDER, TEMPORARY, Manifest, named_files, versions
+from kinedex.storage.store.schemas import RESULT_KINDS
+
+FOLDERS = (FOLDER, "frames", "takes", "index", "results")
+"""The folders of a store."""
+
+_CLOCK_SECONDS = 2.0
+"""How exactly a file system may say when a file was written."""
+
+
+def refuse_foreign(root: Path) -> None:
+    """Refuse a place that holds other things than a store."""
+    if root.exists() and not root.is_dir():
+        raise StoreError(f"{root} is a file; a store is a directory")
+    if not root.exists() or versions(root):
+        return
+    foreign = sorted(set(os.listdir(root)) - {*FOLDERS, "lock"})
+    if foreign:
+        raise StoreError(
+            f"{root} holds other things ({', '.join(foreign[:3])}) and is no kinedex store; "
+            "name a new or an empty directory"
+        )
+
+
+def refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, rate_hz: float) -> None:
+    """Refuse a store whose words are made with another feature set, or at another rate."""
+    has = manifest.feature_set
+    if has.digest != feature_set.digest:
+        raise NewStoreError(
+            f"{root} was made with the feature set {has.name} version {has.version} ({has.digest}), not with "
+            f"{feature_set.name} version {feature_set.version} ({feature_set.digest}); ingest into a new store"
+        )
+    if manifest.rate_hz != rate_hz:
+        raise NewStoreError(
+            f"{root} holds frames at {manifest.rate_hz:g} Hz, not {rate_hz:g} Hz; ingest into a new store"
+        )
+
+
+def last_opened(lock: Path) -> float:
+    """When a store was last opened for writing, by its lock's file; 0 where it never was."""
+    try:
+        return lock.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
+    """Remove what killed runs have left: unfinished files, and parts that no manifest names.
+
+    Only the holder of the lock may do this: no live writer can be about to commit such a part.
+
+    Parameters
+    ----------
+    since: when the store was last opened for writing (`last_opened`). Of what was there then nothing was left over, so
+        older parts are not looked up: those that were replaced may be named by none of a thousand newer manifests.
+    """
+    candidates = set()
+    for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+        for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
+            if name.startswith(TEMPORARY):
+                (root / folder / name).unlink(missing_ok=True)
+            elif name.startswith("part-") and (root / folder / name).stat().st_mtime > since - _CLOCK_SECONDS:
+                candidates.add(f"{folder}/{name}")
+    candidates -= {part.path for part in newest.parts}
+    for version in reversed(versions(root)[:-1]):
+        # readers of an older version may still be at work
+        if not candidates:
+            break
+        try:
+            candidates -= named_files(root, version)
+        except StoreError:
+            # what a damaged manifest names is not known, so nothing is garbage; `kinedex verify` reports the manifest
+            return
+    for path in candidates:
+        (root / path).unlink(missing_ok=True)

@@ -1,0 +1,363 @@
+"""Writing to a store: one writer at a time collects changes and publishes them as one new version."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.storage.store.disk import writing
+from kinedex.storage.store.lock import Lock
+from kinedex.storage.store.manifest import (
+    Manifest,
+    Part,
+    ResultPart,
+    StageRecord,
+    changed_content,
+    now,
+    publish,
+    read_newest,
+    versions,
+)
+from kinedex.storage.store.parts import FramesWriter, part_file, write_part, write_pieces
+from kinedex.storage.store.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.write_access import (
+    FOLDERS,
+    last_opened,
+    refuse_foreign,
+    refuse_other_words,
+    remove_leftovers,
+)
+
+
+class StoreWriter:
+    """The one writer of a store, from `open` to `close` (or the end of its `with` block).
+
+    Nothing that it is given is visible to readers before `commit`; what is not committed at the end is dropped.
+    Parts may be written by other processes (`storage.store.parts.FramesWriter`) while this writer is open. Not before:
+    opening it removes what killed runs have left, and a part that no manifest names looks just like that.
+    """
+
+    def __init__(self, path: Path, manifest: Manifest, lock: Lock) -> None:
+        self.path = path
+        self._committed = manifest
+        self._manifest = manifest
+        self._lock = lock
+        self._takes: dict[int, pa.Table] = {}
+        self._changes: list[Any] = []
+        takes = Store(path, manifest).takes()
+        self._ids = dict(takes.select("name", "take_id").iter_rows())
+        self._rows = dict(takes.select("take_id", "frames").iter_rows())
+        self._next = manifest.next_take_id
+
+    @classmethod
+    def open(
+        cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0, wait_seconds: float = 0.0
+    ) -> StoreWriter:
+        """Lock a store for writing; make an empty one where there is none.
+
+        Parameters
+        ----------
+        path: the store. feature_set, rate_hz: what its words are made with; those of the store where it exists.
+        wait_seconds: how long to wait for another writer to finish.
+
+        Raises
+        ------
+        StoreError: another writer holds the lock (the message names its process and host); the directory holds other
+            things; the store has another format version, feature set or rate.
+        """
+        root = Path(path)
+        refuse_foreign(root)
+        with writing(root):
+            for folder in FOLDERS:
+                (root / folder).mkdir(parents=True, exist_ok=True)
+        since = last_opened(root / "lock")
+        lock = Lock(root / "lock", "this one", wait_seconds)
+        try:
+            if not versions(root):
+                publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
+            manifest = read_newest(root)
+            refuse_other_words(root, manifest, feature_set, rate_hz)
+            remove_leftovers(root, manifest, since)
+            return cls(root, manifest, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @property
+    def manifest(self) -> Manifest:
+        """The version that was committed last."""
+        return self._committed
+
+    @property
+    def store(self) -> Store:
+        """The store as it was committed last."""
+        return Store(self.path, self._committed)
+
+    def assign_take_ids(self, names: Iterable[str]) -> dict[str, int]:
+        """Give each take name its id: takes of the store keep theirs, new ones get the next ids in order of name."""
+        asked = sorted(set(names))
+        for name in asked:
+            if name not in self._ids:
+                self._ids[name] = self._next
+                self._next += 1
+        return {name: self._ids[name] for name in asked}
+
+    def add_takes(self, takes: pa.Table, frames: pa.Table | Part | Sequence[Part]) -> None:
+        """Add takes with their frames; a take whose id is in the store already is replaced.
+
+        Parameters
+        ----------
+        takes: one row per take, `takes_schema`, ids from `assign_take_ids`.
+        frames: the frames of exactly these takes: parts that workers have written, or a table sorted by take_id
+            and frame.
+
+        Raises
+        ------
+        StoreError: the frames are not those of the takes, or an id was not assigned to its take's name.
+        """
+        takes = conform(takes, takes_schema(), "takes")
+        parts = self._frames_parts(takes, frames)
+        self._check_takes(takes, parts)
+        ids = [take for part in parts for take in part.take_ids]
+        for part in parts:
+            part_file(self.path, part.path)
+        again = {part.path for part in parts}
+        others = tuple(part for part in self._manifest.frames if part.path not in again)
+        self._manifest = replace(self._manifest, frames=_without(others, ids, self._rows) + tuple(parts))
+        self._drop_take_rows(ids)
+        for row, take in enumerate(takes.column("take_id").to_pylist()):
+            self._takes[take] = takes.slice(row, 1)
+        self._rows.update(zip(takes.column("take_id").to_pylist(), takes.column("frames").to_pylist(), strict=True))
+        self._changes.append(["added", sorted(part.sha256 for part in parts)])
+
+    def restate_takes(self, takes: pa.Table) -> None:
+        """Put rows of takes in the place of those that the store has; frames stay, and what is made of them is valid.
+
+        For what says where a take has come from (place and time), on which neither the index nor any stage depends.
+
+        Raises
+        ------
+        StoreError: no live take has one of the ids.
+        """
+        takes = conform(takes, takes_schema(), "takes")
+        ids = takes.column("take_id").to_pylist()
+        unknown = set(ids) - set(self._manifest.live_takes)
+        if unknown:
+            raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
+        self._drop_take_rows(ids)
+        self._takes.update({take: takes.slice(row, 1) for row, take in enumerate(ids)})
+
+    def drop_takes(self, take_ids: Iterable[int]) -> None:
+        """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit."""
+        gone = set(take_ids)
+        unknown = gone - set(self._manifest.live_takes)
+        if unknown:
+            raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
+        if not gone:
+            return
+        self._manifest = replace(self._manifest, frames=_without(self._manifest.frames, gone, self._rows))
+        self._drop_take_rows(gone)
+        self._ids = {name: take for name, take in self._ids.items() if take not in gone}
+        self._changes.append(["dropped", sorted(gone)])
+
+    def swap_parts(self, kind: Literal["frames", "takes"], old: Sequence[Part], new: Sequence[Part]) -> None:
+        """Put parts in the place of others that hold the same live takes, laid out differently.
+
+        Parameters
+        ----------
+        kind: which parts. old: parts of the version that was committed last. new: written since.
+
+        Raises
+        ------
+        StoreError: takes were added or dropped since the last commit, or the new parts do not hold exactly the live
+            takes and rows of the old ones; nothing is changed.
+        """
+        if self._changes:
+            raise StoreError(f"{self.path}: takes have changed since the last commit; commit them first")
+        standing: tuple[Part, ...] = getattr(self._manifest, kind)
+        gone = {part.path for part in old}
+        held = sorted(take for part in new for take in part.take_ids)
+        same_takes = held == sorted(take for part in old for take in part.live)
+        same_rows = sum(part.rows for part in new) == sum(part.live_rows for part in old)
+        if not same_takes or not same_rows or not gone <= {part.path for part in standing}:
+            raise StoreError(
+                f"{self.path}: the new {kind} parts do not hold what the old ones do, so those stay; "
+                "`kinedex verify` says whether they are damaged"
+            )
+        for part in new:
+            part_file(self.path, part.path)
+        others = tuple(part for part in standing if part.path not in gone)
+        parts = others + tuple(new)
+        self._manifest = (
+            replace(self._manifest, frames=parts) if kind == "frames" else replace(self._manifest, takes=parts)
+        )
+
+    def put_results(
+        self,
+        kind: str,
+        tables: pa.Table | Iterable[pa.Table],
+        *,
+        stage: str,
+        run: str,
+        keep: Iterable[ResultPart] = (),
+    ) -> None:
+        """Set a stage's results of one kind, in place of its earlier ones.
+
+        Parameters
+        ----------
+        kind: one of `RESULT_KINDS`.
+        tables: columns of `result_schema(kind)`; `run` may be left out. Without rows, the earlier ones are just
+            removed. Several tables, such as a generator makes, are written one by one as they come: what is large need
+            not be in memory at once.
+        stage: "<pipeline>/<stage>". run: the run's id.
+        keep: parts of the stage's earlier results that stay, files and rows as they are (`storage.store.kept_results`).
+
+        Raises
+        ------
+        StoreError: a table does not fit, a part to keep is not there, or the disk is full; nothing is changed.
+        """
+        result_schema(kind)
+        stay = {part.path for part in keep}
+        before = self._manifest.results.get(kind, ())
+        if stay - {part.path for part in before if part.stage == stage}:
+            raise StoreError(f"{self.path}: {min(stay)} is no part of the results {kind} of {stage}")
+        given = [tables] if isinstance(tables, pa.Table) else tables
+        parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
+        kept = tuple(part for part in before if part.stage != stage or part.path in stay)
+        kept += tuple(ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run) for part in parts)
+        self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
+
+    def forget_stage(self, stage: str) -> None:
+        """Remove a stage's record, so that nothing takes it for done while it runs again."""
+        left = {name: record for name, record in self._manifest.stages.items() if name != stage}
+        self._manifest = replace(self._manifest, stages=left)
+
+    def record_stage(self, record: StageRecord) -> None:
+        """Note that a stage is done; its earlier record goes."""
+        self._manifest = replace(self._manifest, stages={**self._manifest.stages, record.stage: record})
+
+    def commit(self) -> Manifest:
+        """Publish everything since the last commit as one new version; without changes, none is made.
+
+        Raises
+        ------
+        StoreError: the next version exists already, so somebody got around the lock; nothing is published.
+        """
+        pending = self._manifest
+        if self._takes:
+            rows = pa.concat_tables([self._takes[take] for take in sorted(self._takes)])
+            part = write_part(self.path, "takes", rows, sorted(self._takes))
+            others = tuple(other for other in pending.takes if other.path != part.path)
+            pending = replace(pending, takes=(*others, part))
+            if self._changes:
+                self._changes.append(["rows", part.sha256])
+        if pending == self._committed:
+            self._changes = []
+            return self._committed
+        if self._changes:
+            pending = replace(pending, content=changed_content(pending.content, self._changes))
+        version = self._committed.version + 1
+        pending = replace(pending, version=version, created=now(), next_take_id=self._next)
+        publish(self.path, pending)
+        self._committed = self._manifest = pending
+        self._takes = {}
+        self._changes = []
+        return pending
+
+    def close(self) -> None:
+        """Let the next writer in; what was not committed is dropped."""
+        self._lock.release()
+
+    def __enter__(self) -> StoreWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _drop_take_rows(self, take_ids: Iterable[int]) -> None:
+        gone = set(take_ids)
+        self._manifest = replace(self._manifest, takes=_without(self._manifest.takes, gone, dict.fromkeys(gone, 1)))
+        self._takes = {take: row for take, row in self._takes.items() if take not in gone}
+
+    def _frames_parts(self, takes: pa.Table, frames: pa.Table | Part | Sequence[Part]) -> list[Part]:
+        if isinstance(frames, Part):
+            return [frames]
+        if not isinstance(frames, pa.Table):
+            return list(frames)
+        rows = conform(frames, frames_schema(self._manifest.feature_set, self._manifest.rate_hz), "frames")
+        ids = rows.column("take_id").to_numpy()
+        if np.any(np.diff(ids) < 0):
+            raise StoreError("frames: the rows must be sorted by take_id and frame")
+        with FramesWriter(self.path, self._manifest.feature_set, self._manifest.rate_hz) as writer:
+            for take in sorted(takes.column("take_id").to_pylist()):
+                start, stop = np.searchsorted(ids, take, "left"), np.searchsorted(ids, take, "right")
+                table = rows.slice(start, stop - start)
+                if not np.array_equal(table.column("frame").to_numpy(), np.arange(stop - start)):
+                    raise StoreError(f"frames: take {take} must have the frames 0, 1, 2, … in order")
+                writer.add_table(take, table)
+            part = writer.close()
+        if part.rows != rows.num_rows:
+            raise StoreError("frames: there are frames of takes that are not in the table of takes")
+        return [part]
+
+    def _check_takes(self, takes: pa.Table, parts: Sequence[Part]) -> None:
+        ids = takes.column("take_id").to_pylist()
+        held = sorted(take for part in parts for take in part.take_ids)
+        if sorted(ids) != held:
+            raise StoreError(
+                f"the frames parts hold the takes {held[:10]}…, the table of takes names {sorted(ids)[:10]}…; "
+                "they must be the same, each once"
+            )
+        frames = pc.sum(takes.column("frames")).as_py() or 0
+        rows = sum(part.rows for part in parts)
+        if frames != rows:
+            raise StoreError(f"the takes have {frames} frames together, their frames parts {rows} rows")
+        for take, name in zip(ids, takes.column("name").to_pylist(), strict=True):
+            if self._ids.get(name) != take:
+                raise StoreError(
+                    f"take '{name}' has the id {take}, but the store gives it {self._ids.get(name, 'none')}; "
+                    "ids come from assign_take_ids"
+                )
+
+
+def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
+    schema = result_schema(kind)
+    if not table.num_columns:
+        return schema.empty_table()
+    if "run" not in table.column_names:
+        table = table.append_column("run", pa.repeat(pa.scalar(run), table.num_rows))
+    rows = conform(table, schema, f"results of kind {kind}")
+    if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
+        raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
+    return rows
+
+
+def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, int]) -> tuple[Part, ...]:
+    """These parts with more tombstones; a part without any live take is left out.
+
+    `rows` is how many each of the takes has there.
+    """
+    gone = set(take_ids)
+    result = []
+    for part in parts:
+        found = gone.intersection(part.live)
+        if not found:
+            result.append(part)
+            continue
+        dropped = tuple(sorted({*part.dropped, *found}))
+        part = replace(part, dropped=dropped, dropped_rows=part.dropped_rows + sum(rows[take] for take in found))
+        if part.live:
+            result.append(part)
+    return tuple(result)

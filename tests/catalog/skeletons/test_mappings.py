@@ -1,0 +1,332 @@
+"""Skeleton mappings: which one fits a skeleton, what it makes of it, and what it says when it does not fit."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinedex.catalog.configs import config_names
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_skeleton, stripping
+from kinedex.catalog.skeletons.units import HUMAN_M, UNITS_M, guess_unit
+from kinedex.ops.body import features
+from kinedex.ops.errors import ConfigError, SourceError
+from tests.bodies import standing, upright
+from tests.oracles import features as oracle
+
+JOINTS = load_feature_set().joints
+AUTO = load_mappings("auto", JOINTS)
+ARMS = ("lelbow", "lwrist", "lfingers", "relbow", "rwrist", "rfingers")
+
+
+def nodes_of(name: str) -> dict[str, int]:
+    """A skeleton that has the nodes which a mapping names first, and no others."""
+    mapping = load_skeleton(name, JOINTS)
+    names = [node for mixes in mapping.joints.values() if (mix := mixes[0]) and not mix.of_joints for node in mix.names]
+    names += [node for bone, weights in mapping.bones.items() for node in (bone, *weights)]
+    return {node: i for i, node in enumerate(dict.fromkeys(names))}
+
+
+def user_file(path: Path, name: str, *changes: tuple[str, str]) -> str:
+    """A mapping of the user's own: a shipped one with some text replaced."""
+    text = load_skeleton(name, JOINTS).path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (path / "own.yaml").write_text(text)
+    return str(path / "own.yaml")
+
+
+@pytest.mark.parametrize("name", config_names("skeletons"))
+def test_every_shipped_mapping_is_told_by_the_names_of_its_own_skeleton(name: str) -> None:
+    mapping = load_skeleton(name, JOINTS)
+    fit = AUTO.detect("x", mapping.format, nodes_of(name))
+    assert fit.mapping.name == name
+    lacks = {"coco-17": ("ltoes", "rtoes"), "gait-c3d": ("head", "headtop", *ARMS)}
+    assert set(fit.unknown) == set(lacks.get(name, ()))
+    assert set(fit.joints) == set(JOINTS)
+
+
+@pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig7:", "mixamorig1_", "a:b:", ""])
+def test_prefixes_of_names_do_not_matter(prefix: str) -> None:
+    nodes = {prefix + name: i for name, i in nodes_of("mixamo").items()}
+    fit = AUTO.detect("x", "bvh", nodes)
+    assert fit.mapping.name == "mixamo"
+    assert fit.root == nodes[prefix + "Hips"]
+    assert fit.virtual == {}
+
+
+def test_names_that_a_stripped_prefix_makes_equal_are_not_guessed_between() -> None:
+    nodes = {f"{who}:{name}": i for who in "ab" for name, i in nodes_of("mixamo").items()}
+    with pytest.raises(SourceError, match="no skeleton mapping fits"):
+        AUTO.detect("x", "bvh", nodes)
+
+
+def test_the_first_choice_that_a_skeleton_has_counts() -> None:
+    nodes = nodes_of("mixamo")
+    del nodes["LeftHandMiddle1"], nodes["HeadTop_End"], nodes["LeftToe_End"]
+    nodes |= {"Head_end": 99, "LeftToeBase": 98}
+    fit = AUTO.detect("x", "bvh", nodes)
+    assert fit.joints["headtop"] is not None
+    assert fit.joints["headtop"].node == "Head_end"
+    assert fit.joints["ltoes"] is not None
+    assert fit.joints["ltoes"].node == "LeftToeBase"
+    assert {joint: str(mix) for joint, mix in fit.virtual.items()} == {"lfingers": "-0.25 lelbow +1.25 lwrist"}
+
+
+def test_a_skeleton_that_no_mapping_fits_is_told_the_nearest_and_what_it_lacks() -> None:
+    nodes = nodes_of("bandai")
+    del nodes["Toes_L"], nodes["Foot_R"]
+    with pytest.raises(SourceError) as caught:
+        AUTO.detect("a.bvh", "bvh", nodes)
+    assert "the nearest, 'bandai', finds" in str(caught.value)
+    assert "lacks Toes_L (for joint 'ltoes'), Foot_R (for joint 'rankle')" in str(caught.value)
+    assert "give one by `skeleton`" in str(caught.value)
+
+
+def test_a_skeleton_of_strange_names_is_near_to_no_mapping() -> None:
+    with pytest.raises(
+        SourceError, match=r"none is near: none knows any of its names; the skeleton has a, b; give one"
+    ):
+        AUTO.detect("a.bvh", "bvh", {"a": 0, "b": 1})
+    with pytest.raises(SourceError) as caught:
+        load_mappings("mixamo", JOINTS).detect("x", "bvh", {"Foot_R": 0, "HipsX": 1})
+    assert "has no 'Hips'" in str(caught.value)
+    assert "did you mean 'HipsX'?" in str(caught.value)
+    with pytest.raises(SourceError) as caught:
+        load_mappings("named", JOINTS).detect("x", "bvh", {"Foot_R": 0, "Hand_R": 1})
+    assert "has no 'root'" in str(caught.value)
+    assert "known: Foot_R, Hand_R" in str(caught.value)
+
+
+@pytest.mark.parametrize(("prefix", "pattern"), [("Bip_", "Bip_"), ("a.b-", r"a\.b\-"), ("Bob", "Bob")])
+def test_names_that_only_a_prefix_keeps_from_a_mapping_are_told_so(tmp_path: Path, prefix: str, pattern: str) -> None:
+    nodes = {f"{prefix}{name}": i for name, i in nodes_of("bandai").items()}
+    said = f"; without '{prefix}' its names fit 'bandai': copy {load_skeleton('bandai', JOINTS).path}"
+    for mappings in (AUTO, load_mappings("bandai", JOINTS)):
+        with pytest.raises(SourceError) as caught:
+            mappings.detect("a.bvh", "bvh", nodes)
+        assert f"{said}, with `strip_prefix: '{pattern}'`" in str(caught.value)
+    own = user_file(tmp_path, "bandai", ("format: bvh", f"format: bvh\nstrip_prefix: '{pattern}'"))
+    assert not load_skeleton(own, JOINTS).fit(nodes).missing
+
+
+def test_the_nearest_mapping_of_names_with_a_prefix_is_that_of_the_names_without() -> None:
+    nodes = {f"Bip_{name}": i for name, i in nodes_of("bandai").items() if name != "Foot_R"}
+    with pytest.raises(SourceError) as caught:
+        AUTO.detect("a.bvh", "bvh", nodes)
+    assert "the nearest, 'bandai' (without the prefix 'Bip_'), finds" in str(caught.value)
+    assert "lacks Foot_R (for joint 'rankle')" in str(caught.value)
+
+
+def test_a_prefix_of_most_names_is_enough_and_two_figures_have_none() -> None:
+    nodes = {"Reference": 90} | {f"Bob_{name}": i for name, i in nodes_of("bandai").items()}
+    found = AUTO.without_prefix("bvh", nodes)
+    assert found is not None
+    assert (found[0], found[1].name) == ("Bob_", "bandai")
+    two = {f"{who}_{name}": i for who in ("Al", "Bo") for name, i in nodes_of("bandai").items()}
+    assert AUTO.without_prefix("bvh", two) is None
+    mixamo = {f"Bob_{name}": i for name, i in nodes_of("mixamo").items()}
+    prefix, mapping = AUTO.without_prefix("bvh", mixamo) or ("", None)
+    assert mapping is not None
+    assert stripping(prefix, mapping) == r"`strip_prefix: 'Bob_(?:.*:|mixamorig\d*_)?'`"
+
+
+def test_the_mapping_that_finds_most_joints_wins_and_a_tie_is_an_error(tmp_path: Path) -> None:
+    bandai = load_skeleton("bandai", JOINTS)
+    less = load_skeleton(
+        user_file(tmp_path, "bandai", ("name: bandai", "name: less"), ("belly: Spine", "belly: null")), JOINTS
+    )
+    same = load_skeleton(user_file(tmp_path, "bandai", ("name: bandai", "name: same")), JOINTS)
+    nodes = nodes_of("bandai")
+    assert Mappings({"bvh": (less, bandai)}).detect("x", "bvh", nodes).mapping is bandai
+    with pytest.raises(SourceError, match="mappings 'bandai', 'same' fit this skeleton equally well; give one by"):
+        Mappings({"bvh": (bandai, same)}).detect("x", "bvh", nodes)
+
+
+def test_a_chosen_mapping_counts_for_its_format_and_says_what_the_skeleton_lacks() -> None:
+    mappings = load_mappings("bandai", JOINTS)
+    assert [mapping.name for mapping in mappings.of_format["bvh"]] == ["bandai"]
+    assert [mapping.name for mapping in mappings.of_format["acclaim"]] == ["acclaim"]
+    with pytest.raises(SourceError, match=r"no 'UpperLeg_L', which mapping 'bandai' .* takes for joint 'lhip'"):
+        mappings.detect("x", "bvh", nodes_of("mixamo") | {"Hips": 0})
+
+
+def test_joints_are_nodes_and_fixed_combinations_in_our_axes(tmp_path: Path) -> None:
+    own = user_file(
+        tmp_path, "bandai", ("up: y\n", "up: z\n"), ("facing: z\n", "facing: -y\n"),
+        ("chest: Chest", "chest: {nodes: {Spine: 0.5, Neck: 0.5}}"), ("belly: Spine", "belly: null"),
+    )  # fmt: skip
+    nodes = nodes_of("bandai") | {"Spine": 90}
+    places = np.random.default_rng(0).normal(size=(91, 3, 4))
+    found = dict(zip(JOINTS, load_skeleton(own, JOINTS).apply("x", nodes, places, JOINTS), strict=True))
+
+    def ours(node: str) -> np.ndarray:
+        x, y, z = places[nodes[node]]
+        return np.stack([x, z, -y])
+
+    np.testing.assert_allclose(found["lwrist"], ours("Hand_L"))
+    np.testing.assert_allclose(found["chest"], 0.5 * ours("Spine") + 0.5 * ours("Neck"))
+    np.testing.assert_allclose(found["lfingers"], 1.25 * ours("Hand_L") - 0.25 * ours("LowerArm_L"))
+    assert np.isnan(found["belly"]).all()
+
+
+def test_a_joint_aside_of_a_plane_lies_as_deep_however_the_body_turns(tmp_path: Path) -> None:
+    own = user_file(
+        tmp_path,
+        "bandai",
+        ("chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Hips, Neck, Spine], times: -0.5}}"),
+    )
+    nodes = nodes_of("bandai")
+    places = np.zeros((len(nodes), 3, 1))
+    # The normal of the plane is Z, and its first side 2 long.
+    for name, place in {"Chest": (1, 1, 1), "Hips": (0, 0, 0), "Neck": (2, 0, 0), "Spine": (0, 3, 0)}.items():
+        places[nodes[name], :, 0] = place
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    for turned in (np.eye(3), turn):
+        found = load_skeleton(own, JOINTS).apply("x", nodes, np.einsum("ab,nbt->nat", turned, places), JOINTS)
+        np.testing.assert_allclose(found[JOINTS.index("chest"), :, 0], turned @ [1, 1, 0])
+    left = user_file(tmp_path, "bandai", ("up: y\n", "up: y\nhandedness: left\n"), ("handedness: right\n", ""), (
+        "chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Hips, Neck, Spine], times: -0.5}}"
+    ))  # fmt: skip
+    mirrored = load_skeleton(left, JOINTS).apply("x", nodes, places * [[-1], [1], [1]], JOINTS)
+    np.testing.assert_allclose(mirrored[JOINTS.index("chest"), :, 0], [1, 1, 0])
+
+
+def test_another_choice_stands_in_where_a_marker_is_not_seen() -> None:
+    nodes = nodes_of("landmarks-c3d") | {"L_FCC": 200, "L_FM1": 201}
+    fit = AUTO.detect("x", "c3d", nodes)
+    places = np.random.default_rng(0).normal(size=(202, 3, 4))
+    whole = fit.apply(places, JOINTS)[JOINTS.index("lelbow")]
+    hidden = places.copy()
+    hidden[nodes["L_HLE"], :, 1:] = np.nan
+    hidden[nodes["L_HME"], :, 3] = np.nan
+    found = fit.apply(hidden, JOINTS)[JOINTS.index("lelbow")]
+    np.testing.assert_array_equal(found[:, 0], whole[:, 0])
+    x, y, z = places[nodes["L_HME"], :, 1:3]
+    np.testing.assert_array_equal(found[:, 1:3], [x, z, -y])
+    assert np.isnan(found[:, 3]).all()
+    assert {nodes["L_HLE"], nodes["L_HME"], nodes["L_FCC"]} <= set(fit.nodes)
+    knee = fit.instead["lknee"]
+    assert [mix.names for mix in knee] == [("L_FLE", "L_FCC", "L_FM1"), ("L_FME", "L_FCC", "L_FM1")]
+
+
+def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None:
+    other = {"LFWT": "LASI", "RFWT": "RASI", "LBWT": "LPSI", "RBWT": "RPSI"}
+    nodes = {f"Ann:{other.get(name, name)}": i for name, i in nodes_of("hdm05-c3d").items()}
+    fit = AUTO.detect("x", "c3d", nodes)
+    assert fit.mapping.name == "hdm05-c3d"
+    assert fit.places["LFWT"] == nodes["Ann:LASI"]
+    assert fit.upright(None) is fit
+    assert fit.upright("z") is fit
+    for up in "xy":
+        axes = fit.upright(up).mapping.axes
+        np.testing.assert_array_equal(axes[1], np.eye(3)["xyz".index(up)])
+        assert np.linalg.det(axes) == 1.0
+    with pytest.raises(SourceError, match=r"none is near: .* the file has the markers Marker_1, Marker_2; give"):
+        AUTO.detect("x", "c3d", {"Marker_1": 0, "Marker_2": 1})
+
+
+FAULTS = {
+    "an unknown joint": (("belly: Spine", "bely: Spine"), "joints.bely", "did you mean 'belly'"),
+    "a missing joint": (("  belly: Spine\n", ""), "joints", "write `belly: null`"),
+    "keys of all kinds": (("belly: Spine", "belly: {.nan: 1, x: 2}"), "joints.belly", "joints.belly"),
+    "weights of two": (("-2, head: 3", "-2, head: 4"), "joints.headtop", "the weights must add up to 1, got 2"),
+    "a virtual of a virtual": (("lelbow: -0.25", "headtop: -0.25"), "joints.lfingers", "'headtop' is none"),
+    "no kind of mix": (("{virtual: {neck: -2, head: 3}}", "{}"), "joints.headtop", "expected `virtual`"),
+    "a unit of nothing": (("unit_m: 0.01", "unit_m: -1"), "unit_m", "a positive number of metres, or guess; got -1"),
+    "a unit of a name": (("unit_m: 0.01", "unit_m: cm"), "unit_m", "a positive number of metres, or guess; got 'cm'"),
+    "one axis twice": (("facing: z\nroot", "facing: -y\nroot"), "facing", "different axes"),
+    "a root's axis twice": (("up: x, facing: z", "up: x, facing: x"), "root_axes", "different axes"),
+    "a prefix that is none": (
+        ("unit_m: 0.01", "unit_m: 0.01\nstrip_prefix: '('"),
+        "strip_prefix",
+        "no regular expression",
+    ),
+    "a plane of two": (
+        ("chest: Chest", "chest: {nodes: {Chest: 1}, aside: {plane: [Neck, Hips], times: 1}}"),
+        "joints.chest.aside.plane",
+        "at least 3 entries",
+    ),
+    "aside of joints": (
+        ("{virtual: {neck: -2, head: 3}}", "{virtual: {neck: 1}, aside: {plane: [Neck, Hips, Head], times: 1}}"),
+        "joints.headtop",
+        "`aside` goes with `nodes`",
+    ),
+    "a key of other formats": (("unit_m: 0.01", "unit_m: 0.01\nscreen: true"), "screen", "nothing for format bvh"),
+    "a misspelt key": (("unit_m: 0.01", "unit_m: 0.01\nstrip: x"), "strip", "no such key"),
+    "another format": (("format: bvh", "format: fbx"), "format", "'positions', 'c3d' or 'amass'"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_a_mapping_file_is_named_with_line_and_key(tmp_path: Path, fault: str) -> None:
+    change, key, message = FAULTS[fault]
+    with pytest.raises(ConfigError, match=re.escape(message)) as caught:
+        load_skeleton(user_file(tmp_path, "bandai", change), JOINTS)
+    assert caught.value.line is not None
+    assert str(caught.value.key).startswith(key)
+
+
+@given(height=st.floats(*HUMAN_M, exclude_min=True, exclude_max=True), unit=st.sampled_from(list(UNITS_M)))
+def test_the_unit_is_the_one_that_makes_a_body_as_high_as_a_human(height: float, unit: str) -> None:
+    body = standing(1)
+    _, _, metres = guess_unit("x", body, JOINTS)
+    found, unit_m, guessed = guess_unit("x", body * (height / metres / UNITS_M[unit]), JOINTS)
+    assert (found, unit_m) == (unit, UNITS_M[unit])
+    assert guessed == pytest.approx(height)
+
+
+def test_never_two_units_make_a_human_height() -> None:
+    sizes = sorted(UNITS_M.values())
+    assert all(larger / smaller > HUMAN_M[1] / HUMAN_M[0] for smaller, larger in pairwise(sizes))
+
+
+def test_a_standing_body_is_as_high_as_it_looks_and_a_lying_one_no_lower() -> None:
+    body = standing(1)
+    _, _, height = guess_unit("x", body, JOINTS)
+    assert height == pytest.approx(1.75, abs=0.12)
+    assert guess_unit("x", body[:, [0, 2, 1]], JOINTS)[2] == pytest.approx(height)
+
+
+def test_a_body_of_no_human_height_or_without_legs_has_no_unit_to_guess() -> None:
+    with pytest.raises(SourceError, match=r"units high, which is 1 to 2\.2 m in none of metres"):
+        guess_unit("x", standing(1) * 1e5, JOINTS)
+    body = standing(1)
+    body[[JOINTS.index("lknee"), JOINTS.index("rhip")]] = np.nan
+    with pytest.raises(SourceError, match=r"without a hip, knee and ankle; state `unit_m`"):
+        guess_unit("x", body, JOINTS)
+
+
+@given(lost=st.sets(st.sampled_from(JOINTS), min_size=1, max_size=3), seed=st.integers(0, 1000))
+def test_features_said_to_be_off_without_a_joint_are_off_and_the_others_are_as_before(
+    lost: set[str], seed: int
+) -> None:
+    feature_set = load_feature_set()
+    random = np.random.default_rng(seed)
+    body = standing(20) + random.normal(0, 0.15, (len(JOINTS), 3, 20))
+    before = features.words(body, upright(20), 30.0, feature_set.rules)
+    body[[JOINTS.index(joint) for joint in lost]] = np.nan
+    after = features.words(body, upright(20), 30.0, feature_set.rules)
+    off, narrowed = feature_set.without(lost)
+    for feature in feature_set.features:
+        bit = np.uint64(feature.number - 1)
+        was, now = (before >> bit) & np.uint64(1), (after >> bit) & np.uint64(1)
+        if feature in off:
+            assert not now.any() or feature.name == "root_turning"  # the root's orientation is not among its joints
+        elif feature not in narrowed:
+            np.testing.assert_array_equal(was, now)
+
+
+def test_a_lost_joint_costs_the_features_that_name_it() -> None:
+    off, narrowed = load_feature_set().without(["lfingers"])
+    assert [feature.number for feature in off] == [14, 34]
+    assert [feature.number for feature in narrowed] == [17, 18, 33, 37]
+    assert set(oracle.JOINTS) == set(JOINTS)

@@ -1,0 +1,70 @@
+"""Segments judged by overlap."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.evaluation.detection import Found, Known, average_precision, bootstrap, boundary_errors, overlap
+from kinedex.ops.evaluation.metrics import Counts
+from tests.oracles import detection as oracle
+
+RANGES = st.tuples(st.sampled_from("ab"), st.integers(0, 12), st.integers(1, 8)).map(
+    lambda s: (s[0], s[1], s[1] + s[2])
+)
+FOUND = st.lists(st.tuples(RANGES, st.sampled_from([0.1, 0.5, 0.9])).map(lambda s: (*s[0], s[1])), max_size=7)
+
+
+@given(FOUND, st.lists(RANGES, max_size=5, unique=True), st.sampled_from([0.1, 0.3, 0.5, 0.7, 1.0]))
+def test_average_precision_is_that_of_the_naive_twin(
+    found: list[tuple[str, int, int, float]], known: list[tuple[str, int, int]], threshold: float
+) -> None:
+    ours = average_precision([Found(*one) for one in found], [Known(*one) for one in known], threshold)
+    assert ours == pytest.approx(oracle.average_precision(found, known, threshold), nan_ok=True)
+
+
+def test_a_second_segment_on_the_same_motion_is_wrong() -> None:
+    known = [Known("take", 0, 10)]
+    twice = [Found("take", 0, 10, 0.9), Found("take", 1, 10, 0.8)]
+    assert average_precision(twice, known, 0.5) == 1.0
+    assert average_precision(twice[::-1], known, 0.5) == 1.0
+    assert average_precision([twice[0]._replace(start=9), twice[1]], known, 0.5) == 0.5
+
+
+def test_nothing_to_find_has_no_precision() -> None:
+    assert math.isnan(average_precision([Found("take", 0, 1, 1.0)], [], 0.5))
+    assert average_precision([], [Known("take", 0, 1)], 0.5) == 0.0
+
+
+def test_overlap_is_intersection_over_union() -> None:
+    assert overlap((0, 10), (5, 15)) == pytest.approx(1 / 3)
+    assert overlap((0, 5), (5, 10)) == 0.0
+
+
+def test_boundaries_are_compared_with_the_segment_that_overlaps_most() -> None:
+    found = [Found("take", 2, 11, 1.0), Found("take", 11, 30, 1.0), Found("other", 0, 10, 1.0)]
+    errors = boundary_errors(found, [Known("take", 0, 10), Known("take", 50, 60)])
+    assert errors.tolist() == [[2, 1]]
+    assert boundary_errors([], [Known("take", 0, 10)]).shape == (0, 2)
+
+
+def test_the_interval_of_takes_that_are_alike_is_narrow_and_of_unlike_ones_wide() -> None:
+    good, bad = Counts(10, 10, 10, 1, 1, 1, 1), Counts(0, 10, 10, 0, 1, 0, 1)
+    assert bootstrap([good] * 5, lambda counts: counts.f1) == (1.0, 1.0)
+    low, high = bootstrap([good] * 5 + [bad] * 5, lambda counts: counts.f1)
+    assert 0.1 < low < 0.5 < high < 0.9
+    assert bootstrap([good, bad], lambda counts: counts.f1) == bootstrap([good, bad], lambda counts: counts.f1)
+    assert all(math.isnan(edge) for edge in bootstrap([], lambda counts: counts.f1))
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    with pytest.raises(ParameterError, match="threshold must be"):
+        average_precision([], [], 0.0)
+    with pytest.raises(ParameterError, match="known must be"):
+        average_precision([], [Known("take", 3, 3)], 0.5)
+    with pytest.raises(ParameterError, match="draws must be"):
+        bootstrap([Counts()], lambda counts: counts.f1, draws=0)

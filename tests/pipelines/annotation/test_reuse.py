@@ -1,0 +1,237 @@
+"""Takes that were annotated before are kept, as long as nothing has changed that decides their annotations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.reuse import setting_digest
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.stages import annotate, learn_templates
+from kinedex.storage.store.compaction import FANOUT
+from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
+from tests.pipelines.annotation.test_annotating import KICK, annotator, template
+from tests.pipelines.labelled import BODY, Line, clip, long_take, motion, write_store
+
+CLIPS = [clip(name, actor, number) for name in ("walk", "kick") for actor in ("ann", "bob") for number in (1, 2)]
+OLD = [long_take("cat_1", "cat", "walk", "kick", "walk"), long_take("cat_3", "cat", "rest", "kick", "rest")]
+NEW = [long_take("cat_0", "cat", "kick", "walk"), long_take("cat_2", "cat", "walk", "rest", "walk")]
+
+
+class KnownLine(Line):
+    """A pipeline whose sources are known, as they are to the runner."""
+
+    code, anew, runs = "sources", False, 0
+
+    def context(self, stage: str) -> StageContext:
+        KnownLine.runs += 1
+        return replace(super().context(stage), code=self.code, anew=self.anew, run=f"run-{KnownLine.runs}")
+
+
+def annotated(folder: Path, *takes: dict[str, object], executor: str = "serial", **params: object) -> KnownLine:
+    line = KnownLine(write_store(folder, [*CLIPS, *takes]), executor)
+    line.run(learn_templates, methods=["soft"])
+    line.run(annotate, **params)
+    return line
+
+
+def results(store: Store, kind: str) -> pa.Table:
+    rows = store.result(kind).drop_columns(["run", "take_id"])
+    order = [(name, "ascending") for name in ("take", "subclass", "start") if name in rows.column_names]
+    return rows.sort_by(order)
+
+
+@pytest.mark.parametrize("method", ["thesis", "best"])
+@pytest.mark.parametrize("executor", ["serial", "processes"])
+def test_new_takes_alone_are_annotated_and_all_is_as_if_annotated_at_once(tmp_path: Path, method: str, executor: str):
+    whole = open_store(annotated(tmp_path / "whole", *OLD, *NEW, method=method).store)
+    line = annotated(tmp_path / "grown", *OLD, method=method, executor=executor)
+    write_store(line.store, NEW)
+    assert line.run(annotate, method=method)["kept_takes"] == 2
+    assert "; 2 takes kept as they were, 2 annotated" in line.said.getvalue()
+    grown = open_store(line.store)
+    for kind in ("annotations", "distance_curves"):
+        assert results(grown, kind).equals(results(whole, kind))
+    assert len(set(grown.result("annotations").column("run").to_pylist())) == 1
+    both = [store.result("annotated_takes").drop_columns(["run", "take_id"]) for store in (grown, whole)]
+    assert both[0].equals(both[1])
+    assert (
+        grown.result("annotations").column("take").to_pylist() == whole.result("annotations").column("take").to_pylist()
+    )
+    assert line.run(annotate, method=method)["kept_takes"] == 4
+    assert results(open_store(line.store), "annotations").equals(results(whole, "annotations"))
+    line.executor.close()
+
+
+def curve_files(store: Store) -> dict[str, set[str]]:
+    """The files of distance curves, and the takes in each."""
+    parts = store.manifest.results.get("distance_curves", ())
+    return {part.path: set(pq.read_table(store.path / part.path, columns=["take"])[0].to_pylist()) for part in parts}
+
+
+def test_curves_of_takes_that_are_kept_stay_in_their_files(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD)
+    (first,) = curve_files(open_store(line.store))
+    times = (line.store / first).stat()
+    write_store(line.store, NEW)
+    line.run(annotate)
+    store = open_store(line.store)
+    assert list(curve_files(store).values()) == [{"cat_1", "cat_3"}, {"cat_0", "cat_2"}]
+    assert first in curve_files(store)
+    assert (line.store / first).stat() == times
+    assert {part.stage for part in store.manifest.results["distance_curves"]} == {"test/annotate"}
+    collect(line.store, keep=1)
+    assert verify(open_store(line.store)) == []
+    assert results(open_store(line.store), "distance_curves").num_rows == 2 * 4
+    line.run(annotate)
+    assert curve_files(open_store(line.store)) == curve_files(store)
+
+
+def test_of_takes_that_changed_or_are_not_asked_for_the_curves_go(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD)
+    write_store(line.store, NEW)
+    line.run(annotate)
+    write_store(line.store, [long_take("cat_1", "cat", "kick", "rest")])  # the same name, other words
+    line.run(annotate, where="class IS NULL AND name != 'cat_2'")
+    store = open_store(line.store)
+    assert list(curve_files(store).values()) == [{"cat_0", "cat_1", "cat_3"}]
+    assert store.result("distance_curves").num_rows == 2 * 3
+    lengths = {row["take"]: len(row["costs"]) for row in store.result("distance_curves").to_pylist()}
+    assert lengths == dict(store.takes("class IS NULL AND name != 'cat_2'").select("name", "frames").iter_rows())
+    collect(line.store, keep=1)
+    assert verify(open_store(line.store)) == []
+    assert len(list((line.store / "results/distance_curves").iterdir())) == 1
+    line.run(annotate, tau=0.1)
+    assert not set(curve_files(open_store(line.store))) & set(curve_files(store))
+
+
+def test_small_files_of_curves_are_put_together_before_there_are_many(tmp_path: Path):
+    names = [f"cat_{number:02d}" for number in range(20)]
+    line = annotated(tmp_path / "store", long_take("cat_99", "cat", "walk"))
+    written = 0
+    for name in names:
+        write_store(line.store, [long_take(name, "cat", "walk", "kick")])
+        before = set(curve_files(open_store(line.store)))
+        line.run(annotate)
+        after = curve_files(open_store(line.store))
+        assert len(after) <= 2 * FANOUT
+        written += sum(len(takes) for path, takes in after.items() if path not in before)
+    takes = [take for found in after.values() for take in found]
+    assert sorted(takes) == [*names, "cat_99"]
+    assert written <= 2 * len(names) + FANOUT  # each take once, and once more where files are put together
+
+
+def test_an_annotation_that_fails_leaves_the_old_curves_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    line = annotated(tmp_path / "store", *OLD)
+    before = open_store(line.store)
+    write_store(line.store, NEW)
+
+    def failing(*given: object) -> object:
+        raise KinedexError("out of power")
+
+    monkeypatch.setattr(annotate, "annotate_takes", failing)
+    with pytest.raises(KinedexError, match="out of power"):
+        line.run(annotate)
+    after = open_store(line.store)
+    assert after.manifest.results == before.manifest.results
+    assert verify(after) == []
+
+
+def test_what_has_changed_is_annotated_again(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD)
+    write_store(line.store, [long_take("cat_1", "cat", "kick", "rest")])  # the same name, other words
+    assert line.run(annotate)["kept_takes"] == 1
+    changes: list[dict[str, object]] = [
+        {"tau": 0.1},
+        {"tau": 0.1, "tau_by_class": {"walk": 0.05}},
+        {"tau": 0.1, "min_seconds": 0.2},
+        {"delta": 0.1},
+        {"method": "best"},
+        {"store_curves": False},
+    ]
+    for params in changes:
+        assert line.run(annotate, **params)["kept_takes"] == 0
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 2
+    assert open_store(line.store).result("distance_curves").num_rows == 0
+    line.code = "other sources"
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    line.code = ""  # nobody knows
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    line.code = "sources"
+    line.run(annotate, store_curves=False)
+    line.anew = True  # as with --force
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    line.anew = False
+    assert line.run(annotate, store_curves=False)["kept_takes"] == 2
+    line.run(annotate)
+    line.run(learn_templates, methods=["soft"], where="class IS NOT NULL AND actor = 'ann'")
+    assert line.run(annotate)["kept_takes"] == 2  # the clips of both are the same, and so are the templates
+    write_store(line.store, [clip("walk", "ann", 1, frames_a_pose=9)])
+    line.run(learn_templates, methods=["soft"])
+    assert line.run(annotate)["kept_takes"] == 0
+
+
+def test_thresholds_do_not_matter_to_rows_of_templates(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD, method="best")
+    for params in ({"tau": 0.1}, {"tau_by_class": {"walk": 0.05}}, {"tau": "calibrated"}):
+        assert line.run(annotate, method="best", **params)["kept_takes"] == 2
+    assert line.run(annotate, method="best", min_seconds=0.2)["kept_takes"] == 0
+
+
+def test_takes_that_are_asked_for_no_longer_go(tmp_path: Path):
+    line = annotated(tmp_path / "store", *OLD, *NEW)
+    assert line.run(annotate, where="name < 'cat_2' AND class IS NULL")["kept_takes"] == 2
+    store = open_store(line.store)
+    for kind in ("annotations", "distance_curves", "annotated_takes"):
+        assert set(store.result(kind).column("take").to_pylist()) == {"cat_0", "cat_1"}
+
+
+def test_every_part_of_an_annotator_decides_its_hash():
+    one = annotator("kick", "walk")
+    assert setting_digest(one, True, "a") == setting_digest(annotator("kick", "walk"), True, "a")
+    others: list[Annotator] = [
+        annotator("kick", "walk", tau=0.1),
+        annotator("kick", "wave"),
+        annotator("kick", "walk", queries=(KICK,)),
+        replace(one, taus=np.array([0.1, 0.2])),
+        replace(one, min_frames=3),
+        replace(one, class_index=one.class_index[::-1]),
+        make_annotator(BODY, [template("kick"), template("walk", 6)], _classes(), 0.05, 0.13),
+        make_annotator(BODY, [template("kick"), template("walk")], _classes(), 0.05, 0.13, (), np.full(40, 0.5)),
+        make_annotator(BODY, [template("kick"), template("walk")], _classes(), 0.05, 0.13, (), np.full(40, 0.4)),
+    ]
+    digests = {setting_digest(other, True, "a") for other in others}
+    assert len(digests) == len(others)
+    assert setting_digest(one, True, "a") not in digests
+    assert setting_digest(one, False, "a") != setting_digest(one, True, "a") != setting_digest(one, True, "b")
+
+
+def _classes() -> annotate.Classes:
+    return annotate.load_classes("own", ["kick", "walk"])
+
+
+def test_classes_have_thresholds_of_their_own_and_segments_a_least_length(tmp_path: Path):
+    noisy = motion("walk") ^ np.uint64(0b11)  # two features of forty are wrong: a cost of 0.05
+    take = {"name": "cat_1", "actor": "cat", "class": None, "words": np.concatenate([noisy, motion("kick")])}
+    line = annotated(tmp_path / "store", take, tau=0.1)
+
+    def found(**params: object) -> set[str]:
+        line.run(annotate, **params)
+        return set(open_store(line.store).result("annotations").column("class").to_pylist())
+
+    assert found(tau=0.1) == {"walk", "kick"}
+    assert found(tau=0.1, tau_by_class={"walk": 0.04}) == {"kick"}
+    assert found(tau=0.04, tau_by_class={"walk": 0.1}) == {"walk", "kick"}
+    assert found(tau=0.1, min_seconds=len(motion("walk")) / 30 + 0.01) == {"kick"}
+    assert found(method="best", min_seconds=len(motion("walk")) / 30 + 0.01) == {"kick"}
+    with pytest.raises(KinedexError, match="tau_by_class: no class is named 'walks'; did you mean 'walk'"):
+        line.run(annotate, tau_by_class={"walks": 0.1})

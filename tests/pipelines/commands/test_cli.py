@@ -1,0 +1,233 @@
+"""The command line: what it prints, how it exits, and what a stranger reads when something is wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import duckdb
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from kinedex.pipelines.commands.cli import app
+from tests.pipelines.archives import write_archive
+
+COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def kinedex(*words: str | Path, stdin: str | None = None) -> Ended:
+    """Run a command in this process; anything but an exit or a message of its own is raised."""
+    done = CliRunner().invoke(app, [*map(str, words)], input=stdin, prog_name="kinedex", catch_exceptions=False)
+    return Ended(done.exit_code, done.stdout, done.stderr)
+
+
+def process(*words: str | Path) -> Ended:
+    """Run a command as people do, in a process of its own."""
+    command = [sys.executable, "-m", "kinedex", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    takes = {"clips/wave/x_aa_wave_001_120.amc": 60, "clips/bow/x_bb_bow_001_120.amc": 80, "takes/x_aa_take01.amc": 200}
+    return write_archive(tmp_path_factory.mktemp("archive") / "it's here", takes)
+
+
+@pytest.fixture(scope="module")
+def store(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "store"
+    done = kinedex("ingest", path, source, "--executor", "serial")
+    assert done.returncode == 0, done.stderr
+    assert "3 to read, 0 unchanged" in done.stdout
+    return path
+
+
+def test_a_process_ends_with_the_code_and_says_its_faults_where_they_belong(store: Path) -> None:
+    done = process("takes", store, "--columns", "name", "--format", "csv")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == kinedex("takes", store, "--columns", "name", "--format", "csv").stdout
+    done = process("takes", store, "--columns", "nam")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "kinedex: --columns: takes have no column 'nam'; did you mean 'name'?\n"
+    assert process("takes", store, "--colums", "name").returncode == 2
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_what_a_command_does(command: str) -> None:
+    done = kinedex(command, "--help")
+    assert done.returncode == 0
+    assert "Usage:" in done.stdout
+    assert "--help" in done.stdout
+
+
+def test_a_second_ingest_does_nothing_and_says_so(store: Path, source: Path) -> None:
+    done = kinedex("ingest", store, source, "--executor", "serial")
+    assert done.returncode == 0
+    assert "everything was done already" in done.stdout
+
+
+def test_takes_are_listed_filtered_and_written(store: Path, tmp_path: Path) -> None:
+    done = kinedex("takes", store, "--where", "actor = 'aa'", "--format", "json", "--columns", "name,class,frames")
+    assert json.loads(done.stdout) == [
+        {"name": "x_aa_take01", "class": None, "frames": 50},
+        {"name": "x_aa_wave_001_120", "class": "wave", "frames": 15},
+    ]
+    assert kinedex("takes", store, "-o", tmp_path / "takes.parquet").returncode == 0
+    assert pq.read_table(tmp_path / "takes.parquet").num_rows == 3
+    assert "3 takes" in kinedex("takes", store).stdout
+
+
+def test_sql_prints_the_file_for_other_clients(store: Path) -> None:
+    done = kinedex("sql", store, "--path")
+    assert Path(done.stdout.strip()).is_absolute()
+    with duckdb.connect(done.stdout.strip(), read_only=True) as client:
+        assert client.execute("SELECT count(*) FROM takes").fetchall() == [(3,)]
+    done = kinedex("sql", store, "SELECT 1", "--path")
+    assert done.returncode == 1
+    assert "--path prints the index file and runs no SQL" in done.stderr
+
+
+def test_sql_answers_from_an_argument_a_file_and_standard_input(store: Path, tmp_path: Path) -> None:
+    query = "SELECT count(*) AS takes FROM takes"
+    (tmp_path / "q.sql").write_text(query)
+    expected = "takes\n3\n"
+    assert kinedex("sql", store, query, "--format", "csv").stdout == expected
+    assert kinedex("sql", store, "-f", tmp_path / "q.sql", "--format", "csv").stdout == expected
+    assert kinedex("sql", store, "--format", "csv", stdin=query).stdout == expected
+
+
+def test_a_statement_may_begin_with_a_comment(store: Path) -> None:
+    for comment in ("-- why", "--why", "--", "-- a = b"):
+        for words in (["--format", "csv"], []):
+            done = kinedex("sql", store, f"{comment}\nSELECT 2 AS two", *words)
+            assert done.returncode == 0, done.stderr
+            assert "two" in done.stdout
+    assert kinedex("sql", store, "SELECT 1", "--formt", "csv").returncode == 2
+
+
+def test_output_is_written_by_its_ending_and_refused_by_an_unknown_one(store: Path, tmp_path: Path) -> None:
+    for name, begins in (("x.csv", b"a\n"), ("x.JSON", b"["), ("x.parquet", b"PAR1"), ("x", b"a\n")):
+        assert kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / name).returncode == 0
+        assert (tmp_path / name).read_bytes().startswith(begins)
+    refused = kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / "x.xlsx")
+    assert refused.returncode == 1
+    assert "no format has the ending '.xlsx'; known are .csv, .json and .parquet" in refused.stderr
+    assert not (tmp_path / "x.xlsx").exists()
+    assert kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / "x.txt", "--format", "csv").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["takes", "STORE", "--columns", "nam"], "did you mean 'name'?"),
+        (["takes", "STORE", "--where", "acter = 'aa'"], "actor"),
+        (["takes", "/no/such/store"], "does not exist"),
+        (["sql", "STORE", "DROP TABLE takes"], "only"),
+        (["sql", "STORE", "SELECT * FROM taks"], "takes"),
+        (["sql", "STORE", "SELECT 1", "--format", "tsv"], "no output format 'tsv'"),
+        (["sql", "STORE", "SELECT 1", "-f", "x.sql"], "not both"),
+        (["run", "anotate", "--store", "STORE"], "did you mean 'annotate'?"),
+        (["run", "annotate", "--store", "STORE"], "--set source="),
+        (["run", "annotate", "--store", "STORE", "--set", "tau"], "expected NAME=VALUE"),
+        (["run", "annotate", "--store", "STORE", "--set", "annotate.taw=1"], "did you mean 'tau'?"),
+        (["search", "STORE", "exampel"], "did you mean 'example'?"),
+        (["search", "STORE", "example", "-q", "sqat"], "did you mean 'squat'?"),
+        (["ingest", "STORE", "/no/such/folder"], "is not a folder"),
+    ],
+)
+def test_what_goes_wrong_is_said_in_one_message_with_a_way_out(store: Path, words: list[str], message: str) -> None:
+    done = kinedex(*(str(store) if word == "STORE" else word for word in words))
+    assert done.returncode == 1
+    assert done.stderr.startswith("kinedex: ")
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_takes_that_nobody_has_labelled_are_annotated_and_reported(source: Path, tmp_path: Path) -> None:
+    words = ("run", "annotate", "--store", tmp_path / "store", "--set", f"source={source}", "--executor", "serial")
+    done = kinedex(*words)
+    assert done.returncode == 0, done.stderr
+    assert "no ground truth, nothing to evaluate" in done.stdout
+    assert (tmp_path / "store/results/reports/annotate/report.html").is_file()
+    given = kinedex(*words, "--set", "evaluate.ground_truth=**/ground_truth.csv")
+    assert given.returncode == 1
+    assert "no file '**/ground_truth.csv' below" in given.stderr
+
+
+def test_a_failed_stage_says_how_to_go_on(store: Path, source: Path) -> None:
+    settings = [f"source={source}", "train=actor = 'nobody'", "evaluate.ground_truth=none"]
+    words = [word for setting in settings for word in ("--set", setting)]
+    done = kinedex("run", "annotate", "--store", store, *words, "--executor", "serial")
+    assert done.returncode == 1
+    assert "stage learn_templates:" in done.stderr
+    assert "go on with:\n    kinedex run annotate --store" in done.stderr
+
+
+def test_files_left_out_show_in_the_exit_code_every_time(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 20})
+    (source / "x_2.amc").write_text("1\nroot 0 0 zero 0 0 0\n")
+    for _ in range(2):
+        done = kinedex("ingest", tmp_path / "store", source, "--executor", "serial")
+        assert done.returncode == 3
+        assert "1 source files were left out" in done.stdout
+    log = kinedex("sql", tmp_path / "store", "SELECT source, line FROM ingest_log", "--format", "csv")
+    assert log.stdout == "source,line\nx_2.amc,2\n"
+
+
+def test_an_ingest_may_be_strict_and_drop_what_is_gone(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 9, "x_2.amc": 9, "x_3.amc": 9})
+    whole = (source / "x_2.amc").read_text()
+    (source / "x_2.amc").write_text(whole[:-40])
+    words = ("ingest", tmp_path / "store", source, "--executor", "serial")
+    failed = kinedex(*words, "--strict", "--prune")
+    assert failed.returncode == 1
+    assert "x_2.amc:" in failed.stderr
+    assert "strict: stopped at this file" in failed.stderr
+    assert "--set ingest.prune=true --set ingest.strict=true" in failed.stderr
+    logged = kinedex("sql", tmp_path / "store", "SELECT source, line FROM ingest_log", "--format", "csv")
+    assert re.fullmatch(r"source,line\nx_2\.amc,27\d\n", logged.stdout)
+    (source / "x_2.amc").write_text(whole)
+    (source / "x_1.amc").unlink()
+    assert kinedex(*words, "--strict").returncode == 0
+    assert "1 take whose file is gone: dropped" in kinedex(*words, "--prune").stdout
+    assert kinedex("takes", tmp_path / "store", "--columns", "name", "--format", "csv").stdout == "name\nx_2\nx_3\n"
+
+
+def test_search_prints_hits_and_explains(store: Path) -> None:
+    hits = kinedex("search", store, "example", "--format", "csv")
+    assert hits.returncode == 0, hits.stderr
+    assert hits.stdout.startswith("query,take,") or "query" in hits.stdout.splitlines()[0]
+    explained = kinedex("search", store, "example", "--explain").stdout
+    assert "surviving" in explained
+    assert "lknee_bent" in explained
+    assert "*****" not in explained
+    assert ",pattern," in kinedex("search", store, "example", "--explain", "--format", "csv").stdout
+
+
+def test_verify_finds_a_damaged_part(store: Path, tmp_path: Path) -> None:
+    assert kinedex("verify", store).returncode == 0
+    import shutil
+
+    copy = Path(shutil.copytree(store, tmp_path / "copy"))
+    part = next((copy / "frames").glob("part-*.parquet"))
+    data = bytearray(part.read_bytes())
+    data[len(data) // 2] ^= 1
+    part.write_bytes(data)
+    done = kinedex("verify", copy)
+    assert done.returncode == 1
+    assert part.name in done.stdout

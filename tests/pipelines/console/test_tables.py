@@ -1,0 +1,127 @@
+"""Tables that are printed and written: nothing gets lost, whatever columns and values are called."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.tables import Shown, encode, rich_table
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.storage.sql import duck
+
+
+def asked(query: str) -> pa.Table:
+    with duck.connect() as connection:
+        return duck.query(connection, query)
+
+
+def printed(table: pa.Table) -> str:
+    out = io.StringIO()
+    Console(file=out, width=100).print(rich_table(table, title="[what] was asked"))
+    return out.getvalue()
+
+
+def test_columns_of_one_name_all_stay():
+    table = asked("SELECT 1 AS x, 2 AS x, 3 AS x_1, 4 AS y")
+    assert encode(table, "csv").decode() == "x,x,x_1,y\n1,2,3,4\n"
+    assert json.loads(encode(table, "json")) == [{"x": 1, "x_2": 2, "x_1": 3, "y": 4}]
+    assert list(json.loads(encode(asked("SELECT 1 AS x, 2 AS x, 3 AS x"), "json"))[0]) == ["x", "x_1", "x_2"]
+    assert pq.read_table(pa.BufferReader(encode(table, "parquet"))).to_pylist() == [
+        {"x": 1, "x_2": 2, "x_1": 3, "y": 4}
+    ]
+    assert printed(table).split()[-4:] == ["1", "2", "3", "4"]
+
+
+def test_json_is_valid_whatever_the_numbers_are():
+    query = (
+        "SELECT 'nan'::DOUBLE AS nan, ['inf'::FLOAT, 1.5] AS list, {'low': '-inf'::DOUBLE} AS struct, "
+        "sum(i) AS huge, (2::HUGEINT ** 100)::HUGEINT AS huger, 1.50::DECIMAL(4, 2) AS share, "
+        "2.00::DECIMAL(4, 2) AS whole"
+        ", true AS yes, NULL AS nothing, '\\x01\\xFF'::BLOB AS bytes, DATE '2012-03-04' AS day, MAP {'a': 1} AS map "
+        "FROM range(4) AS r(i)"
+    )
+    text = encode(asked(query), "json").decode()
+    (row,) = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
+    assert row == {
+        "nan": None, "list": [None, 1.5], "struct": {"low": None}, "huge": 6, "huger": 2**100, "share": 1.5,
+        "whole": 2, "yes": True, "nothing": None, "bytes": "01ff", "day": "2012-03-04", "map": [["a", 1]],
+    }  # fmt: skip
+    (line,) = csv.DictReader(io.StringIO(encode(asked(query), "csv").decode()))
+    assert (line["list"], line["struct"], line["huge"], line["nothing"]) == ("[null, 1.5]", '{"low": null}', "6", "")
+
+
+def test_brackets_are_shown_as_they_are():
+    shown = printed(asked("SELECT '[/x]' AS a, '[NULL]' AS \"[/b]\", ['[/c]'] AS \"[red]d\", '\\[e]' AS f"))
+    for text in ("[/x]", "[NULL]", "[/b]", '["[/c]"]', "[red]d", "\\[e]", "[what] was asked"):
+        assert text in shown
+
+
+def test_a_value_that_python_does_not_have_is_named_with_the_way_out():
+    for form in ("csv", "json"):
+        with pytest.raises(KinedexError, match=r"column t holds a timestamp.*t::VARCHAR"):
+            encode(asked("SELECT TIMESTAMP '290000-01-01' AS t"), form)
+    assert "290000" in encode(asked("SELECT TIMESTAMP '290000-01-01'::VARCHAR AS t"), "csv").decode()
+
+
+def test_an_unknown_format_and_a_table_without_rows():
+    with pytest.raises(KinedexError, match="no output format 'jason'; did you mean 'json'"):
+        encode(pa.table({}), "jason")
+    assert json.loads(encode(asked("SELECT 1 AS x WHERE false"), "json")) == []
+    assert encode(asked("SELECT 1 AS x WHERE false"), "csv") == b"x\n"
+    assert "x" in printed(asked("SELECT 1 AS x WHERE false"))
+
+
+MESSAGE = "/an/archive/of/motions/clips/wave/x_aa_wave_001_120.amc:17: bone 'lfemur' stands twice in one frame, again"
+LOG = pa.table(
+    {
+        "run": ["r-1"] * 2,
+        "message": [MESSAGE, f"[too] {MESSAGE}"],
+        "file": [MESSAGE.split(":")[0], None],
+        "line": [17, None],
+    }
+)
+
+
+def shown(table: pa.Table, width: int, *, terminal: bool) -> list[str]:
+    out = io.StringIO()
+    console = Console(file=out, width=width, soft_wrap=True, force_terminal=terminal, color_system=None)
+    console.print(Shown(table))
+    return [line.rstrip() for line in out.getvalue().splitlines()]
+
+
+def test_in_a_pipe_a_row_is_a_line_however_long():
+    rows = [line for line in shown(LOG, 60, terminal=False) if "r-1" in line]
+    assert len(rows) == 2
+    assert all(MESSAGE in row for row in rows)
+
+
+def test_in_a_terminal_rows_that_would_be_tall_stand_one_below_another_and_are_whole():
+    wide = shown(LOG, 250, terminal=True)
+    assert wide[1].split() == ["run", "message", "file", "line"]
+    narrow = shown(LOG, 70, terminal=True)
+    assert [line for line in narrow if line.startswith("row")] == ["row 1", "row 2"]
+    assert all(len(line) <= 70 for line in narrow)
+    assert MESSAGE in " ".join(" ".join(narrow).split())
+    assert f"file     {MESSAGE.split(':')[0]}" in narrow
+    assert narrow[narrow.index("row 2") + 2].startswith("message  [too]")
+    assert narrow[-1] == "line     –"
+    few = shown(LOG.select(["run", "line"]), 70, terminal=True)
+    assert few[1].split() == ["run", "line"]
+
+
+def test_a_long_line_that_is_said_goes_on_below_between_two_words_in_a_terminal_only():
+    for terminal, lines in ((True, 2), (False, 1)):
+        out = io.StringIO()
+        Terminal(Console(file=out, width=60, soft_wrap=True, force_terminal=terminal, color_system=None)).say(MESSAGE)
+        said = out.getvalue().splitlines()
+        assert len(said) == lines
+        assert " ".join(out.getvalue().split()) == MESSAGE
+        assert said[0].startswith("    /an/archive")
+        assert all(line.startswith(" " * 8) for line in said[1:])

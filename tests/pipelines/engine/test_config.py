@@ -1,0 +1,142 @@
+"""Pipeline files: what they say, what the user sets, and how wrong ones are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from kinedex.catalog.configs import config_names, config_path, load_yaml
+from kinedex.ops.errors import ConfigError, KinedexError
+from kinedex.pipelines.engine.config import STAGES, load_pipeline, stage_module
+
+GOOD = """
+name: small
+description: two stages
+settings:
+  source:
+  rate: 120
+stages:
+  index:
+  ingest:
+    params:
+      source: ${source}
+      rate_hz: ${rate}
+      patterns: ['${source}/(?P<actor>x)']
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_settings_fill_parameters_and_keep_their_type(tmp_path: Path) -> None:
+    pipeline = load_pipeline(write(tmp_path, GOOD), {"source": "/data", "rate": "60"})
+    assert [stage.name for stage in pipeline.stages] == ["ingest", "index"]
+    params = pipeline.stage("ingest").params.model_dump()
+    assert (params["source"], params["rate_hz"], params["patterns"]) == ("/data", 60.0, ["/data/(?P<actor>x)"])
+    assert pipeline.stage("index").inputs == {"takes": "ingest"}
+
+
+def test_a_parameter_can_be_set_from_outside(tmp_path: Path) -> None:
+    pipeline = load_pipeline(write(tmp_path, GOOD), {"source": "/data", "ingest.prune": "true"})
+    assert pipeline.stage("ingest").params.model_dump()["prune"] is True
+
+
+@pytest.mark.parametrize(
+    ("change", "assignments", "line", "message"),
+    [
+        (("rate: 120", "rate: fast"), {"source": "x"}, 12, "ingest.params.rate_hz: must be a valid number"),
+        (("rate_hz:", "rate_hx:"), {"source": "x"}, 12, "no such key; did you mean 'rate_hz'?"),
+        (("${source}\n", "${sauce}\n"), {"source": "x"}, 11, "no setting 'sauce'; did you mean 'source'?"),
+        (("  index:", "  indexx:"), {"source": "x"}, 8, "no stage 'indexx'; did you mean 'index'?"),
+        (("  index:", "  index: {inputs: {takes: injest}}"), {"source": "x"}, 8, "did you mean 'ingest'?"),
+        (("  index:", "  index: {inputs: {take: ingest}}"), {"source": "x"}, 8, "did you mean 'takes'?"),
+        (("  index:", "  index: {use: index}"), {"source": "x"}, 8, "no such key; did you mean 'uses'?"),
+        (("name: small", ""), {"source": "x"}, None, "name: this key is missing"),
+        (("name: small", "nam: small"), {"source": "x"}, 2, "nam: no such key; did you mean 'name'?"),
+        (("  rate: 120", "  rate: 120\n  rate: 60"), {"source": "x"}, 7, "stands twice (first in line 6)"),
+        (("  rate: 120", "  rate: [120"), {"source": "x"}, 7, "not valid YAML"),
+        (("", ""), {}, 5, "the setting 'source' must be given"),
+    ],
+)
+def test_a_fault_in_a_pipeline_file_names_line_key_and_way_out(
+    tmp_path: Path, change: tuple[str, str], assignments: dict[str, str], line: int | None, message: str
+) -> None:
+    path = write(tmp_path, GOOD.replace(*change, 1))
+    with pytest.raises(ConfigError) as caught:
+        load_pipeline(path, assignments)
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+    if line is not None:
+        assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("sorce", "no setting of that name; did you mean 'source'?"),
+        ("rate_hz", "no setting of that name; did you mean ingest.rate_hz, a parameter of a stage?"),
+        ("injest.prune", "no stage 'injest'; did you mean 'ingest'?"),
+        ("ingest.prun", "no parameter 'prun'; did you mean 'prune'?"),
+    ],
+)
+def test_a_wrong_assignment_names_the_nearest(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(KinedexError) as caught:
+        load_pipeline(write(tmp_path, GOOD), {"source": "x", name: "1"})
+    assert message in str(caught.value)
+
+
+def test_a_stage_of_the_wrong_kind_is_no_input(tmp_path: Path) -> None:
+    text = "name: x\nstages:\n  a: {uses: index, inputs: {takes: b}}\n  b: {uses: index, inputs: {takes: a}}\n"
+    with pytest.raises(ConfigError, match="must be a stage 'ingest', but 'b' is a stage 'index'"):
+        load_pipeline(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("value", ["/a #1 x", "a: b", "2024", "it's", "{x", "null"])
+def test_a_text_that_the_user_sets_is_taken_as_it_is(tmp_path: Path, value: str) -> None:
+    pipeline = load_pipeline(write(tmp_path, GOOD), {"source": value})
+    assert pipeline.stage("ingest").params.model_dump()["source"] == value
+
+
+@pytest.mark.parametrize("line", ["{{train}}", "2001-99-99", "!x y", "&a [*a]", "!!float ''", "!!timestamp x"])
+def test_values_that_yaml_stumbles_over_are_refused_with_the_file(tmp_path: Path, line: str) -> None:
+    path = write(tmp_path, GOOD.replace("rate: 120", f"rate: {line}"))
+    with pytest.raises(ConfigError, match=r"is not valid YAML|contains itself"):
+        load_pipeline(path, {"source": "x"})
+
+
+def test_a_parameter_of_several_stages_is_named_with_each() -> None:
+    with pytest.raises(
+        KinedexError, match=r"did you mean learn_templates\.where or annotate\.where, parameters of sta"
+    ):
+        load_pipeline("annotate", {"source": "x", "where": "true"})
+
+
+def test_an_unknown_pipeline_names_the_nearest() -> None:
+    with pytest.raises(ConfigError, match=r"^anotate: no pipeline is called that; did you mean 'annotate'"):
+        load_pipeline("anotate")
+    with pytest.raises(ConfigError, match=r"^anotate.yaml: no such file; expected a pipeline$"):
+        load_pipeline("anotate.yaml")
+
+
+@pytest.mark.parametrize("name", config_names("pipelines"))
+def test_every_shipped_pipeline_loads(name: str) -> None:
+    settings = load_yaml(config_path("pipelines", name)).mapping()["settings"]
+    assert load_pipeline(name, {key: "/data" for key, value in settings.items() if value is None}).stages
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_every_stage_documents_each_of_its_parameters(name: str) -> None:
+    module = stage_module(name)
+    assert module.run.__doc__
+    for key, field in module.Params.model_fields.items():
+        assert field.description, f"{name}.{key}"
+
+
+def test_yaml_remembers_lines_of_nested_keys(tmp_path: Path) -> None:
+    located = load_yaml(write(tmp_path, "a:\n  - b: 1\n    c: 2\n  - {d: 3}\n"))
+    assert [located.line("a", 0, "c"), located.line("a", 1, "d"), located.line("a", 7), located.line()] == [3, 4, 1, 1]
+    assert located.data == {"a": [{"b": 1, "c": 2}, {"d": 3}]}

@@ -1,0 +1,192 @@
+"""Searching the bit slices of an index: the same hits for any shards, pieces and threads, and while it is replaced."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.ops.errors import StoreError
+from kinedex.ops.search.bit_slices import slice_words
+from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.words import NO_WORD, U64, TakeWords
+from kinedex.pipelines.search import resident_slices as resident
+from kinedex.pipelines.search.resident_slices import Shard, SharedWords, resident_store, resident_words
+from kinedex.storage import index
+from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
+from tests.storage.made_up import add, make_store
+
+ROOT = Path(__file__).parents[3]
+BODY = load_feature_set("body40")
+QUERIES: tuple[KeyframeQuery, ...] = parse_queries(
+    """
+step: {keyframes: [{on: [1]}, {on: [2], off: [1]}], gaps: [{range: [1, 9]}]}
+wave: {keyframes: [{on: [15]}, {off: [15]}, {on: [15, 27]}], gaps: [{range: [1, 20]}, {range: [0, 200]}]}
+either: {any_of: [{keyframes: [{on: [3]}]}, {keyframes: [{on: [4]}, {on: [5]}], gaps: [{range: [0, 70]}]}]}
+""",
+    BODY,
+)
+
+
+def told(found: TakeRanges) -> list[tuple[int, int, int]]:
+    takes = np.repeat(np.arange(len(found)), np.diff(found.offsets))
+    return list(zip(takes.tolist(), found.starts.tolist(), found.stops.tolist(), strict=True))
+
+
+def together(takes: dict[int, U64]) -> TakeWords:
+    ids = sorted(takes)
+    offsets = np.cumsum([0, *(len(takes[take]) for take in ids)])
+    return TakeWords(np.array(ids, np.int64), offsets, np.concatenate([np.empty(0, np.uint64), *map(takes.get, ids)]))
+
+
+def made_up_words(seed: int, frames: int) -> U64:
+    """Words that often match: few different ones, each for some frames, some of them invalid."""
+    rng = np.random.default_rng(seed)
+    few = rng.integers(0, 2**40, 5, dtype=np.uint64)
+    words = np.repeat(rng.choice(few, frames // 3 + 1), 3)[:frames]
+    words[rng.random(frames) < 0.05] = NO_WORD
+    return words
+
+
+@pytest.fixture
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resident, "PIECE_BLOCKS", 3)
+    monkeypatch.setattr(resident, "WORTH_BLOCKS", 0)
+    monkeypatch.setattr(resident, "_JOINED_BLOCKS", 2)
+
+
+@given(
+    lengths=st.lists(st.integers(0, 300), max_size=12),
+    shards=st.integers(1, 4),
+    threads=st.integers(1, 4),
+    asked=st.one_of(st.none(), st.sets(st.integers(0, 11))),
+    seed=st.integers(0, 2**32),
+)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_hits_do_not_depend_on_shards_pieces_and_threads(
+    small_pieces: None, lengths: list[int], shards: int, threads: int, asked: set[int] | None, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    takes = {7 + 3 * i: made_up_words(seed + i, length) for i, length in enumerate(lengths)}
+    home = dict(zip(takes, rng.integers(0, shards, len(takes)).tolist(), strict=True))
+    ids = np.array(sorted(takes), np.int64)
+    made = []
+    for number in range(shards):
+        here = together({take: words for take, words in takes.items() if home[take] == number})
+        # a take that is gone, and whose id may be that of one that is elsewhere
+        slices = slice_words(
+            np.concatenate([here.words, made_up_words(seed, 90)]),
+            np.concatenate([here.offsets, [len(here.words) + 90]]),
+            40,
+        )
+        made.append(Shard(slices, np.concatenate([np.searchsorted(ids, here.take_ids), [-1]])))
+    shared = SharedWords(ids, tuple(made), BODY)
+    if asked is not None:
+        ids = ids[[i for i in sorted(asked) if i < len(ids)]]
+        shared = shared.of(ids)
+    whole = resident_words(together({int(take): takes[int(take)] for take in ids}), BODY)
+    expected = [told(whole.search(query)) for query in QUERIES]
+    assert [told(found) for found in shared.search(QUERIES, threads)] == expected
+    assert [told(found) for found in shared.search(QUERIES, 1)] == expected
+
+
+def test_a_take_that_is_not_there_cannot_be_searched(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a": 40}))
+    index.build(store, threads=1)
+    with pytest.raises(KeyError, match="9"):
+        resident_store(store).of(np.array([1, 9]))
+
+
+# ---- while the index is replaced -------------------------------------------------------------------------
+
+_READER = """
+import sys
+from pathlib import Path
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.pipelines.search.resident_slices import resident_store
+from kinedex.storage.store.store import open_store
+from tests.pipelines.searching.test_resident import QUERIES, told
+
+shared = resident_store(open_store(sys.argv[1]))
+print("open", flush=True)
+sys.stdin.readline()
+print([told(found) for found in shared.search(QUERIES)], flush=True)
+"""
+
+
+def changed(store: Store, edition: int) -> Store:
+    """Another version, in which a take has been replaced and one was added; with its index."""
+    with StoreWriter.open(store.path, BODY) as writer:
+        add(writer, {"a": 200 + edition, f"more_{edition}": 70}, edition)
+        writer.commit()
+    later = open_store(store.path)
+    index.build(later, threads=1)
+    return later
+
+
+def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
+    old = index.build(store, threads=1)
+    expected = [told(found) for found in resident_store(store).search(QUERIES)]
+    assert any(expected)
+    command = [sys.executable, "-c", _READER, str(store.path)]
+    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as reader:
+        assert reader.stdin is not None
+        assert reader.stdout is not None
+        assert reader.stdout.readline() == "open\n"
+        for edition in range(1, 4):
+            store = changed(store, edition)
+        collect(store.path, keep=1)
+        assert not old.exists()
+        reader.stdin.write("go\n")
+        reader.stdin.flush()
+        assert reader.stdout.readline() == f"{expected}\n"
+    now = [told(found) for found in resident_store(store).search(QUERIES)]
+    words = resident_words(store.words(), BODY)
+    assert now == [told(words.search(query)) for query in QUERIES] != expected
+
+
+def test_slices_of_shards_that_stay_are_one_file_in_both_generations(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
+    before = index.build(store, threads=1)
+    with StoreWriter.open(store.path, BODY) as writer:
+        add(writer, {"c": 64})
+        writer.commit()
+    after = index.build(open_store(store.path), threads=1)
+    files = [sorted(folder.glob("*.slices")) for folder in (before, after)]
+    assert [len(found) for found in files] == [1, 2]
+    assert os.path.samefile(files[0][0], files[1][0])
+
+
+def test_what_is_mapped_cannot_be_written_to(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a": 300}))
+    index.build(store, threads=1)
+    (shard,) = resident_store(store).shards
+    with pytest.raises(ValueError, match="read-only"):
+        shard.slices.bits[0] = 1
+
+
+def test_an_index_whose_slices_are_gone_or_shortened_says_how_to_build_it(tmp_path: Path) -> None:
+    store = open_store(make_store(tmp_path / "store", {"a": 300}))
+    (file,) = index.build(store, threads=1).glob("*.slices")
+    content = file.read_bytes()
+    for damage in (content[:-64], None):
+        file.unlink()
+        if damage is not None:
+            file.write_bytes(damage)
+        with pytest.raises(StoreError, match=r"stale: it is damaged, or was built by another version.* run the stage"):
+            resident_store(store)
+    index.build(store, threads=1)
+    assert len(resident_store(store).take_ids) == 1

@@ -1,0 +1,269 @@
+"""AMASS files: joint angles old and new, the body models that they need, and what is said where one is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.errors import ConfigError, SourceError
+from kinedex.storage.formats.motion.amass import parse_amass
+from kinedex.storage.formats.motion.bodies import Body, Given, form_of, read_body
+from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, load_body_model
+from tests.bodies import STANDING
+from tests.oracles import axisangle as oracle
+
+JOINTS = load_feature_set().joints
+AUTO = load_mappings("auto", JOINTS)
+MAPPING = AUTO.of_format["amass"][0]
+SMPLH = (*BODY, *HANDS)
+
+
+def rest(names: tuple[str, ...] = SMPLH) -> np.ndarray:
+    """Joints at rest (J, 3): the standing figure, with fingers that go on from the wrists."""
+    placed = {mix.node: STANDING[joint] for joint, mixes in MAPPING.joints.items() if (mix := mixes[0]) and mix.node}
+    places = []
+    for name in names:
+        side = name.split("_")[0]
+        if name in placed:
+            places.append(placed[name])
+        elif name in HANDS or name.endswith("_hand"):
+            wrist, step = np.array(placed[f"{side}_wrist"]), (int(name[-1]) if name[-1].isdigit() else 1)
+            apart = 0.01 * HANDS.index(name) if name in HANDS else 0.0
+            places.append(wrist + np.array([apart, -0.05 * step, 0.0]))
+        else:
+            places.append({"spine3": (0, 1.35, 0)}.get(name, (0, 1.6, 0.05)))
+    return np.array(places, float)
+
+
+def parents(names: tuple[str, ...] = SMPLH) -> list[int]:
+    above = dict(zip(BODY, (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19), strict=True))
+    found = []
+    for i, name in enumerate(names):
+        if name in above:
+            found.append(above[name])
+        elif name in FACE:
+            found.append(names.index("head"))
+        else:
+            side = names.index(f"{name.split('_')[0]}_wrist")
+            found.append(side if name.endswith(("_hand", "1")) else i - 1)
+    return found
+
+
+def angles(frames: int, joints: int = 52, seed: int = 0) -> dict[str, Any]:
+    """The arrays of an AMASS file: a figure that stands in axes with Z up and moves about a little."""
+    random = np.random.default_rng(seed)
+    turns = random.normal(0, 0.2, (frames, joints, 3))
+    turns[:, 0] = [np.pi / 2, 0, 0]
+    return {
+        "poses": turns.reshape(frames, -1), "trans": random.normal(0, 0.1, (frames, 3)), "betas": np.zeros(16),
+        "gender": np.array("female"), "mocap_framerate": np.array(120.0),
+    }  # fmt: skip
+
+
+def save(path: Path, arrays: dict[str, Any]) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def table(path: Path, names: tuple[str, ...] = SMPLH) -> str:
+    """A body model as a table of joints."""
+    lines = [f"{name},{x!r},{y!r},{z!r}" for name, (x, y, z) in zip(names, rest(names).tolist(), strict=True)]
+    path.write_text("joint,x,y,z\n" + "\n".join(lines) + "\n")
+    return str(path)
+
+
+def read(path: Path, model: str | None, **given: Any) -> Body:
+    return read_body(path, None, AUTO, JOINTS, Given(body_model=model, **given))
+
+
+def joint(body: Body, name: str) -> np.ndarray:
+    return body.positions[JOINTS.index(name)]
+
+
+def test_joints_are_where_the_angles_bring_those_of_the_model(tmp_path: Path) -> None:
+    arrays = angles(5)
+    body = read(save(tmp_path / "a.npz", arrays), table(tmp_path / "model.csv"))
+    assert (body.skeleton, body.rate_hz, body.unit, body.unknown) == ("smpl-amass", 120.0, "1 m", ())
+    for t in range(5):
+        expected = oracle.pose(rest(), parents(), arrays["poses"][t].reshape(-1, 3), arrays["trans"][t])
+        for name, node in {
+            "lwrist": "left_wrist",
+            "rtoes": "right_foot",
+            "chest": "spine2",
+            "lfingers": "left_middle1",
+        }.items():
+            x, y, z = expected[SMPLH.index(node)]
+            np.testing.assert_allclose(joint(body, name)[:, t], [x, z, -y], atol=1e-12)
+    np.testing.assert_allclose(np.abs(body.orientation[0]), 1.0, atol=1e-9)  # it stands as at rest, and faces +Z
+
+
+def test_a_figure_that_stands_at_rest_stands_in_the_store(tmp_path: Path) -> None:
+    arrays = angles(2) | {"poses": np.tile([np.pi / 2, *np.zeros(155)], (2, 1)), "trans": np.zeros((2, 3))}
+    body = read(save(tmp_path / "a.npz", arrays), table(tmp_path / "model.csv"))
+    for name in ("lknee", "rwrist", "head", "rtoes"):
+        # The pelvis stays where it is at rest, and the body turns about it.
+        x, y, z = np.array(STANDING[name]) - STANDING["root"]
+        np.testing.assert_allclose(joint(body, name)[:, 0] - joint(body, "root")[:, 0], [x, y, z], atol=1e-12)
+
+
+def test_newer_files_hold_the_same_in_parts_and_name_their_rate_otherwise(tmp_path: Path) -> None:
+    model = table(tmp_path / "model.csv")
+    old = angles(4)
+    poses = old["poses"]
+    new = {key: old[key] for key in ("trans", "betas")} | {"gender": np.array(b"female"), "mocap_frame_rate": 60}
+    new |= {"root_orient": poses[:, :3], "pose_body": poses[:, 3:66], "pose_hand": poses[:, 66:]}
+    parts = read(save(tmp_path / "b.npz", new), model)
+    np.testing.assert_array_equal(parts.positions, read(save(tmp_path / "a.npz", old), model).positions)
+    assert parts.rate_hz == 60.0
+    del new["pose_hand"]
+    still = read(save(tmp_path / "c.npz", new), model)
+    np.testing.assert_array_equal(joint(still, "lwrist"), joint(parts, "lwrist"))
+
+
+def test_angles_and_models_of_other_bodies_go_together_by_name(tmp_path: Path) -> None:
+    smplx = (*BODY, *FACE, *HANDS)
+    whole = read(save(tmp_path / "a.npz", angles(3)), table(tmp_path / "h.csv"))
+    wide = angles(3)
+    turns = wide["poses"].reshape(3, 52, 3)
+    wide["poses"] = np.concatenate([turns[:, :22], np.zeros((3, 3, 3)), turns[:, 22:]], axis=1).reshape(3, -1)
+    np.testing.assert_allclose(
+        read(save(tmp_path / "b.npz", wide), table(tmp_path / "x.csv", smplx)).positions, whole.positions, atol=1e-12
+    )
+    bare = read(tmp_path / "a.npz", table(tmp_path / "body.csv", BODY))
+    np.testing.assert_allclose(joint(bare, "rwrist"), joint(whole, "rwrist"), atol=1e-12)
+    assert any("lfingers (-0.25 lelbow +1.25 lwrist)" in warning for warning in bare.warnings)
+    smpl = read(tmp_path / "a.npz", table(tmp_path / "s.csv", (*BODY, "left_hand", "right_hand")))
+    assert np.isfinite(joint(smpl, "lfingers")).all()
+
+
+def test_a_model_comes_as_a_table_as_yaml_as_arrays_or_as_it_is_published(tmp_path: Path) -> None:
+    expected = load_body_model(table(tmp_path / "a.csv"), "male")
+    yaml = {"joints": dict(zip(SMPLH, rest().tolist(), strict=True))}
+    (tmp_path / "b.yaml").write_text(json.dumps(yaml))
+    save(tmp_path / "c.npz", {"joints": rest()})
+    save(tmp_path / "d.npz", {"joints": rest()[::-1], "names": np.array(SMPLH[::-1])})
+    random = np.random.default_rng(0)
+    skin = random.normal(size=(200, 3))
+    regressor = rest() @ np.linalg.pinv(skin)
+    moved = random.normal(size=(200, 3, 20))
+    published = {"v_template": skin, "J_regressor": regressor, "shapedirs": moved, "posedirs": np.zeros((1, 1))}
+    save(tmp_path / "e.npz", published)
+    for name in ("b.yaml", "c.npz", "d.npz", "e.npz"):
+        model = load_body_model(str(tmp_path / name), "male")
+        assert (model.names, model.parents) == (expected.names, expected.parents)
+        np.testing.assert_allclose(model.joints, rest(), atol=1e-9)
+    assert expected.parents == tuple(parents())
+    shape = random.normal(size=16)
+    np.testing.assert_allclose(
+        model.rest(shape), rest() + np.einsum("jv,vab,b->ja", regressor, moved[:, :, :16], shape), atol=1e-9
+    )
+
+
+def test_a_figure_s_shape_counts_where_the_model_has_shapes_and_is_said_where_not(tmp_path: Path) -> None:
+    shapes = np.zeros((52, 3, 2))
+    shapes[SMPLH.index("left_wrist"), 0, 1] = 0.5
+    save(tmp_path / "model.npz", {"joints": rest(), "shapes": shapes})
+    arrays = angles(2) | {"poses": np.zeros((2, 156)), "betas": np.array([0.0, 0.1, 3.0])}
+    path = save(tmp_path / "a.npz", arrays)
+    shaped, plain = read(path, str(tmp_path / "model.npz")), read(path, table(tmp_path / "model.csv"))
+    np.testing.assert_allclose(joint(shaped, "lwrist")[0] - joint(plain, "lwrist")[0], 0.05)
+    assert plain.warnings[0] == "the figure has the shape of the body model; that of the file (betas) is left out"
+    assert not any("betas" in warning for warning in shaped.warnings)
+
+
+def test_a_model_may_depend_on_the_figure_s_gender(tmp_path: Path) -> None:
+    (tmp_path / "female").mkdir()
+    table(tmp_path / "female" / "model.csv")
+    path = save(tmp_path / "a.npz", angles(2))
+    assert read(path, str(tmp_path / "{gender}" / "model.csv")).frames == 2
+    male = save(tmp_path / "b.npz", angles(2) | {"gender": np.array("male")})
+    with pytest.raises(SourceError, match=r"male/model.csv: no such body model"):
+        read(male, str(tmp_path / "{gender}" / "model.csv"))
+    escaping = save(tmp_path / "c.npz", angles(2) | {"gender": np.array("../female")})
+    with pytest.raises(SourceError, match=r"must be male, female or neutral, got '[.][.]/female'"):
+        read(escaping, str(tmp_path / "{gender}" / "model.csv"))
+
+
+def test_without_a_body_model_the_error_says_what_to_give(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.npz", angles(2))
+    with pytest.raises(
+        SourceError, match=r"joint angles of a body \(AMASS\).*give `body_model`, your model.npz of SMPL-H"
+    ):
+        read(path, None)
+
+
+def test_angles_are_told_from_positions(tmp_path: Path) -> None:
+    assert form_of(save(tmp_path / "a.npz", angles(2))) == "amass"
+    assert form_of(save(tmp_path / "b.npz", {"positions": np.zeros((2, 24, 3))})) == "positions"
+    assert form_of(save(tmp_path / "c.npz", angles(2) | {"joints": np.zeros((2, 24, 3))})) == "positions"
+    (tmp_path / "d.npz").write_bytes(b"PK nonsense")
+    assert form_of(tmp_path / "d.npz") == "positions"
+
+
+GOOD = angles(3)
+FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    "no trans": ({"trans": None}, "has no `trans`"),
+    "frames that differ": ({"trans": np.zeros((2, 3))}, "`trans` must have 3 frames of 3 numbers"),
+    "angles of no body": ({"poses": np.zeros((3, 99))}, "`poses` must have 66, 72, 156, 165 angles a frame, got 99"),
+    "angles of one dimension": ({"poses": np.zeros(156)}, "`poses` must be angles of frames"),
+    "no frames": ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "`poses` must be angles"),
+    "no number": ({"poses": np.full((3, 156), np.nan)}, "`poses` has numbers that are none"),
+    "infinity": ({"trans": np.full((3, 3), np.inf)}, "`trans` has numbers that are none, infinite"),
+    "text": ({"betas": np.array(["thin"])}, "`betas` must be numbers"),
+    "a rate of zero": ({"mocap_framerate": np.array(0.0)}, "the rate must be one number"),
+    "no rate": ({"mocap_framerate": None}, "has none of mocap_framerate, mocap_frame_rate: give `rate_hz`, or --rate"),
+    "far away": ({"trans": np.full((3, 3), 1e9)}, "joint 'root' is more than 100 km away"),
+    "an object": ({"gender": np.array([{}])}, "'gender' must hold 1 values of object"),
+    "parts without a root": ({"poses": None, "pose_body": np.zeros((3, 63))}, "has no `root_orient`, nor `poses`"),
+    "parts of other lengths": (
+        {"poses": None, "root_orient": np.zeros((3, 3)), "pose_body": np.zeros((2, 63))}, "`pose_body` must have 63",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, fault: str) -> None:
+    changes, message = FAULTS[fault]
+    arrays = {key: array for key, array in (GOOD | changes).items() if array is not None}
+    path = save(tmp_path / "a.npz", arrays)
+    with pytest.raises(SourceError, match=message):
+        read(path, table(tmp_path / "model.csv"))
+    if fault == "no rate":
+        assert read(path, str(tmp_path / "model.csv"), rate_hz=50.0).rate_hz == 50.0
+
+
+MODELS: dict[str, tuple[str, Any, str]] = {
+    "no such ending": ("m.pkl", b"", "is an .npz, .csv or .yaml file"),
+    "a joint missing": ("m.csv", b"joint,x,y,z\npelvis,0,0,0\n", "lacks the joint 'left_hip'"),
+    "no numbers": ("m.csv", b"joint,x,y,z\npelvis,0,here,0\n", r"m.csv:2: expected columns joint, x, y, z"),
+    "other columns": ("m.csv", b"name,x\npelvis,0\n", r"m.csv:2: expected columns"),
+    "YAML of something else": ("m.yaml", b"joints: 3\n", "expected `joints: "),
+    "two numbers": ("m.yaml", b"joints: {pelvis: [1, 2]}\n", "expected three numbers of metres"),
+    "another count": ("m.npz", {"joints": np.zeros((30, 3))}, "has 30 joints without `names`"),
+    "no joints": ("m.npz", {"J_regresor": np.zeros((30, 3))}, "must have `joints`, or `v_template` and `J_regressor`"),
+    "another skin": ("m.npz", {"v_template": np.zeros((9, 3)), "J_regressor": np.zeros((52, 8))}, "go together"),
+    "huge": ("m.csv", b"joint,x,y,z\n" + b"".join(b"%s,1e300,0,0\n" % n.encode() for n in BODY), "or beyond 1e\\+09"),
+    "NaN": ("m.npz", {"joints": np.full((52, 3), np.nan)}, "`joints` has numbers that are none"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", MODELS)
+def test_what_is_wrong_with_a_model_is_said(tmp_path: Path, fault: str) -> None:
+    name, content, message = MODELS[fault]
+    if isinstance(content, bytes):
+        (tmp_path / name).write_bytes(content)
+    else:
+        save(tmp_path / name, content)
+    with pytest.raises((SourceError, ConfigError), match=message):
+        load_body_model(str(tmp_path / name), "neutral")
+
+
+def test_angles_are_read_as_they_are_written(tmp_path: Path) -> None:
+    poses = parse_amass(save(tmp_path / "a.npz", GOOD))
+    assert (poses.names, poses.gender, poses.turns.shape) == (SMPLH, "female", (3, 52, 3))

@@ -1,0 +1,226 @@
+"""Bodies from BVH files: named joints in metres with Y up, whatever the skeleton, its axes, its unit and its gaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
+from kinedex.ops.body import features
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion import bodies
+from kinedex.storage.formats.motion.bodies import Body, Given, read_body, read_bvh
+from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
+from tests.oracles import bvh as oracle
+
+JOINTS = load_feature_set().joints
+AUTO = load_mappings("auto", JOINTS)
+
+
+def write(path: Path, root: Joint, frames: list[dict[str, list[float]]]) -> Path:
+    path.write_text(bvh_text(root, frames))
+    return path
+
+
+def read(tmp_path: Path, root: Joint, frames: list[dict[str, list[float]]]) -> Body:
+    return read_bvh(write(tmp_path / "a.bvh", root, frames), AUTO, JOINTS)
+
+
+def joint(body: Body, name: str) -> np.ndarray:
+    return body.positions[JOINTS.index(name)]
+
+
+def test_named_joints_are_where_the_skeleton_s_own_are(tmp_path: Path) -> None:
+    root = mixamo()
+    frames = dance(root, 40)
+    body = read(tmp_path, root, frames)
+    names = {"lwrist": "LeftHand", "rknee": "RightLeg", "headtop": "HeadTop_End", "lfingers": "LeftHandMiddle1"}
+    for t in (0, 17, 39):
+        expected, _ = oracle.pose(root, frames[t])
+        for name, node in names.items():
+            np.testing.assert_allclose(joint(body, name)[:, t], 0.01 * expected["mixamorig:" + node], atol=1e-9)
+    assert (body.skeleton, body.rate_hz, body.frames, body.unknown) == ("mixamo", 30.0, 40, ())
+
+
+def test_a_take_is_worked_on_in_stretches_without_a_seam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = mixamo()
+    path = write(tmp_path / "a.bvh", root, dance(root, 400))
+    whole = read_bvh(path, AUTO, JOINTS)
+    monkeypatch.setattr(bodies, "_WORKED_ON", 1)
+    parts = read_bvh(path, AUTO, JOINTS)
+    np.testing.assert_array_equal(parts.positions, whole.positions)
+    np.testing.assert_array_equal(parts.orientation, whole.orientation)
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "cm"), (0.01, "metres"), (10.0, "mm"), (1 / 2.54, "inches")])
+def test_a_guessed_unit_is_said_and_gives_the_same_body(tmp_path: Path, scale: float, unit: str) -> None:
+    body = read(tmp_path, mixamo(scale=scale), still(mixamo(scale=scale), 1))
+    assert joint(body, "headtop")[1, 0] == pytest.approx(1.8, abs=0.01)
+    assert body.unit.endswith("m (guessed)")
+    (warning,) = body.warnings
+    assert warning == f"its unit of length is guessed: {unit}, which makes the body 1.78 m high"
+
+
+def test_a_body_of_a_giant_asks_for_its_unit(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="state `unit_m` in the skeleton mapping"):
+        read(tmp_path, mixamo(scale=100.0), still(mixamo(scale=100.0), 1))
+
+
+def test_limbs_without_ends_are_followed_past_them_and_that_is_said(tmp_path: Path) -> None:
+    root = mixamo(fingers=False, ends=False)
+    body = read(tmp_path, root, dance(root, 3))
+    forearm = joint(body, "lwrist") - joint(body, "lelbow")
+    np.testing.assert_allclose(joint(body, "lfingers"), joint(body, "lwrist") + 0.25 * forearm)
+    assert body.warnings[0] == (
+        "joints that the skeleton lacks are built from others: headtop (-2 neck +3 head), "
+        "lfingers (-0.25 lelbow +1.25 lwrist), rfingers (-0.25 relbow +1.25 rwrist)"
+    )
+
+
+def bandai() -> Joint:
+    """A standing body whose bones lie along their own X axes, with six channels at every joint."""
+
+    def chain(*names: str, step: tuple[float, float, float]) -> Joint:
+        below = [chain(*names[1:], step=step)] if len(names) > 1 else []
+        return Joint(names[0], step, (*POSITIONS, "Zrotation", "Xrotation", "Yrotation"), below)
+
+    legs = [
+        chain(f"UpperLeg_{s}", f"LowerLeg_{s}", f"Foot_{s}", f"Toes_{s}", step=(-40, y, 3))
+        for s, y in (("L", -9), ("R", 9))
+    ]
+    for leg, y in zip(legs, (-9, 9), strict=True):
+        leg.offset = (-5, y, 0)
+    arms = [
+        chain(f"Shoulder_{s}", f"UpperArm_{s}", f"LowerArm_{s}", f"Hand_{s}", step=(0, y, 0))
+        for s, y in (("L", -20), ("R", 20))
+    ]
+    neck = chain("Neck", "Head", step=(8, 0, 0))
+    spine = chain("Spine", "Chest", step=(15, 0, 0))
+    spine.children[0].children = [neck, *arms]
+    hips = Joint("Hips", (0, 90, 0), (*POSITIONS, "Zrotation", "Xrotation", "Yrotation"), [spine, *legs])
+    return Joint("joint_Root", (0, 0, 0), (*POSITIONS, "Zrotation", "Xrotation", "Yrotation"), [hips])
+
+
+def test_the_root_turns_as_the_body_does_and_not_as_its_bones_lie(tmp_path: Path) -> None:
+    root = bandai()
+    frames = still(root, 25)
+    for t, frame in enumerate(frames):
+        # Upright, the X axis of the Hips up; and a turn about the vertical of 3 degrees a frame, 90 a second.
+        frame["joint_Root"][3:] = [0.0, 0.0, 3.0 * t]
+        frame["Hips"][3:] = [90.0, 0.0, 0.0]
+    body = read(tmp_path, root, frames)
+    assert body.skeleton == "bandai"
+    np.testing.assert_allclose(np.abs(body.orientation[:, 0]), [1, 0, 0, 0], atol=1e-9)
+    half = np.deg2rad(3.0 * np.arange(25)) / 2
+    np.testing.assert_allclose(body.orientation[0], np.cos(half), atol=1e-9)
+    np.testing.assert_allclose(np.abs(body.orientation[2]), np.sin(half), atol=1e-9)
+    np.testing.assert_allclose(joint(body, "lhip")[:, 0] - joint(body, "rhip")[:, 0], [0.18, 0, 0], atol=1e-9)
+    assert joint(body, "head")[1, 0] > joint(body, "root")[1, 0] + 0.3
+    feature_set = load_feature_set()
+    words = features.words(body.positions, body.orientation, 30.0, feature_set.rules)
+    turning = (words >> np.uint64(feature_set.feature("root_turning").number - 1)) & np.uint64(1)
+    assert not turning.any()  # weak above 50, strong above 100 degrees a second
+    for frame, t in zip(frames, range(25), strict=True):
+        frame["joint_Root"][5] = 4.0 * t
+    body = read(tmp_path, root, frames)
+    words = features.words(body.positions, body.orientation, 30.0, feature_set.rules)
+    turning = (words >> np.uint64(feature_set.feature("root_turning").number - 1)) & np.uint64(1)
+    assert turning[:-1].all()
+
+
+def cmu(thorax: bool) -> Joint:
+    """The conversion's skeleton with the bones that it leaves out, or without them."""
+    names = load_skeleton("cmu-bvh", JOINTS)
+    assert set(names.bones) == {"Neck", "LeftShoulder", "RightShoulder", "LeftFingerBase", "RightFingerBase"}
+    lost = (0.0, 2.1, 0.15) if thorax else (0.0, 0.0, 0.0)
+
+    def arm(side: str, sign: float) -> Joint:
+        fingers = Joint(f"{side[0]}Fingers", (0.7 * sign, 0, 0), ends=[(0.6 * sign, 0, 0)])
+        wrist = (1.75 * sign, 0.0, 0.0) if thorax else (0.0, 0.0, 0.0)
+        hand = Joint(
+            f"{side}Hand", (3.5 * sign, 0, 0), children=[Joint(f"{side}FingerBase", wrist, children=[fingers])]
+        )
+        upper = Joint(
+            f"{side}Arm", (3.4 * sign, 1.2, 0), children=[Joint(f"{side}ForeArm", (5 * sign, 0, 0), children=[hand])]
+        )
+        return Joint(f"{side}Shoulder", lost, children=[upper])
+
+    def leg(side: str, sign: float) -> Joint:
+        toes = Joint(f"{side}ToeBase", (0, -0.4, 2.3), ends=[(0, 0, 1.2)])
+        shin = Joint(
+            f"{side}Leg", (2.5 * sign, -6.7, 0), children=[Joint(f"{side}Foot", (2.5 * sign, -7, 0), children=[toes])]
+        )
+        return Joint(f"{side[0]}HipJoint", children=[Joint(f"{side}UpLeg", (1.3 * sign, -1.8, 0.8), children=[shin])])
+
+    neck = Joint(
+        "Neck",
+        lost,
+        children=[Joint("Neck1", (0, 1.7, 0.2), children=[Joint("Head", (0, 1.8, -0.1), ends=[(0, 1.8, 0)])])],
+    )
+    chest = Joint("Spine1", (0, 2.1, 0.05), children=[neck, arm("Left", 1), arm("Right", -1)])
+    spine = Joint("LowerBack", children=[Joint("Spine", (0, 2.1, -0.15), children=[chest])])
+    return Joint(
+        "Hips",
+        (0, 18, 0),
+        (*POSITIONS, "Zrotation", "Yrotation", "Xrotation"),
+        [leg("Left", 1), leg("Right", -1), spine],
+    )
+
+
+def test_bones_that_a_conversion_leaves_out_are_given_back_and_that_is_said(tmp_path: Path) -> None:
+    frames = dance(cmu(thorax=True), 8)
+    whole, lossy = read(tmp_path, cmu(thorax=True), frames), read(tmp_path, cmu(thorax=False), frames)
+    np.testing.assert_allclose(lossy.positions, whole.positions, atol=1e-9)
+    assert lossy.warnings[0] == (
+        "bones Neck, LeftShoulder, RightShoulder, LeftFingerBase, RightFingerBase have no length in the file; mapping "
+        "'cmu-bvh' gives them one"
+    )
+    assert not any("bones" in warning for warning in whole.warnings)
+
+
+def own_mapping(tmp_path: Path, old: str, new: str) -> str:
+    path = tmp_path / "own.yaml"
+    path.write_text(load_skeleton("mixamo", JOINTS).path.read_text().replace(old, new))
+    return str(path)
+
+
+def test_joints_that_a_skeleton_does_not_have_are_unknown_everywhere(tmp_path: Path) -> None:
+    own = own_mapping(tmp_path, "  belly: Spine1", "  belly: null")
+    path = write(tmp_path / "a.bvh", mixamo(), dance(mixamo(), 3))
+    body = read_bvh(path, load_mappings(own, JOINTS), JOINTS)
+    assert body.unknown == ("belly",)
+    assert np.isnan(joint(body, "belly")).all()
+    assert np.isfinite(np.delete(body.positions, JOINTS.index("belly"), axis=0)).all()
+    rootless = own_mapping(tmp_path, "  root: Hips", "  root: null")
+    assert np.isnan(read_bvh(path, load_mappings(rootless, JOINTS), JOINTS).orientation).all()
+
+
+def test_a_number_out_of_this_world_is_refused_with_joint_and_frame(tmp_path: Path) -> None:
+    frames = still(mixamo(), 4)
+    frames[2]["mixamorig:Hips"][1] = 1e200
+    with pytest.raises(SourceError, match="joint 'root' is more than 100 km away in source frame 2"):
+        read(tmp_path, mixamo(), frames)
+    frames[2]["mixamorig:Hips"][1] = 1e308
+    with pytest.raises(SourceError, match="in source frame 2"):
+        read(tmp_path, mixamo(), frames)
+
+
+def test_the_ending_of_a_file_tells_its_format_in_any_letter_case(tmp_path: Path) -> None:
+    path = write(tmp_path / "A.BVH", mixamo(), still(mixamo()))
+    assert read_body(path, None, AUTO, JOINTS).rate_hz == 30.0
+    with pytest.raises(SourceError, match="is read with its ASF skeleton"):
+        read_body(tmp_path / "a.amc", None, AUTO, JOINTS)
+
+
+def test_a_rate_that_is_given_counts_in_place_of_the_file_s_and_that_is_said(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.bvh", mixamo(), still(mixamo()))
+    body = read_body(path, None, AUTO, JOINTS, Given(rate_hz=50.0, override_rate_hz=60.0))
+    assert body.rate_hz == 60.0
+    assert "the file says 30 Hz; it is read at 60 Hz, which was given" in body.warnings
+    for given in (Given(rate_hz=50.0), Given(override_rate_hz=30.0)):
+        same = read_body(path, None, AUTO, JOINTS, given)
+        assert same.rate_hz == 30.0
+        assert not any("Hz" in warning for warning in same.warnings)

@@ -1,0 +1,388 @@
+"""C3D files: markers by name, what is occluded, rates, units, axes and counts; and files that contradict themselves."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion import c3d
+from kinedex.storage.formats.motion.bodies import Body, Given, read_body
+from kinedex.storage.formats.motion.c3d import parse_c3d
+from tests.bodies import STANDING
+from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
+
+JOINTS = load_feature_set().joints
+AUTO = load_mappings("auto", JOINTS)
+
+
+def read(path: Path, given: Given = Given()) -> Body:  # noqa: B008
+    return read_body(path, None, AUTO, JOINTS, given)
+
+
+def walking(path: Path, frames: int = 30, **point: object) -> Path:
+    return write_c3d(path, 1000 * z_up(standing_markers(frames)), **point)  # type: ignore[arg-type]
+
+
+def joint(body: Body, name: str) -> np.ndarray:
+    return body.positions[JOINTS.index(name)]
+
+
+def test_markers_become_a_standing_body_in_metres_with_y_up(tmp_path: Path) -> None:
+    body = read(walking(tmp_path / "a.c3d"))
+    assert (body.skeleton, body.rate_hz, body.unit, body.unknown, body.valid) == (
+        "hdm05-c3d",
+        120.0,
+        "0.001 m",
+        (),
+        None,
+    )
+    assert body.warnings == ()
+    for name, place in STANDING.items():
+        np.testing.assert_allclose(joint(body, name)[:, 0], place, atol=0.16, err_msg=name)
+    for left in ("lhip", "lknee", "lankle", "ltoes", "lshoulder", "lelbow", "lwrist", "lfingers"):
+        right = joint(body, f"r{left[1:]}")
+        np.testing.assert_allclose(joint(body, left) * [[-1], [1], [1]], right, atol=1e-5)
+    np.testing.assert_allclose(np.abs(body.orientation[0]), 1.0, atol=0.02)  # it faces +Z
+    np.testing.assert_allclose(np.diff(joint(body, "root")[2]), 0.01, atol=1e-6)
+
+
+def test_subjects_names_do_not_matter_and_of_two_subjects_neither_is_taken(tmp_path: Path) -> None:
+    points = 1000 * z_up(standing_markers(3))
+    ann = tuple(f"Ann:{label}" for label in LABELS)
+    body = read(write_c3d(tmp_path / "a.c3d", points, ann))
+    np.testing.assert_array_equal(body.positions, read(walking(tmp_path / "b.c3d", 3)).positions)
+    both = (*ann, *(f"Bo:{label}" for label in LABELS))
+    with pytest.raises(SourceError, match=r"as Ann:LFWT and Bo:LFWT \(LFWT\), none is taken: write one figure"):
+        read(write_c3d(tmp_path / "c.c3d", np.concatenate([points, points]), both))
+
+
+def test_a_label_that_two_markers_have_names_neither_unless_one_is_never_seen(tmp_path: Path) -> None:
+    points = np.concatenate([1000 * z_up(standing_markers(3)), np.full((1, 3, 3), np.nan)])
+    assert read(write_c3d(tmp_path / "a.c3d", points, (*LABELS, "LKNE"))).warnings == ()
+    points[-1] = 5.0
+    markers = parse_c3d(write_c3d(tmp_path / "b.c3d", points, (*LABELS, "LKNE")))
+    assert markers.names[-1] == "LKNE (2)"
+    assert markers.warnings == ["several markers are called LKNE; none of them is used"]
+    with pytest.raises(SourceError, match="lacks LKNE"):
+        read(tmp_path / "b.c3d")
+
+
+def test_more_markers_than_one_list_of_labels_holds_and_markers_without_a_label(tmp_path: Path) -> None:
+    points = np.arange(300 * 3 * 2.0).reshape(300, 3, 2) + 1.0
+    markers = parse_c3d(write_c3d(tmp_path / "a.c3d", points, tuple(f"m{i}" for i in range(300))))
+    assert markers.names == tuple(f"m{i}" for i in range(300))
+    np.testing.assert_array_equal(markers.positions, points)
+
+
+def test_what_is_occluded_is_a_gap_whatever_the_way_it_is_written(tmp_path: Path) -> None:
+    points = standing_markers(8)
+    points[0, :, 2:4] = np.nan  # residual −1
+    points[1, :, 5] = 0.0  # at the origin, with a residual of 0
+    markers = parse_c3d(write_c3d(tmp_path / "a.c3d", points))
+    assert np.argwhere(np.isnan(markers.positions[:, 0])).tolist() == [[0, 2], [0, 3], [1, 5]]
+    np.testing.assert_allclose(markers.positions[2:], points[2:], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("up", "order"), [("Y", [0, 1, 2]), ("Z", [2, 0, 1]), ("X", [1, 2, 0])])
+def test_the_file_s_own_word_on_what_is_up_counts(tmp_path: Path, up: str, order: list[int]) -> None:
+    expected = read(walking(tmp_path / "a.c3d", 4))
+    points = 1000 * standing_markers(4)[:, order]
+    body = read(write_c3d(tmp_path / "b.c3d", points, Y_SCREEN=[f"+{up}"]))
+    np.testing.assert_allclose(joint(body, "headtop")[1], joint(expected, "headtop")[1], atol=1e-6)
+    across = joint(body, "lhip") - joint(body, "rhip")
+    np.testing.assert_allclose(np.linalg.norm(across, axis=0), joint(expected, "lhip")[0] * 2, atol=1e-6)
+    assert (joint(body, "lknee")[1] < joint(body, "lhip")[1]).all()
+    minus = read(write_c3d(tmp_path / "c.c3d", points, Y_SCREEN=[f"-{up}"]))
+    np.testing.assert_array_equal(minus.positions, body.positions)
+    assert minus.warnings == (f"POINT:Y_SCREEN says -{up}; {up} is taken to point up",)
+
+
+def test_units_and_rates_are_the_file_s_own(tmp_path: Path) -> None:
+    walk = z_up(standing_markers(4))
+    expected = read(walking(tmp_path / "a.c3d", 4))
+    for unit, scale in (("m", 1.0), ("cm", 100.0), ("in", 1 / 0.0254)):
+        body = read(write_c3d(tmp_path / "b.c3d", walk * scale, unit=unit, rate=99.5))
+        np.testing.assert_allclose(body.positions, expected.positions, atol=1e-5)
+        assert body.rate_hz == 99.5
+    assert read(tmp_path / "b.c3d", Given(override_rate_hz=50.0)).rate_hz == 50.0
+    with pytest.raises(SourceError, match="its unit must be one of m, cm, mm, in"):
+        read(write_c3d(tmp_path / "c.c3d", walk, unit="ft"))
+    contradicted = bytearray((tmp_path / "a.c3d").read_bytes())
+    struct.pack_into("<f", contradicted, 20, 60.0)
+    (tmp_path / "d.c3d").write_bytes(contradicted)
+    body = read(tmp_path / "d.c3d")
+    assert body.rate_hz == 120.0
+    assert body.warnings == ("its parameters say 120 Hz, which counts, its header 60 Hz",)
+
+
+def test_a_take_begins_with_the_first_frame_that_is_there(tmp_path: Path) -> None:
+    body = read(walking(tmp_path / "a.c3d", 5, first=1367))
+    assert body.warnings == ("it begins with frame 1368 of its recording, which is source frame 0 here",)
+    np.testing.assert_array_equal(body.positions, read(walking(tmp_path / "b.c3d", 5)).positions)
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_more_frames_than_a_word_can_count(tmp_path: Path, said: bool) -> None:
+    points = np.broadcast_to(np.arange(1, 70_001) / 100, (3, 3, 70_000)).copy()
+    more = {"LONG_FRAMES": [70_000.0]} if said else {}
+    markers = parse_c3d(write_c3d(tmp_path / "a.c3d", points, ("a", "b", "c"), **more))
+    assert markers.positions.shape == (3, 3, 70_000)
+    np.testing.assert_allclose(markers.positions, points, rtol=1e-6)
+    warning = "the file says 65535 frames, the most that it can say, and holds 70000"
+    assert markers.warnings == ([] if said else [warning])
+
+
+def test_analog_channels_cost_nothing_and_stretches_have_no_seam(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = parse_c3d(walking(tmp_path / "a.c3d", 50))
+    monkeypatch.setattr(c3d, "_AT_ONCE", 7 * len(LABELS))
+    with_forces = parse_c3d(walking(tmp_path / "b.c3d", 50, analog=12))
+    np.testing.assert_array_equal(with_forces.positions, plain.positions)
+    assert with_forces.names == plain.names
+
+
+def test_whole_numbers_with_a_scale_are_read_like_others(tmp_path: Path) -> None:
+    """The same file by hand, with 16-bit numbers: ezc3d writes floating point only."""
+    data = bytearray((walking(tmp_path / "a.c3d", 10)).read_bytes())
+    markers = parse_c3d(tmp_path / "a.c3d")
+    start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
+    scale = data.index(b"SCALE") + 5 + 4  # after the name: its offset, type, and number of dimensions
+    struct.pack_into("<f", data, scale, 0.1)
+    struct.pack_into("<f", data, 12, 0.1)
+    words = np.zeros((10, len(LABELS), 4), "<i2")
+    words[:, :, :3] = np.round(np.moveaxis(markers.positions, 2, 0) / 0.1)
+    words[3, 4, 3] = -1
+    (tmp_path / "b.c3d").write_bytes(bytes(data[:start]) + words.tobytes())
+    whole = parse_c3d(tmp_path / "b.c3d")
+    assert np.argwhere(np.isnan(whole.positions[:, 0])).tolist() == [[4, 3]]
+    np.testing.assert_allclose(
+        np.delete(whole.positions, 3, axis=2), np.delete(markers.positions, 3, axis=2), atol=0.051
+    )
+
+
+def test_numbers_in_the_order_of_dec_machines_are_read_like_others(tmp_path: Path) -> None:
+    data = bytearray(walking(tmp_path / "a.c3d", 10).read_bytes())
+    start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
+
+    def dec(at: int, count: int = 1) -> None:
+        words = np.frombuffer(bytes(data[at : at + 4 * count]), "<f4") * np.float32(4) + np.float32(0)  # no −0
+        data[at : at + 4 * count] = words.view("<u2").reshape(-1, 2)[:, ::-1].tobytes()
+
+    for at in (12, 20, _value(bytes(data), b"SCALE"), _value(bytes(data), b"RATE")):
+        dec(at)
+    dec(start, 10 * len(LABELS) * 4)
+    data[515] = 85
+    (tmp_path / "b.c3d").write_bytes(data)
+    found, expected = parse_c3d(tmp_path / "b.c3d"), parse_c3d(tmp_path / "a.c3d")
+    assert (found.rate_hz, found.names) == (120.0, expected.names)
+    np.testing.assert_allclose(found.positions, expected.positions, rtol=1e-6)
+
+
+def test_a_file_cut_off_keeps_the_frames_that_are_there_and_says_so(tmp_path: Path) -> None:
+    data = walking(tmp_path / "a.c3d", 100).read_bytes()
+    whole = parse_c3d(tmp_path / "a.c3d")
+    (tmp_path / "b.c3d").write_bytes(data[: len(data) // 2])
+    cut = parse_c3d(tmp_path / "b.c3d")
+    frames = cut.positions.shape[2]
+    assert 40 < frames < 50
+    np.testing.assert_array_equal(cut.positions, whole.positions[:, :, :frames])
+    assert cut.warnings == [f"the file says 100 frames, it holds {frames}, which are kept"]
+
+
+def _patched(data: bytes, at: int, form: str, value: float) -> bytes:
+    changed = bytearray(data)
+    struct.pack_into(form, changed, at, value)
+    return bytes(changed)
+
+
+def _value(data: bytes, name: bytes) -> int:
+    """Where a parameter's dimensions, or the value of one without, stand: after name, way to the next, kind, count."""
+    return data.index(name) + len(name) + 4
+
+
+FAULTS = {
+    "empty": (lambda data: b"", "is no C3D file"),
+    "text": (lambda data: b"hello " * 500, "is no C3D file"),
+    "parameters beyond the end": (lambda data: _patched(data, 0, "<B", 255), "is no C3D file"),
+    "numbers of MIPS": (lambda data: _patched(data, 512 + 3, "<B", 86), "in the order of MIPS machines"),
+    "cut in the parameters": (lambda data: data[:700], "parameter"),
+    "cut in the header": (lambda data: data[:300], "is no C3D file"),
+    "no frames": (lambda data: data[: (struct.unpack_from("<H", data, 16)[0] - 1) * 512 + 20], "holds no frames"),
+    "frames that begin nowhere": (
+        lambda data: _patched(data.replace(b"DATA_START", b"DATA_STOPS", 1), 16, "<H", 60000),
+        "should begin at block 60000",
+    ),
+    "a count of no markers": (lambda data: _patched(data, _value(data, b"USED"), "<H", 0), "1 to 10000 markers"),
+    "a count of too many": (lambda data: _patched(data, _value(data, b"USED"), "<H", 60000), "it says 60000"),
+    "dimensions beyond all bounds": (
+        lambda data: _patched(data, _value(data, b"LABELS"), "<B", 255), "POINT:LABELS is larger",
+    ),
+    "infinity": (
+        lambda data: _patched(data, (struct.unpack_from("<H", data, 16)[0] - 1) * 512 + 16, "<f", float("inf")),
+        "marker 'LBWT' is infinitely far away in source frame 0",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, fault: str) -> None:
+    change, message = FAULTS[fault]
+    path = tmp_path / "a.c3d"
+    path.write_bytes(change(walking(path, 6).read_bytes()))
+    with pytest.raises(SourceError, match=message):
+        parse_c3d(path)
+
+
+@pytest.fixture(scope="module")
+def seed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
+    path = tmp_path_factory.mktemp("c3d") / "a.c3d"
+    return path, walking(path, 4, analog=2, Y_SCREEN=["+Z"]).read_bytes()
+
+
+@settings(max_examples=150)
+@given(
+    at=st.lists(st.tuples(st.floats(0, 0.999), st.integers(0, 255)), min_size=1, max_size=12), cut=st.floats(0.1, 1.0)
+)
+def test_broken_bytes_are_a_fault_of_the_file_or_do_no_harm(
+    seed: tuple[Path, bytes], at: list[tuple[float, int]], cut: float
+) -> None:
+    path, data = seed
+    changed = bytearray(data[: int(cut * len(data))])
+    for place, byte in at:
+        changed[int(place * min(len(changed), 4096))] = byte
+    path.with_name("b.c3d").write_bytes(changed)
+    with contextlib.suppress(SourceError):
+        assert parse_c3d(path.with_name("b.c3d")).positions.size < 1e7
+
+
+def test_a_long_occlusion_makes_its_frames_invalid_and_says_whose(tmp_path: Path) -> None:
+    points = standing_markers(100)
+    points[LABELS.index("LKNE"), :, 10:20] = np.nan
+    points[LABELS.index("LKNE"), :, 40:60] = np.nan
+    points[LABELS.index("RTOE"), :, 90:] = np.nan
+    body = read(write_c3d(tmp_path / "a.c3d", 1000 * z_up(points)))
+    assert body.valid is not None
+    assert np.flatnonzero(~body.valid).tolist() == list(range(40, 60))
+    assert np.isnan(joint(body, "lknee")[:, 40:60]).all()
+    assert np.isfinite(joint(body, "rknee")).all()
+    assert np.isnan(body.orientation[:, 40:60]).all()
+    assert np.isfinite(body.orientation[:, body.valid]).all()
+    assert body.warnings == (
+        "gaps closed along straight lines: LKNE 10 frames (longest 10), RTOE 10 frames (longest 10)",
+        "20 of 100 source frames are invalid and have no word; points that the mapping 'hdm05-c3d' takes are missing "
+        "for more than 12 frames: LKNE 20 frames (longest 20); `fill_gap_frames: 20` closes all gaps along straight "
+        "lines",
+    )
+    closed = read(tmp_path / "a.c3d", Given(fill_gap_frames=20))
+    assert closed.valid is None
+    np.testing.assert_allclose(joint(closed, "lknee")[2, 50], joint(closed, "rknee")[2, 50], atol=1e-5)
+    none = read(tmp_path / "a.c3d", Given(fill_gap_frames=0))
+    assert none.valid is not None
+    assert np.count_nonzero(~none.valid) == 40
+
+
+@pytest.mark.parametrize("label", ["LHEE", "LKNE", "LFWT", "CLAV"])
+@pytest.mark.parametrize("far", [3e38, 1e20, 1e9])
+def test_a_marker_that_is_too_far_away_is_a_fault_and_no_gap(tmp_path: Path, label: str, far: float) -> None:
+    points = 1000 * z_up(standing_markers(6))
+    points[LABELS.index(label), :, 2] = [far, -far, far]
+    with pytest.raises(SourceError, match=r"(far|km) away"), np.errstate(all="ignore"):
+        read(write_c3d(tmp_path / "a.c3d", points))
+
+
+def test_frames_that_fill_their_last_block_and_one_more_are_whole(tmp_path: Path) -> None:
+    path = walking(tmp_path / "a.c3d", 16)
+    data = path.read_bytes()
+    assert not read(path).warnings
+    start = (int.from_bytes(data[16:18], "little") - 1) * 512
+    path.write_bytes(data[: start + 16 * 16 * len(LABELS)].ljust((len(data) // 512 + 1) * 512, b"\0"))
+    assert read(path).frames == 16
+
+
+def test_the_nearest_mapping_is_the_one_that_knows_the_markers(tmp_path: Path) -> None:
+    points = 1000 * standing_markers(3)[:3]
+    with pytest.raises(SourceError, match="the nearest, 'hdm05-c3d', finds 0 joints"):
+        read(write_c3d(tmp_path / "a.c3d", points, LABELS[:3]))
+
+
+def test_a_take_without_a_whole_frame_does_not_come_in(tmp_path: Path) -> None:
+    points = standing_markers(60)
+    points[LABELS.index("LKNE"), :, :30] = np.nan
+    points[LABELS.index("RKNE"), :, 30:] = np.nan
+    path = write_c3d(tmp_path / "a.c3d", 1000 * z_up(points))
+    with pytest.raises(SourceError, match=r"no frame is whole: .* LKNE 30 frames \(longest 30\), RKNE 30 frames"):
+        read(path, Given(fill_gap_frames=5))
+
+
+def test_a_body_that_is_not_seen_at_first_is_measured_where_it_is(tmp_path: Path) -> None:
+    points = standing_markers(60)
+    points[:, :, :30] = np.nan
+    (own := tmp_path / "own.yaml").write_text(
+        AUTO.of_format["c3d"][[m.name for m in AUTO.of_format["c3d"]].index("hdm05-c3d")]
+        .path.read_text()
+        .replace("unit_m: 0.001", "unit_m: guess")
+    )
+    path = write_c3d(tmp_path / "a.c3d", 100 * z_up(points), unit="")
+    body = read_body(path, None, load_mappings(str(own), JOINTS), JOINTS)
+    assert body.unit == "0.01 m (guessed)"
+    assert body.valid is not None
+    assert np.flatnonzero(body.valid).tolist() == list(range(30, 60))
+
+
+@pytest.mark.shared
+def test_markers_of_a_real_take_make_limbs_of_one_length_on_both_sides(shared: Path) -> None:
+    body = read(shared / "data" / "c3d" / "HDM_bd_05-01_01_120.c3d")
+    assert (body.skeleton, body.rate_hz, body.frames, body.valid) == ("hdm05-c3d", 120.0, 5920, None)
+    # The lengths of the actor's Acclaim skeleton, which was solved on such markers, and how much they may vary here.
+    lengths = {
+        ("lhip", "rhip"): (0.153, 0.01), ("lhip", "lknee"): (0.414, 0.03), ("rhip", "rknee"): (0.414, 0.03),
+        ("lknee", "lankle"): (0.394, 0.01), ("rknee", "rankle"): (0.394, 0.01), ("root", "belly"): (0.125, 0.015),
+        ("belly", "chest"): (0.124, 0.015), ("chest", "neck"): (0.125, 0.015), ("neck", "head"): (0.191, 0.01),
+        ("head", "headtop"): (0.101, 0.015), ("lelbow", "lwrist"): (0.254, 0.03), ("relbow", "rwrist"): (0.254, 0.03),
+        ("lshoulder", "lelbow"): (0.273, 0.04), ("rshoulder", "relbow"): (0.273, 0.05),
+    }  # fmt: skip
+    for (a, b), (expected, tolerance) in lengths.items():
+        found = np.linalg.norm(joint(body, a) - joint(body, b), axis=0)
+        assert np.median(found) == pytest.approx(expected, abs=tolerance), (a, b)
+        assert np.std(found) < 0.03, (a, b)
+    for side in "lr":
+        for part, most in (("hip", 0.012), ("ankle", 0.006)):
+            found = np.linalg.norm(joint(body, f"{side}knee") - joint(body, f"{side}{part}"), axis=0)
+            assert np.std(found) < most * np.median(found), (side, part)
+    assert (joint(body, "neck")[1] > joint(body, "root")[1] + 0.3).all()
+    assert joint(body, "rtoes")[1].min() == pytest.approx(0.03, abs=0.02)
+
+
+@pytest.mark.shared
+def test_files_of_several_vendors_come_in_or_say_what_they_lack(shared: Path) -> None:
+    found = {name: read(shared / "data" / "c3d" / f"{name}.c3d") for name in ("Qualisys", "BTS", "03_rolling")}
+    assert [(body.skeleton, body.rate_hz, body.frames) for body in found.values()] == [
+        ("landmarks-c3d", 200.0, 340),
+        ("gait-c3d", 100.0, 675),
+        ("landmarks-trunk-c3d", 175.0, 2305),
+    ]
+    assert "it begins with frame 705 of its recording, which is source frame 0 here" in found["Qualisys"].warnings
+    valid = found["BTS"].valid
+    assert valid is not None
+    assert np.count_nonzero(valid) == 150
+    rolling = found["03_rolling"]
+    assert rolling.warnings[0] == "it begins with frame 1368 of its recording, which is source frame 0 here"
+    assert rolling.valid is not None
+    assert np.count_nonzero(rolling.valid) > 900  # it lies on its markers: half of them are hidden at a time
+    for side in "lr":
+        thigh = np.linalg.norm(joint(rolling, f"{side}hip") - joint(rolling, f"{side}knee"), axis=0)[rolling.valid]
+        assert np.median(thigh) == pytest.approx(0.42, abs=0.02)
+        assert np.std(thigh) < 0.03
+    for name, marker in (("Vicon", "Daphnee:ASISr"), ("Optotrak", "Marker_1")):
+        with pytest.raises(SourceError, match=f"no skeleton mapping fits; .* the file has the markers .*{marker}"):
+            read(shared / "data" / "c3d" / f"{name}.c3d")

@@ -1,0 +1,272 @@
+"""Files of joint positions: TRC, CSV, NPZ and NPY, their gaps, their rates, and every fault with its place."""
+
+from __future__ import annotations
+
+import contextlib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
+from kinedex.ops.body import features, kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion import numpy_arrays as stored
+from kinedex.storage.formats.motion.bodies import Body, Given, read_body
+from kinedex.storage.formats.motion.positions import is_positions_csv, parse_positions
+from tests.bodies import STANDING, index, standing, turned
+
+FEATURES = load_feature_set()
+JOINTS = FEATURES.joints
+AUTO = load_mappings("auto", JOINTS)
+COCO = load_skeleton("coco-17", JOINTS).order
+SMPL = load_skeleton("smpl-24", JOINTS).order
+AT_30 = Given(rate_hz=30.0)
+
+
+def keypoints(order: tuple[str, ...], frames: int) -> np.ndarray:
+    """A standing figure that walks along Z as (frames, points, 3) in metres."""
+    fitting = {name: joint for joint in JOINTS for name in _nodes(order, joint)}
+    extra = {
+        "nose": "head",
+        "left_eye": "head",
+        "right_eye": "head",
+        "left_ear": "head",
+        "right_ear": "head",
+        "spine3": "chest",
+    }
+    pose = np.array([STANDING[fitting.get(name, extra.get(name, "root"))] for name in order], dtype=float)
+    walk = np.repeat(pose[None], frames, axis=0)
+    walk[:, :, 2] += np.arange(frames)[:, None] * 0.01
+    return walk
+
+
+def _nodes(order: tuple[str, ...], joint: str) -> list[str]:
+    mapping = load_skeleton("coco-17" if order == COCO else "smpl-24", JOINTS)
+    return [mix.node for mix in mapping.joints[joint] if mix is not None and mix.node is not None]
+
+
+def trc(
+    points: np.ndarray, names: tuple[str, ...], *, rate: str = "60.00", units: str = "mm", step: float = 1 / 60
+) -> str:
+    frames = len(points)
+    lines = ["PathFileType\t4\t(X/Y/Z)\ta.trc"]
+    lines += ["DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames"]
+    lines += [f"{rate}\t60.00\t{frames}\t{len(names)}\t{units}\t60.00\t1\t{frames}"]
+    lines += ["Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t"]
+    lines += ["\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, len(names) + 1)), ""]
+    for t, row in enumerate(points):
+        cells = ["" if np.isnan(x) else f"{x:.6g}" for x in row.ravel()]
+        lines.append(f"{t + 1}\t{t * step:.4f}\t" + "\t".join(cells))
+    return "\n".join(lines) + "\n"
+
+
+def csv_text(points: np.ndarray, names: tuple[str, ...]) -> str:
+    lines = [",".join(["frame", *(f"{name}_{axis}" for name in names for axis in "xyz")])]
+    lines += [",".join([str(t), *(repr(float(x)) for x in row.ravel())]) for t, row in enumerate(points)]
+    return "\n".join(lines) + "\n"
+
+
+def write(path: Path, content: str) -> Path:
+    path.write_text(content)
+    return path
+
+
+def read(path: Path, given: Given = AT_30) -> Body:
+    return read_body(path, None, AUTO, JOINTS, given)
+
+
+def test_the_same_walk_comes_in_from_every_form(tmp_path: Path) -> None:
+    walk = keypoints(COCO, 12)
+    paths = [write(tmp_path / "a.trc", trc(1000 * walk, COCO)), write(tmp_path / "a.csv", csv_text(walk, COCO))]
+    paths += [tmp_path / name for name in ("a.npy", "plain.npz", "full.npz")]
+    np.save(paths[2], walk.astype(np.float32))
+    np.savez(paths[3], keypoints_3d=walk)
+    np.savez(paths[4], positions=walk[:, ::-1], names=np.array(COCO[::-1]), fps=60)
+    bodies = [read(path) for path in paths]
+    assert [body.rate_hz for body in bodies] == [60.0, 30.0, 30.0, 30.0, 60.0]
+    for body in bodies:
+        assert body.skeleton == "coco-17"
+        assert body.unknown == ("ltoes", "rtoes")
+        np.testing.assert_allclose(body.positions, bodies[1].positions, atol=1e-5)
+        np.testing.assert_allclose(np.abs(body.orientation[0]), 1.0, atol=1e-6)
+    np.testing.assert_allclose(bodies[0].positions[index("lwrist"), :, 5], [0.27, 0.85, 0.07], atol=1e-5)
+    np.testing.assert_allclose(bodies[0].positions[index("root"), :, 0], [0.0, 0.95, 0.0], atol=1e-5)
+    assert bodies[0].unit == "0.001 m"
+    assert bodies[1].unit == "1 m (guessed)"
+    assert any("does not name its joints" in warning for warning in bodies[2].warnings)
+
+
+def test_smpl_joints_come_in_by_name_and_by_order(tmp_path: Path) -> None:
+    walk = keypoints(SMPL, 3)
+    np.save(tmp_path / "a.npy", walk)
+    by_order, by_name = read(tmp_path / "a.npy"), read(write(tmp_path / "a.csv", csv_text(walk, SMPL)))
+    assert (by_order.skeleton, by_order.unknown) == ("smpl-24", ())
+    np.testing.assert_array_equal(by_order.positions, by_name.positions)
+    np.testing.assert_allclose(by_name.positions[index("lfingers"), :, 0], STANDING["lfingers"])
+
+
+def test_the_root_turns_as_hips_and_spine_do(tmp_path: Path) -> None:
+    degrees = np.arange(20) * 5.0
+    matrices = np.stack([kinematics.rotation(1, float(angle)) for angle in degrees])
+    places = np.einsum("tab,jbt->tja", matrices, standing(20))
+    body = read(write(tmp_path / "a.csv", csv_text(places, JOINTS)))
+    assert (body.skeleton, body.unknown, body.warnings) == ("named-positions", (), ())
+    np.testing.assert_allclose(body.orientation, turned(degrees), atol=1e-6)
+    words = features.words(body.positions, body.orientation, 30.0, FEATURES.rules)
+    assert ((words >> np.uint64(39)) & np.uint64(1))[:-1].all()  # 150 degrees a second
+
+
+def test_joints_that_a_file_never_shows_are_unknown(tmp_path: Path) -> None:
+    places = np.moveaxis(standing(4), 2, 0).copy()
+    places[:, [index("ltoes"), index("belly")]] = np.nan
+    body = read(write(tmp_path / "a.csv", csv_text(places, JOINTS)))
+    assert body.unknown == ("ltoes", "belly")
+    assert np.isfinite(body.orientation).all()
+
+
+def test_long_gaps_make_frames_invalid_and_short_ones_are_closed(tmp_path: Path) -> None:
+    walk = keypoints(COCO, 24)
+    gap = walk.copy()
+    gap[4:7, COCO.index("left_wrist"), 1] = np.nan
+    gap[12:20, COCO.index("left_hip"), 0] = np.nan
+    gap[2, COCO.index("nose")] = np.nan  # nothing takes it
+    path = write(tmp_path / "a.trc", trc(1000 * gap, COCO))
+    body = read(path)  # at 60 Hz, a tenth of a second is six frames
+    assert body.valid is not None
+    assert np.flatnonzero(~body.valid).tolist() == list(range(12, 20))
+    assert body.warnings[-2:] == (
+        "gaps closed along straight lines: left_wrist 3 frames (longest 3)",
+        "8 of 24 source frames are invalid and have no word; points that the mapping 'coco-17' takes are missing for "
+        "more than 6 frames: left_hip 8 frames (longest 8); `fill_gap_frames: 8` closes all gaps along straight lines",
+    )
+    assert np.isnan(body.orientation).any(axis=0).tolist() == (~body.valid).tolist()
+    whole = read(write(tmp_path / "b.trc", trc(1000 * walk, COCO)))
+    np.testing.assert_allclose(body.positions[:, :, body.valid], whole.positions[:, :, body.valid], atol=1e-5)
+    closed = read(path, Given(fill_gap_frames=8))
+    assert closed.valid is None
+    np.testing.assert_allclose(closed.positions, whole.positions, atol=1e-5)
+    none = read(path, Given(fill_gap_frames=0)).valid
+    assert none is not None
+    assert np.count_nonzero(~none) == 11
+
+
+def test_rates_that_contradict_each_other_are_said_and_missing_ones_asked_for(tmp_path: Path) -> None:
+    walk = keypoints(COCO, 8)
+    said = read(write(tmp_path / "a.trc", trc(1000 * walk, COCO, step=1 / 50)), Given())
+    assert said.rate_hz == 60.0
+    assert "it is read at 60 Hz, but by the times in the file it is 50 Hz" in said.warnings
+    other = read(tmp_path / "a.trc", Given(override_rate_hz=50.0))
+    assert (other.rate_hz, other.warnings[-1]) == (50.0, "the file says 60 Hz; it is read at 50 Hz, which was given")
+    with pytest.raises(SourceError, match="does not say its frames per second: give `rate_hz`"):
+        read(write(tmp_path / "a.csv", csv_text(walk, COCO)), Given())
+
+
+TRC = trc(1000 * keypoints(COCO, 3), COCO)
+CSV = csv_text(keypoints(COCO, 3), COCO)
+
+FAULTS = {
+    "not TRC": ("a.trc", "hello\n", 1, "PathFileType"),
+    "no rate": ("a.trc", TRC.replace("DataRate", "Datarate", 1), 2, "the header has no DataRate; did you mean"),
+    "a rate of zero": ("a.trc", TRC.replace("60.00", "0", 1), 3, "DataRate must be 1 to 10000 Hz"),
+    "an unknown unit": ("a.trc", TRC.replace("\tmm\t", "\tft\t"), 3, "Units must be one of m, cm, mm, in"),
+    "two markers of one name": ("a.trc", TRC.replace("left_eye", "nose"), 4, "two markers are named 'nose'"),
+    "no number": ("a.trc", TRC.replace("\n2\t0.0167\t0\t", "\n2\t0.0167\tx\t"), 8, "column 'nose X': not a number"),
+    "a row cut off": ("a.trc", TRC[:-12], 9, "cells, the header has 53 columns"),
+    "a frame left out": ("a.trc", TRC.replace("\n2\t", "\n3\t"), 8, "expected the next frame's number after frame 1"),
+    "time stands still": ("a.trc", TRC.replace("0.0167", "0.0000"), 8, "does not come after the last"),
+    "no frames": ("a.trc", TRC.split("\n1\t")[0] + "\n", 6, "no frames"),
+    "an axis without its joint": ("a.csv", CSV.replace("nose_y", "nose_w"), 1, "column 'nose_y' is missing"),
+    "a column twice": ("a.csv", CSV.replace("nose_y", "nose_x"), 1, "stands twice in the header"),
+    "infinity": ("a.csv", CSV.replace("\n1,0.0,", "\n1,inf,"), 3, "column 'nose_x': not a finite number"),
+    "Python's own digits": ("a.csv", CSV.replace("\n1,0.0,", "\n1,1_0,"), 3, "column 'nose_x': not a number: '1_0'"),
+    "a quote that is not closed": ("a.csv", CSV.replace("\n1,0.0,", '\n1,"0.0,'), 3, "column 'nose_x': not a number"),
+    "a cell of any length": ("a.csv", CSV.replace("\n1,", '\n1,"' + 200_000 * "9" + '",'), 3, "column"),
+    "quotes in TRC": ("a.trc", TRC.replace("\n2\t0.0167\t0\t", '\n2\t0.0167\t"x"\t'), 8, "'nose X': not a number: 'x'"),
+    "huge": ("a.csv", CSV.replace("\n1,0.0,1.55,", "\n1,0.0,1e300,").replace("0.27", "1e300"), None, "km away"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_named_with_its_line_and_column(tmp_path: Path, fault: str) -> None:
+    name, content, line, message = FAULTS[fault]
+    with pytest.raises(SourceError) as caught:
+        read(write(tmp_path / name, content), AT_30)
+    assert message in str(caught.value)
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"poses": np.zeros((3, 156)), "trans": np.zeros((3, 3))}, "holds the joint angles of a body (AMASS)"),
+        ({"position": np.zeros((3, 17, 3))}, "did you mean 'position'?"),
+        ({"positions": np.zeros((3, 17, 4))}, "must be numbers of shape (frames, joints, 3), got (3, 17, 4)"),
+        ({"positions": np.zeros((3, 18, 3))}, "does not name its 18 joints"),
+        ({"positions": np.full((3, 17, 3), np.inf)}, "infinite numbers, the first in frame 0"),
+        ({"positions": np.zeros((3, 17, 3)), "names": np.array(["a"])}, "'names' must be 17 different texts"),
+        ({"positions": np.zeros((3, 17, 3)), "fps": 0}, "the rate must be one number"),
+    ],
+)
+def test_arrays_that_are_no_positions_are_refused(tmp_path: Path, arrays: dict[str, object], message: str) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(SourceError) as caught:
+        read(tmp_path / "a.npz")
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x93NUMPY", b"PK\x03\x04 broken", b"\x80\x04K\x01.", b"hello"])
+@pytest.mark.parametrize("name", ["a.npy", "a.npz"])
+def test_what_is_no_array_file_is_refused_and_nothing_in_it_is_run(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SourceError):
+        parse_positions(tmp_path / name)
+
+
+def test_a_broken_byte_in_an_archive_of_arrays_is_a_fault_of_the_file(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", positions=keypoints(COCO, 3))
+    whole = (tmp_path / "a.npz").read_bytes()
+    for at in range(0, len(whole), 3):
+        (tmp_path / "b.npz").write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
+        with contextlib.suppress(SourceError):
+            parse_positions(tmp_path / "b.npz")
+
+
+def test_a_header_that_does_not_fit_its_file_is_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", keypoints(COCO, 3))
+    whole = (tmp_path / "a.npy").read_bytes()
+    for shape in (b"(900000000000, 17, 3)", b"(2, 17, 3)", b"(0, 17, 3)", b"(-1, 17, 3)"):
+        (tmp_path / "b.npy").write_bytes(whole.replace(b"(3, 17, 3)", shape))
+        with pytest.raises(SourceError, match=r"the file must hold .* values of float64 by its header, and holds"):
+            parse_positions(tmp_path / "b.npy")
+    with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("fps.npy", b"no array at all")
+        packed.writestr("positions.npy", whole)
+    with pytest.raises(SourceError, match="cannot be read as NumPy arrays"):
+        parse_positions(tmp_path / "c.npz")
+
+
+def test_an_array_that_unpacks_to_more_than_fits_is_refused_by_its_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stored, "MOST_BYTES", 1_000_000)
+    np.savez_compressed(tmp_path / "a.npz", positions=np.zeros((50_000, 17, 3), np.int8))
+    with pytest.raises(SourceError, match=r"'positions' takes 0\.0 GB in memory; write shorter takes"):
+        parse_positions(tmp_path / "a.npz")
+
+
+def test_names_that_are_no_letters_are_refused(tmp_path: Path) -> None:
+    names = np.array([f"name{i:02}" for i in range(17)])
+    names.view(np.uint32)[3] = 0xF0_00_00_41
+    np.savez(tmp_path / "a.npz", positions=keypoints(COCO, 3), names=names)
+    with pytest.raises(SourceError, match="'names' has letters that are none"):
+        parse_positions(tmp_path / "a.npz")
+
+
+def test_only_tables_of_positions_are_motion_files(tmp_path: Path) -> None:
+    assert is_positions_csv(write(tmp_path / "a.csv", CSV))
+    assert is_positions_csv(write(tmp_path / "a.csv", "\ufeff" + CSV.replace("_x", "_X")))
+    for header in ("take,class,start,stop\n", "", "a_x,b_y,c_z\n"):
+        assert not is_positions_csv(write(tmp_path / "b.csv", header))

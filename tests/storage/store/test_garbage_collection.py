@@ -1,0 +1,152 @@
+"""Garbage collection: what goes, what stays, and that a version that stays can be read whole."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.storage import index
+from kinedex.storage.store import garbage_collection as garbage
+from kinedex.storage.store.compaction import FANOUT, compact
+from kinedex.storage.store.garbage_collection import collect, shown_bytes, summary
+from kinedex.storage.store.lock import Lock
+from kinedex.storage.store.manifest import manifest_path, named_files, read_version, versions
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
+from kinedex.storage.store.writer import StoreWriter
+from tests.storage.made_up import BODY, add, make_store, write_frames
+from tests.storage.test_writer import hits
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """Nine versions, two generations of the index, and a compaction."""
+    path = make_store(tmp_path / "store", {"first": 30})
+    with StoreWriter.open(path, BODY) as writer:
+        for batch in range(FANOUT - 1):
+            add(writer, {f"t{batch}": 30})
+            writer.put_results("hits", hits(batch), stage="p/search", run=f"r{batch}")
+            writer.commit()
+            if batch == 0:
+                index.build(writer.store)
+        compact(writer)
+    index.build(open_store(path))
+    return open_store(path)
+
+
+def files(path: Path) -> set[str]:
+    return {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
+
+
+def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: Store) -> None:
+    before = files(store.path)
+    previous = Store(store.path, read_version(store.path, 9))
+    found = collect(store.path)
+    assert versions(store.path) == [9, 10]
+    assert before - files(store.path) >= {item.path for item in found if item.what != "index generation"}
+    assert verify(store) == []
+    assert store.words().frames.tolist() == previous.words().frames.tolist() == [30] * FANOUT
+    assert store.sql("SELECT count(*)::BIGINT AS n FROM hits").column(0).to_pylist() == [1]
+    assert [item.what for item in found].count("old version") == 8
+    assert not any(item.what in ("frames part", "takes part") for item in found)
+    assert sorted(os.listdir(store.path / "results/hits")) == [Path(store.manifest.results["hits"][0].path).name]
+    assert collect(store.path) == []
+    assert summary([]) == ["nothing: there is no garbage"]
+
+
+def test_the_newest_version_alone_needs_only_its_own_parts(store: Store) -> None:
+    collect(store.path, keep=1)
+    assert versions(store.path) == [10]
+    parts = {file for file in files(store.path) if file.startswith(("frames/", "takes/", "results/"))}
+    assert parts == named_files(store.path, 10)
+    assert store.index_path().is_file()
+    assert sorted(os.listdir(store.path / "index")) == [store.index_path().parent.name, "lock"]
+    assert verify(store) == []
+
+
+def test_a_dry_run_says_the_same_and_removes_nothing(store: Store) -> None:
+    before = files(store.path)
+    said = collect(store.path, keep=1, dry_run=True)
+    assert files(store.path) == before
+    assert collect(store.path, keep=1) == said
+    assert sum(item.bytes for item in said if item.what == "old version") > 0
+    assert summary(said)[0].startswith("9 old versions, ")
+
+
+def test_what_kinedex_has_not_made_is_not_touched(store: Store) -> None:
+    mine = {"notes.txt", "frames/notes.txt", "results/reports/p/report.html", "index/mine.duckdb"}
+    for name in mine:
+        (store.path / name).parent.mkdir(parents=True, exist_ok=True)
+        (store.path / name).touch()
+    collect(store.path, keep=1)
+    assert files(store.path) >= mine | {"lock"}
+
+
+def test_leftovers_of_killed_runs_and_a_stale_index_go(store: Store) -> None:
+    orphan = write_frames(store.path, {"x": (90, 12)})
+    (store.path / "takes/.tmp-1.parquet").touch()
+    (store.path / "index/.building-1").mkdir()
+    (store.path / "index/.building-1/index.duckdb").write_bytes(b"1" * 100)
+    found = {item.path: item for item in collect(store.path, keep=100)}
+    assert found[orphan.path].what == "frames part"
+    assert found["index/.building-1"].bytes == 100
+    assert found["takes/.tmp-1.parquet"].what == "unfinished file"
+    assert not files(store.path) & {orphan.path, "takes/.tmp-1.parquet", "index/.building-1/index.duckdb"}
+
+
+def test_garbage_is_not_collected_while_anybody_writes(store: Store) -> None:
+    with StoreWriter.open(store.path, BODY), pytest.raises(StoreError, match="is being written by process"):
+        collect(store.path)
+    with Lock(store.path / "index" / "lock", "this"), pytest.raises(StoreError, match="garbage collection must wait"):
+        collect(store.path)
+
+
+def test_what_a_damaged_version_needs_is_not_guessed(store: Store) -> None:
+    manifest_path(store.path, 9).write_text("{")
+    before = files(store.path)
+    with pytest.raises(StoreError, match=r"000009\.json: the manifest is damaged"):
+        collect(store.path)
+    assert files(store.path) == before
+    collect(store.path, keep=1)
+    assert versions(store.path) == [10]
+
+
+def test_killed_on_the_way_it_leaves_a_sound_store(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Killed(BaseException):
+        pass
+
+    for limit in (1, 5, 9, 11):
+        left = limit
+
+        def remove(path: Path, really=garbage._remove) -> None:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise Killed
+            really(path)
+
+        monkeypatch.setattr(garbage, "_remove", remove)
+        with pytest.raises(Killed):
+            collect(store.path, keep=1)
+        assert not any(finding.fault for finding in verify(store))
+        for version in versions(store.path):
+            assert Store(store.path, read_version(store.path, version)).words().frames.sum() > 0
+        monkeypatch.undo()
+    collect(store.path, keep=1)
+    assert verify(store) == []
+
+
+def test_at_least_one_version_stays_and_only_stores_are_cleaned(tmp_path: Path, store: Store) -> None:
+    with pytest.raises(ParameterError, match="keep must be at least 1"):
+        collect(store.path, keep=0)
+    with pytest.raises(StoreError, match="does not exist"):
+        collect(tmp_path / "none")
+
+
+def test_bytes_are_told_in_units_for_people() -> None:
+    assert [shown_bytes(n) for n in (0, 999, 1000, 1_250_000, 3 * 10**9)] == [
+        "0 bytes", "999 bytes", "1.0 kB", "1.2 MB", "3.0 GB",
+    ]  # fmt: skip
