@@ -14,8 +14,8 @@ from kinedex.pipelines.keyframes.runs import Course, Rounds, learn
 from kinedex.pipelines.stages.learn_keyframes import Params, setting_of
 from kinedex.pipelines.templates.learning import training_clips
 from kinedex.storage.store.store import Store, open_store
+from tests.pipelines.engine.test_executors import Cluster
 from tests.pipelines.labelled import POSES, clip, write_store
-from tests.pipelines.test_executors import Cluster
 
 ROUNDS = Rounds(runs=6, group=2, patience=5, settled=0.0)
 

@@ -20,7 +20,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
-from tests.ops.distances.test_ranking import spoiled, walk
+from tests.ops.ranking.test_ranking import spoiled, walk
 from tests.oracles.minima import start_frames
 
 

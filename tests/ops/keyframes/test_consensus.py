@@ -12,7 +12,7 @@ from kinedex.ops.keyframes.consensus import AGREEMENTS, agreement_matrix, consen
 from kinedex.ops.keyframes.genetic_algorithm import highest_rank, tune_gaps
 from kinedex.ops.keyframes.individuals import Query
 from kinedex.ops.keyframes.training_task import Evolution, Material
-from tests.ops.learning.test_genetics import check_consensus, material
+from tests.ops.keyframes.test_genetic_algorithm import check_consensus, material
 
 
 def query(*keyframes: tuple[int, int, int]) -> Query:

@@ -7,7 +7,7 @@ import numpy as np
 from kinedex.ops.keyframes.genetic_algorithm import judge
 from kinedex.ops.keyframes.greedy_selection import forward_selection
 from kinedex.ops.keyframes.training_task import Evolution
-from tests.ops.learning.test_genetics import material
+from tests.ops.keyframes.test_genetic_algorithm import material
 
 
 def test_columns_are_added_as_long_as_the_rank_rises() -> None:

@@ -19,7 +19,7 @@ from kinedex.storage.store.compaction import FANOUT
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
-from tests.pipelines.annotation.test_annotating import KICK, annotator, template
+from tests.pipelines.annotation.test_batches import KICK, annotator, template
 from tests.pipelines.labelled import BODY, Line, clip, long_take, motion, write_store
 
 CLIPS = [clip(name, actor, number) for name in ("walk", "kick") for actor in ("ann", "bob") for number in (1, 2)]

@@ -19,7 +19,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.store.store import Store, open_store
-from tests.pipelines.searching.test_search import make_store, motion, real_words
+from tests.pipelines.search.test_search import make_store, motion, real_words
 
 BODY = load_feature_set("body40")
 

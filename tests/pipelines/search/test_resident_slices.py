@@ -117,7 +117,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.pipelines.search.resident_slices import resident_store
 from kinedex.storage.store.store import open_store
-from tests.pipelines.searching.test_resident import QUERIES, told
+from tests.pipelines.search.test_resident_slices import QUERIES, told
 
 shared = resident_store(open_store(sys.argv[1]))
 print("open", flush=True)

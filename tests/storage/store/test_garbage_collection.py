@@ -18,7 +18,7 @@ from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store, write_frames
-from tests.storage.test_writer import hits
+from tests.storage.store.test_writer import hits
 
 
 @pytest.fixture
