@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.decoding import HABITS, Clip, LaidOut, amid, laid_out, paced, with_habits
 from kinedex.ops.words import NO_WORD, bits
+from studies.decoding import HABITS, Clip, LaidOut, amid, laid_out, paced, with_habits
 
 
 def take() -> LaidOut:

@@ -9,12 +9,12 @@ import polars as pl
 import pytest
 import yaml
 
-from benchmarks import few_clips
-from benchmarks.bandai import NONE, confusions, draw, summary, winner
-from benchmarks.cross_studio import begin_of, contributions
-from benchmarks.long_archive import METHODS, stages
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline
+from studies import few_clips
+from studies.bandai import NONE, confusions, draw, summary, winner
+from studies.cross_studio import begin_of, contributions
+from studies.long_archive import METHODS, stages
 from tests.oracles.minima import best_paths
 
 

@@ -28,7 +28,7 @@ I64 = npt.NDArray[np.int64]
 
 STANDING_OUT = 0.05
 """Value per frame, in nats per feature, that makes a segment stand out from the background by 1 − 1 / e. Chosen so that
-confidences are shares of right labels, about: see `benchmarks.decoding`."""
+confidences are shares of right labels, about: see `studies.decoding`."""
 
 
 @dataclass(frozen=True)

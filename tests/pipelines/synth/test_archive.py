@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.synth_calibration import HDM05, HDM05_FRAMES, SETS, figures, within, words_of
 from kinedex.catalog.classes import load_classes
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.formats.motion.acclaim import read_amc, read_asf
 from kinedex.storage.formats.motion.sources import scan, skeleton_of
+from studies.synthetic_motion import HDM05, HDM05_FRAMES, SETS, figures, within, words_of
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.keyframe_study STORE`: how well learned keyframe queries find people who were left out.
+"""`python -m studies.learned_queries STORE`: how well learned keyframe queries find people who were left out.
 
 Queries are learned without the clips of one actor and searched in these, joined to takes in random order; for every
 actor in turn, and for every variant of the learning. Takes with ground truth, if the store has some, are searched with
@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
 from kinedex.catalog.classes import load_classes
 from kinedex.ops.evaluation.confidence_intervals import two_stage_interval, wilson
 from kinedex.ops.evaluation.metrics import Counts, pooled
@@ -30,6 +29,7 @@ from kinedex.pipelines.stages.learn_keyframes import Params, setting_of
 from kinedex.pipelines.stages.leave_one_out import without
 from kinedex.pipelines.templates.learning import TrainingClips, training_clips
 from kinedex.storage.store.store import Store, open_store
+from studies.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
 
 THESIS = "numbers of the thesis"
 NO_QUERIES = "no queries"

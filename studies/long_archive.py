@@ -1,4 +1,4 @@
-"""`python -m benchmarks.long_archive --hours H`: a large synthetic archive annotated on two cores, and a small one.
+"""`python -m studies.long_archive --hours H`: a large synthetic archive annotated on two cores, and a small one.
 
 The archive is made and ingested where that has not been done: hours of long takes, no two alike, and half an hour of
 clips, the same in every archive, of which templates are learned (an hour takes some 350 MB, 20 s of a core to make
@@ -23,7 +23,6 @@ from typing import Any
 import polars as pl
 import yaml
 
-from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from benchmarks.scaling import Watched, peak_mib, watched
 from kinedex.ops.evaluation.detection import bootstrap
@@ -33,6 +32,7 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.synth.archive import RECORD, write_archive
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
+from studies import BUILD
 
 NAME = "long-archive"
 CLIP_MINUTES = 30.0
@@ -162,7 +162,7 @@ def in_a_process_of_its_own(
     source: Path, store: Path, method: str, workers: int, runs: int, *, anew: bool = True
 ) -> dict[str, Any]:
     """Run in a fresh process, whose peak memory no earlier stage has raised."""
-    words = [sys.executable, "-m", "benchmarks.long_archive", "--archive", str(source), "--store", str(store)]
+    words = [sys.executable, "-m", "studies.long_archive", "--archive", str(source), "--store", str(store)]
     words += ["--workers", str(workers), "--runs", str(runs), "--only", method, *([] if anew else ["--on"])]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
@@ -216,7 +216,7 @@ def _seconds(stages: dict[str, float]) -> str:
 
 def main() -> None:
     """Annotate both archives with each method, and print the table as Markdown."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.long_archive", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.long_archive", description=__doc__)
     parser.add_argument("--hours", type=float, nargs="+", default=[1.0, 100.0], help="of long takes in each archive")
     parser.add_argument("--stores", type=Path, default=BUILD, help="folder for the stores")
     parser.add_argument("--method", action="append", choices=sorted(METHODS), help="may be repeated")

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.few_clips STORE`: how good labels are that were learned from few example clips.
+"""`python -m studies.few_clips STORE`: how good labels are that were learned from few example clips.
 
 The store is that of `kinedex run annotate` with ground truth. So many clips are drawn of every class, of two people at
 least (one clip is of one; a class that has fewer gives all), and all takes with ground truth are labelled by templates
@@ -109,7 +109,7 @@ def line(name: str, clips: Sequence[int], found: Mapping[str, Sequence[Counts]])
 
 def main() -> None:
     """Draw, learn, label and print the table as Markdown."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.few_clips", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.few_clips", description=__doc__)
     parser.add_argument("store", type=Path, help="store of `kinedex run annotate` with ground truth")
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 2, 3, 5, 10], help="clips of each class")
     parser.add_argument("--draws", type=int, default=10, help="draws for each count")

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.synth_calibration [ARCHIVE] [--hdm05 DIR]`: is the synthetic archive as hard as life?
+"""`python -m studies.synthetic_motion [ARCHIVE] [--hdm05 DIR]`: is the synthetic archive as hard as life?
 
 Counts the distinct words in as many frames as the HDM05 data has, and how long word runs last, for the whole words and
 each set, and compares with HDM05: with the figures below, or with those of a folder of HDM05 files. Within a factor of
@@ -116,7 +116,7 @@ def comparison(mine: dict[str, Figures], theirs: dict[str, Figures]) -> Table:
 
 def main() -> int:
     """Print the comparison; the exit code is 1 where something differs by more than a factor of two."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.synth_calibration", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.synthetic_motion", description=__doc__)
     parser.add_argument(
         "archive", nargs="?", type=Path, help="a synthetic archive (the one of the benchmarks if not given)"
     )

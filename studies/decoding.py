@@ -1,4 +1,4 @@
-"""`python -m benchmarks.decoding STORE`: how the parameters of method best were chosen, on example clips alone.
+"""`python -m studies.decoding STORE`: how the parameters of method best were chosen, on example clips alone.
 
 The clips of one actor at a time are left out, laid end to end in a drawn order, and labelled with the templates of the
 others. Parameters that suit other people of the same studio may not suit anything else, so the same clips are also
@@ -250,7 +250,7 @@ def of_people(store: Store, where: str, other: str | None) -> dict[str, list[Tri
 
 
 def of_styles(store: Store, where: str) -> dict[str, list[Trial]]:
-    """Some styles left out at a time; the styles of a store of `benchmarks.bandai` stand in `actor`."""
+    """Some styles left out at a time; the styles of a store of `studies.bandai` stand in `actor`."""
     clips, features = clips_of(store, where), len(store.feature_set.features)
     every = [clip.label for clip in clips]
     labels = sorted({label for label in every if every.count(label) >= LEAST_CLIPS})
@@ -317,11 +317,11 @@ def reliability(sets: Mapping[str, Sequence[Trial]]) -> Table:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.decoding", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.decoding", description=__doc__)
     parser.add_argument("store", type=Path, help="a store with example clips of several actors")
     parser.add_argument("--where", default="true", help="which of them: a SQL filter")
     parser.add_argument("--amid", help="name of a take of the store, of other motions, to lay between the clips")
-    parser.add_argument("--styles", type=Path, help="a store of `benchmarks.bandai`")
+    parser.add_argument("--styles", type=Path, help="a store of `studies.bandai`")
     parser.add_argument("--styles-where", default="name LIKE 'dataset-1%'", help="which of its takes: a SQL filter")
     given = parser.parse_args()
     store = open_store(given.store)

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.rates STORE`: how much words depend on the rate of the source.
+"""`python -m studies.rates STORE`: how much words depend on the rate of the source.
 
 The takes of a store are written as BVH at the analysis rate (30 Hz) and read again. Joints lie where they lay; what
 differs is that velocities and hysteresis saw all source frames then, and every fourth of them (at 120 Hz) now.

@@ -1,10 +1,10 @@
-"""`python -m benchmarks.bandai SOURCE`: Bandai's takes labelled by content, from five example clips of each content.
+"""`python -m studies.bandai SOURCE`: Bandai's takes labelled by content, from five example clips of each content.
 
 All BVH files below SOURCE come into one store; content and style stand in their names. Of every content with at least
 `--least` takes, five are drawn as examples, whatever their style; every other take counts as unlabelled, and gets the
 content that labels most of its frames, or none. That is repeated with other draws. Nothing is chosen by the results:
 the parameters are those of the pipeline `annotate`. (Those of method best were chosen, among other things, on takes of
-dataset 1 with styles left out, `benchmarks.decoding`; dataset 2 had no part in it.)
+dataset 1 with styles left out, `studies.decoding`; dataset 2 had no part in it.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from benchmarks.archive import BUILD
 from benchmarks.harness import silent
 from kinedex.catalog.classes import load_classes
 from kinedex.ops.annotation.decoding import background
@@ -28,6 +27,7 @@ from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.templates.learning import learn_templates, training_clips
 from kinedex.storage.store.store import Store, open_store
+from studies import BUILD
 
 PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."  # the style stands in `actor`
 Bool = npt.NDArray[np.bool_]
@@ -187,7 +187,7 @@ def side_by_side(rows: pl.DataFrame, by: str) -> list[str]:
 
 def main() -> None:
     """Ingest, label, and print the tables as Markdown."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bandai", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.bandai", description=__doc__)
     parser.add_argument("source", type=Path, help="folder of the BVH files")
     parser.add_argument("--store", type=Path, default=BUILD / "bandai-store")
     parser.add_argument("--seeds", type=int, default=10, help="draws of the examples")

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.cross_studio STORE TRUTH`: why takes of another studio were labelled as they were, in features.
+"""`python -m studies.cross_studio STORE TRUTH`: why takes of another studio were labelled as they were, in features.
 
 The store is that of `kinedex run hdm05-cmu`, TRUTH its ground truth. For each manual segment: what both methods label
 it with (best: and how sure that is); what a label of its class alone is worth to method best there (below 0 it costs
@@ -184,7 +184,7 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
 
 def main() -> None:
     """Print which classes correspond, and the table as Markdown."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.cross_studio", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m studies.cross_studio", description=__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("truth", type=Path)
     given = parser.parse_args()
