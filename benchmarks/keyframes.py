@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.harness import Figure, seconds
 from kinedex.ops.keyframes.fitness import training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evolve
-from kinedex.ops.keyframes.training_task import Evolution, Material, make_material
+from kinedex.ops.keyframes.training_task import EvolutionSettings, TrainingTask, make_training_task
 from kinedex.ops.search.keyframes import keyframe_list, search
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.search.segments import to_axis
@@ -23,7 +23,7 @@ def figures(store: Store) -> list[Figure]:
     """Time one run, and its fitness beside the general keyframe search on the same clips."""
     clips = cut_clips(store.words())
     material = material_of(clips)
-    evolution = Evolution()
+    evolution = EvolutionSettings()
     run = evolve(material, evolution, 1)
     one_run = Figure(
         "genetic run, M = 50, r = 5, G = 100",
@@ -43,15 +43,15 @@ def cut_clips(words: TakeWords) -> list[U64]:
     return list(enough.reshape(CLASSES * CLIPS, length))
 
 
-def material_of(clips: list[U64]) -> Material:
+def material_of(clips: list[U64]) -> TrainingTask:
     """The first nine clips against all others; stretches of anything have little in common, so δ is not 0 here."""
     template = quantise(learn_soft(clips[:CLIPS], 40).template, 0.3)
-    return make_material(training_frames(clips, 40), CLIPS, template, (1 << 40) - 1)
+    return make_training_task(training_frames(clips, 40), CLIPS, template, (1 << 40) - 1)
 
 
-def _searches(clips: list[U64], material: Material, queries: int) -> float:
+def _searches(clips: list[U64], material: TrainingTask, queries: int) -> float:
     """Seconds of as many general searches, for queries of an initial population, from the runs of words."""
-    drawn = [evolve(material, Evolution(population=1, generations=0), seed).query for seed in range(200)]
+    drawn = [evolve(material, EvolutionSettings(population=1, generations=0), seed).query for seed in range(200)]
     offsets = np.arange(len(clips) + 1, dtype=np.int64) * len(clips[0])
     runs = word_runs(np.concatenate(clips), offsets)
     starts, stops = to_axis(runs.take, runs.start), to_axis(runs.take, runs.stop)

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.keyframes.genetic_algorithm import highest_rank, tune_gaps
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import Evolution, Material, Run
+from kinedex.ops.keyframes.genetic_algorithm import rank_bound, tune_gaps
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import EvolutionSettings, LearningRun, TrainingTask
 from kinedex.ops.words import bits
 
 F64 = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ class Consensus:
     """
 
     origin: Literal["consensus", "best run"]
-    query: Query
+    query: Individual
     fitness: float
     rank: float
     agreement: float
@@ -43,7 +43,7 @@ class Consensus:
     matrix: F64
 
 
-def agreement_matrix(queries: Sequence[Query], columns: int, features: int) -> F64:
+def agreement_matrix(queries: Sequence[Individual], columns: int, features: int) -> F64:
     """Add up the keyframes of many queries at their template columns (thesis, Figure 4.2 a).
 
     Returns
@@ -58,7 +58,9 @@ def agreement_matrix(queries: Sequence[Query], columns: int, features: int) -> F
     return np.clip(total / max(len(queries), 1), 0.0, 1.0)
 
 
-def recurring(queries: Sequence[Query], agreement: float, reach: int, features: int) -> Query | None:
+def recurring_keyframes(
+    queries: Sequence[Individual], agreement: float, reach: int, features: int
+) -> Individual | None:
     """Extract the keyframes that recur most (thesis, Figure 4.2 b).
 
     Parameters
@@ -103,11 +105,11 @@ def _majority(
     return mask, sum(1 << int(f) for f in np.flatnonzero(decided & (on > off)))
 
 
-def _spaced(found: Sequence[tuple[float, int, int]]) -> Query:
+def _spaced(found: Sequence[tuple[float, int, int]]) -> Individual:
     ordered = sorted(found)
     positions = np.array([round(place) for place, _, _ in ordered], np.int64)
     spacing = np.diff(positions)
-    return Query(
+    return Individual(
         np.array([mask for _, mask, _ in ordered], np.uint64),
         np.array([value for _, _, value in ordered], np.uint64),
         positions,
@@ -116,10 +118,10 @@ def _spaced(found: Sequence[tuple[float, int, int]]) -> Query:
     )
 
 
-def consent(
-    material: Material,
-    runs: Sequence[Run],
-    evolution: Evolution,
+def find_consensus(
+    material: TrainingTask,
+    runs: Sequence[LearningRun],
+    evolution: EvolutionSettings,
     reach: int,
     seed: int | tuple[int, ...],
     at_least: AtLeast = "median",
@@ -130,7 +132,7 @@ def consent(
     Parameters
     ----------
     material, evolution: of the runs. runs: one or more.
-    reach: see `recurring`. seed: of the mutations. at_least: the consensus has to rank as high as this run.
+    reach: see `recurring_keyframes`. seed: of the mutations. at_least: the consensus has to rank as high as this run.
     agreements: see `AGREEMENTS`.
 
     Returns
@@ -146,15 +148,15 @@ def consent(
     median = float(np.median(ranks))
     matrix = agreement_matrix([run.query for run in runs], len(material.masks), features)
     wanted = best.rank if at_least == "best" else median
-    tuned: tuple[float, Run] | None = None
+    tuned: tuple[float, LearningRun] | None = None
     tried: set[tuple[bytes, ...]] = set()
     for agreement in agreements:
-        query = recurring([run.query for run in runs], agreement, reach, features)
+        query = recurring_keyframes([run.query for run in runs], agreement, reach, features)
         if query is None or query.key() in tried:
             continue
         tried.add(query.key())
         # what gaps can make of it at most is not enough, so they are not tuned
-        most = highest_rank(material, query, evolution) + 1e-9
+        most = rank_bound(material, query, evolution) + 1e-9
         if most < wanted or (tuned is not None and most <= tuned[1].rank):
             continue
         run = tune_gaps(material, query, evolution, seed)

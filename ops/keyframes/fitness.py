@@ -18,7 +18,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
 Bool = npt.NDArray[np.bool_]
@@ -119,7 +119,7 @@ def _packed(frames: Bool) -> U64:
     return np.packbits(frames, axis=-1, bitorder="little").view("<u8").astype(np.uint64)
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """What the kernels write to.
 
     bitmaps: uint64 (RESIDENT, W), the frames that match a keyframe; masks, values: uint64 (RESIDENT,), which one; made:
@@ -138,9 +138,9 @@ class Room(NamedTuple):
     hit: Bool
 
 
-def room_for(frames: TrainingFrames, keyframes: int) -> Room:
-    """Room to evaluate queries of up to so many keyframes on these clips."""
-    return Room(
+def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
+    """Workspace to evaluate queries of up to so many keyframes on these clips."""
+    return Workspace(
         np.zeros((RESIDENT, len(frames.valid)), np.uint64),
         np.zeros(RESIDENT, np.uint64),
         np.zeros(RESIDENT, np.uint64),
@@ -153,9 +153,9 @@ def room_for(frames: TrainingFrames, keyframes: int) -> Room:
     )
 
 
-def retrieved(frames: TrainingFrames, query: Query) -> Bool:
+def retrieved(frames: TrainingFrames, query: Individual) -> Bool:
     """Tell for each clip whether a query has a hit in it, bool (T,)."""
-    room = room_for(frames, len(query))
+    room = new_workspace(frames, len(query))
     find_bitmaps(frames.on, frames.off, frames.valid, query.masks, query.values, len(query), room)
     retrieve(len(query), query.lows, query.highs, query.lows, query.highs, frames.first, 0, room)
     return room.hit

@@ -10,27 +10,27 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.bits import count_bits
-from kinedex.ops.keyframes.fitness import INNER, find_bitmaps, fitness_of, retrieve, room_for
+from kinedex.ops.keyframes.fitness import INNER, find_bitmaps, fitness_of, new_workspace, retrieve
 from kinedex.ops.keyframes.genetic_operators import (
-    Breeding,
-    Columns,
-    People,
-    change_gaps,
+    OperatorSettings,
+    Population,
+    TemplateColumns,
     copy_individual,
+    crossover,
     draw_individual,
     mutate,
-    recombine,
-    room_for_people,
-    sample_universally,
+    mutate_gaps,
+    new_population,
+    select_parents,
 )
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import HISTORY, Evolution, Material, Run
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, EvolutionSettings, LearningRun, TrainingTask
 from kinedex.ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]
 
 
-def evolve(material: Material, evolution: Evolution, seed: int | tuple[int, ...]) -> Run:
+def evolve(material: TrainingTask, evolution: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
     """Run the genetic algorithm once (thesis, Algorithm 3).
 
     Parameters
@@ -44,9 +44,9 @@ def evolve(material: Material, evolution: Evolution, seed: int | tuple[int, ...]
     The individual of the last generation that ranks highest; of equal ones the oldest. Parents are drawn by fitness,
     and those that rank highest survive; without costs both are the same, as in the thesis.
     """
-    people = room_for_people(evolution.population + evolution.offspring, evolution.most_keyframes)
-    history = np.zeros((evolution.generations + 1, len(HISTORY)))
-    room = room_for(material.frames, evolution.most_keyframes)
+    people = new_population(evolution.population + evolution.offspring, evolution.most_keyframes)
+    history = np.zeros((evolution.generations + 1, len(HISTORY_COLUMNS)))
+    room = new_workspace(material.frames, evolution.most_keyframes)
     sizes = (evolution.population, evolution.parents, evolution.generations)
     best, evaluated = _evolve(
         _random(seed), people, _clips(material), _columns(material), room, history, sizes, _breeding(evolution),
@@ -55,22 +55,24 @@ def evolve(material: Material, evolution: Evolution, seed: int | tuple[int, ...]
     return _run(people, best, history, evaluated)
 
 
-def random_search(material: Material, evolution: Evolution, seed: int | tuple[int, ...]) -> Run:
+def random_search(material: TrainingTask, evolution: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
     """Draw as many initial individuals as a run makes individuals in all, and keep the fittest (Algorithm 2 alone)."""
     return evolve(material, replace(evolution, population=evolution.budget, generations=0), seed)
 
 
-def tune_gaps(material: Material, query: Query, evolution: Evolution, seed: int | tuple[int, ...]) -> Run:
+def tune_gaps(
+    material: TrainingTask, query: Individual, evolution: EvolutionSettings, seed: int | tuple[int, ...]
+) -> LearningRun:
     """Improve the gaps of a query by the same mutations, one at a time, keeping what is no worse.
 
     As many are tried as a run makes offspring, none where there is no gap. The history has the best one after each
     generation's worth.
     """
     most = max(evolution.most_keyframes, len(query))
-    people = room_for_people(2, most)
+    people = new_population(2, most)
     _put(people, 0, query)
-    history = np.zeros((evolution.generations + 1, len(HISTORY)))
-    room = room_for(material.frames, most)
+    history = np.zeros((evolution.generations + 1, len(HISTORY_COLUMNS)))
+    room = new_workspace(material.frames, most)
     tries = evolution.offspring if len(query) > 1 else 0
     _tune(
         _random(seed), people, np.arange(2), _clips(material), room, history, tries, evolution.gap_step,
@@ -79,16 +81,18 @@ def tune_gaps(material: Material, query: Query, evolution: Evolution, seed: int 
     return _run(people, 0, history, 1 + tries * evolution.generations)
 
 
-def judge(material: Material, query: Query, evolution: Evolution) -> tuple[float, float, float, float]:
+def evaluate(
+    material: TrainingTask, query: Individual, evolution: EvolutionSettings
+) -> tuple[float, float, float, float]:
     """The weight of positive and of negative clips that a query retrieves, its fitness and its rank, as in a run."""
-    people = room_for_people(1, len(query))
+    people = new_population(1, len(query))
     _put(people, 0, query)
-    _evaluate(people, 0, _clips(material), room_for(material.frames, len(query)), _judging(evolution, material))
+    _evaluate(people, 0, _clips(material), new_workspace(material.frames, len(query)), _judging(evolution, material))
     found, wrong, fitness, rank = people.results[0].tolist()
     return found, wrong, fitness, rank
 
 
-def highest_rank(material: Material, query: Query, evolution: Evolution) -> float:
+def rank_bound(material: TrainingTask, query: Individual, evolution: EvolutionSettings) -> float:
     """The rank of a query that tells all clips apart with gaps of one length: no other gaps make it rank higher."""
     outside = (int(query.positions[0]) + len(material.masks) - 1 - int(query.positions[-1])) / len(material.masks)
     return 1.0 - evolution.parsimony * query.fixed - evolution.outside_cost * outside
@@ -98,7 +102,7 @@ def highest_rank(material: Material, query: Query, evolution: Evolution) -> floa
 
 
 class _Clips(NamedTuple):
-    """The clips of a `Material`; wanted: the weight of the positive ones."""
+    """The clips of a `TrainingTask`; wanted: the weight of the positive ones."""
 
     on: U64
     off: U64
@@ -124,18 +128,18 @@ def _random(seed: int | tuple[int, ...]) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
 
 
-def _clips(material: Material) -> _Clips:
+def _clips(material: TrainingTask) -> _Clips:
     frames, weights = material.frames, material.weights
     wanted = float(weights[: material.positives].sum())
     return _Clips(frames.on, frames.off, frames.valid, frames.first, material.positives, weights, wanted)
 
 
-def _columns(material: Material) -> Columns:
-    return Columns(material.masks, material.values, material.columns, np.uint64(material.allowed))
+def _columns(material: TrainingTask) -> TemplateColumns:
+    return TemplateColumns(material.masks, material.values, material.columns, np.uint64(material.allowed))
 
 
-def _breeding(evolution: Evolution) -> Breeding:
-    return Breeding(
+def _breeding(evolution: EvolutionSettings) -> OperatorSettings:
+    return OperatorSettings(
         float(evolution.keyframes_mean),
         float(evolution.keyframes_sd),
         evolution.least_keyframes,
@@ -148,7 +152,7 @@ def _breeding(evolution: Evolution) -> Breeding:
     )
 
 
-def _judging(evolution: Evolution, material: Material) -> _Judging:
+def _judging(evolution: EvolutionSettings, material: TrainingTask) -> _Judging:
     columns = len(material.masks)
     return _Judging(
         float(evolution.beta),
@@ -160,9 +164,9 @@ def _judging(evolution: Evolution, material: Material) -> _Judging:
     )
 
 
-def _run(people: People, row: int, history: F64, evaluated: int) -> Run:
+def _run(people: Population, row: int, history: F64, evaluated: int) -> LearningRun:
     count = int(people.counts[row])
-    query = Query(
+    query = Individual(
         people.masks[row, :count].copy(),
         people.values[row, :count].copy(),
         people.positions[row, :count].copy(),
@@ -170,10 +174,10 @@ def _run(people: People, row: int, history: F64, evaluated: int) -> Run:
         people.highs[row, : count - 1].copy(),
     )
     fitness, rank = people.results[row, 2:].tolist()
-    return Run(query, fitness, rank, history, int(evaluated))
+    return LearningRun(query, fitness, rank, history, int(evaluated))
 
 
-def _put(people: People, row: int, query: Query) -> None:
+def _put(people: Population, row: int, query: Individual) -> None:
     count = len(query)
     people.counts[row] = count
     for part, given in zip(people[1:4], (query.masks, query.values, query.positions), strict=True):
@@ -199,12 +203,12 @@ def _evolve(rng, people, clips, columns, room, history, sizes, breeding, judging
     _sort(order, people, min(1, population), population)
     _remember(history[0], order, people, population, clips.wanted)
     for generation in range(1, generations + 1):
-        sample_universally(people.results[:, 2], order[:population], chosen, rng.random())
+        select_parents(people.results[:, 2], order[:population], chosen, rng.random())
         place = population
         for one in range(parents):
             for other in range(one + 1, parents):
                 row = order[place]
-                recombine(rng, people, chosen[one], chosen[other], row, breeding, taken)
+                crossover(rng, people, chosen[one], chosen[other], row, breeding, taken)
                 mutate(rng, people, row, columns, breeding)
                 evaluated += _evaluate_new(people, order, place, clips, room, judging)
                 place += 1
@@ -222,7 +226,7 @@ def _tune(rng, people, rows, clips, room, history, tries, gap_step, judging):  #
         if generation > 0:
             for _ in range(tries):
                 copy_individual(people, best, changed)
-                change_gaps(rng, people, changed, gap_step)
+                mutate_gaps(rng, people, changed, gap_step)
                 _evaluate(people, changed, clips, room, judging)
                 if people.results[changed, 3] >= people.results[best, 3]:
                     copy_individual(people, changed, best)

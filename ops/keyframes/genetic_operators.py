@@ -17,7 +17,7 @@ from kinedex.ops.keyframes.fitness import INNER
 from kinedex.ops.words import I64, U64
 
 
-class People(NamedTuple):
+class Population(NamedTuple):
     """Individuals as arrays, one row each.
 
     counts: int64 (P,), how many keyframes (K). masks, values: uint64 (P, most). positions: int64 (P, most), template
@@ -34,7 +34,7 @@ class People(NamedTuple):
     results: npt.NDArray[np.float64]
 
 
-class Columns(NamedTuple):
+class TemplateColumns(NamedTuple):
     """What keyframes are made of: the template's masks and values (N,), its usable columns, the features allowed."""
 
     masks: U64
@@ -43,11 +43,8 @@ class Columns(NamedTuple):
     allowed: np.uint64
 
 
-class Breeding(NamedTuple):
-    """The numbers of the operators; see `ops.keyframes.training_task.Evolution`. centre: of initial gaps, 1 for the
-    spacing
-    itself. keyframe_odds, entry_odds: how likely a mutation of keyframes and one of entries is; else it is one of gaps.
-    """
+class OperatorSettings(NamedTuple):
+    """The settings of the operators (see `ops.keyframes.training_task.EvolutionSettings`)."""
 
     mean: float
     deviation: float
@@ -60,11 +57,11 @@ class Breeding(NamedTuple):
     entry_odds: float = 1 / 3
 
 
-def room_for_people(rows: int, most: int) -> People:
-    """Room for so many individuals of up to so many keyframes."""
+def new_population(rows: int, most: int) -> Population:
+    """Workspace for so many individuals of up to so many keyframes."""
     shape = (rows, most)
     bits, numbers = np.uint64, np.int64
-    return People(
+    return Population(
         np.zeros(rows, numbers), np.zeros(shape, bits), np.zeros(shape, bits), np.zeros(shape, numbers),
         np.zeros(shape, numbers), np.zeros(shape, numbers), np.zeros((rows, 4)),
     )  # fmt: skip
@@ -116,7 +113,7 @@ def _choose(rng, taken, total, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def sample_universally(fitness, rows, chosen, offset):  # type: ignore[no-untyped-def]
+def select_parents(fitness, rows, chosen, offset):  # type: ignore[no-untyped-def]
     """Stochastic universal sampling (Baker 1987): pointers at equal distances over the fitness of these rows."""
     total = 0.0
     for row in rows:
@@ -136,7 +133,7 @@ def sample_universally(fitness, rows, chosen, offset):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def recombine(rng, people, one, other, row, breeding, taken):  # type: ignore[no-untyped-def]
+def crossover(rng, people, one, other, row, breeding, taken):  # type: ignore[no-untyped-def]
     """Merge some keyframes of each parent in the order of their columns; gaps as at the beginning (Figure 4.1 a)."""
     people.counts[row] = 0
     for parent in (one, other):
@@ -184,7 +181,7 @@ def mutate(rng, people, row, columns, breeding):  # type: ignore[no-untyped-def]
     elif kind < breeding.keyframe_odds + breeding.entry_odds:
         _change_entries(rng, people, row, columns.allowed, first, breeding.open_share)
     else:
-        change_gaps(rng, people, row, breeding.gap_step)
+        mutate_gaps(rng, people, row, breeding.gap_step)
 
 
 @njit(**INNER)
@@ -258,7 +255,7 @@ def _bit(bits, number):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def change_gaps(rng, people, row, gap_step):  # type: ignore[no-untyped-def]
+def mutate_gaps(rng, people, row, gap_step):  # type: ignore[no-untyped-def]
     """Change both ends of every gap at random, by up to a share of the keyframes' spacing and at least a frame."""
     for k in range(people.counts[row] - 1):
         step = max(1.0, gap_step * (people.positions[row, k + 1] - people.positions[row, k]))

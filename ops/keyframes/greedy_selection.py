@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.keyframes.genetic_algorithm import judge
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import Evolution, Material, Run
+from kinedex.ops.keyframes.genetic_algorithm import evaluate
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import EvolutionSettings, LearningRun, TrainingTask
 
 TOLERANCES = (0.5, 1.0)
 """Shares of the spacing by which a new gap may be shorter or longer."""
 
 
-def forward_selection(material: Material, evolution: Evolution) -> Run:
+def forward_selection(material: TrainingTask, evolution: EvolutionSettings) -> LearningRun:
     """Select template columns greedily, by the rank that the genetic algorithm goes by.
 
     The first column is the one that ranks best alone; then always the column is added, with gaps to its neighbours of
@@ -38,23 +38,23 @@ def forward_selection(material: Material, evolution: Evolution) -> Run:
         best = better
         trace.append(best.course(evolution))
     history = np.array(trace, np.float64)
-    return Run(best.query, best.fitness(evolution), best.ranked(evolution), history, evaluated)
+    return LearningRun(best.query, best.fitness(evolution), best.ranked(evolution), history, evaluated)
 
 
 class Candidate:
     """Columns in order, with the tolerances of the gaps between them."""
 
-    def __init__(self, places: list[int], tolerances: list[float], material: Material) -> None:
+    def __init__(self, places: list[int], tolerances: list[float], material: TrainingTask) -> None:
         self.places, self.tolerances, self.material = places, tolerances, material
         self._judged: tuple[float, float, float, float] | None = None
 
     @property
-    def query(self) -> Query:
+    def query(self) -> Individual:
         """The keyframe query of these columns."""
         places = np.array(self.places, np.int64)
         spacing = np.diff(places)
         slack = np.round(spacing * np.array(self.tolerances)).astype(np.int64)
-        return Query(
+        return Individual(
             self.material.masks[places], self.material.values[places], places,
             np.maximum(spacing - slack, 0), spacing + slack,
         )  # fmt: skip
@@ -69,21 +69,21 @@ class Candidate:
             tolerances.insert(at, tolerance)
         return Candidate([*self.places[:at], column, *self.places[at:]], tolerances, self.material)
 
-    def ranked(self, evolution: Evolution) -> float:
+    def ranked(self, evolution: EvolutionSettings) -> float:
         """The rank by which individuals are compared."""
         return self._results(evolution)[3]
 
-    def fitness(self, evolution: Evolution) -> float:
+    def fitness(self, evolution: EvolutionSettings) -> float:
         """F_beta on the clips."""
         return self._results(evolution)[2]
 
-    def course(self, evolution: Evolution) -> tuple[float, float, float, float]:
-        """A row of a history, `HISTORY`: precision, recall, and twice the fitness."""
+    def course(self, evolution: EvolutionSettings) -> tuple[float, float, float, float]:
+        """A row of a history, `HISTORY_COLUMNS`: precision, recall, and twice the fitness."""
         found, wrong, fitness, _ = self._results(evolution)
         wanted = float(self.material.weights[: self.material.positives].sum())
         return found / (found + wrong) if found else 0.0, found / wanted, fitness, fitness
 
-    def _results(self, evolution: Evolution) -> tuple[float, float, float, float]:
+    def _results(self, evolution: EvolutionSettings) -> tuple[float, float, float, float]:
         if self._judged is None:
-            self._judged = judge(self.material, self.query, evolution)
+            self._judged = evaluate(self.material, self.query, evolution)
         return self._judged

@@ -11,7 +11,7 @@ from kinedex.ops.words import I64, U64
 
 
 @dataclass(frozen=True)
-class Query:
+class Individual:
     """A keyframe query over whole words: K keyframes at template columns, and the gaps between them (thesis, 4.1).
 
     masks, values: uint64 (K,), bit i - 1 is F_i. positions: int64 (K,), template columns, never falling. lows, highs:

@@ -10,19 +10,19 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes.fitness import TrainingFrames
-from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]
 InitialGaps = Literal["around", "printed"]
 
-HISTORY = ("precision", "recall", "fitness", "best")
+HISTORY_COLUMNS = ("precision", "recall", "fitness", "best")
 """What a run remembers of each generation: means over its individuals, and the fitness of the best one."""
 
 
 @dataclass(frozen=True)
-class Evolution:
+class EvolutionSettings:
     """The numbers of the algorithm, with the thesis's values.
 
     population, parents, generations: M, r and G. beta: of the fitness. keyframes_mean, keyframes_sd: of the number of
@@ -100,7 +100,7 @@ class Evolution:
 
 
 @dataclass(frozen=True)
-class Material:
+class TrainingTask:
     """What a query is learned from.
 
     frames: the T clips, those of the class first. positives: how many these are. weights: float64 (T,), what each clip
@@ -122,27 +122,28 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Run:
+class LearningRun:
     """The outcome of one run.
 
     query: its fittest individual. fitness: F_beta. rank: the same less what parsimony takes off, by which individuals
-    are compared. history: float64 (G + 1, 4), `HISTORY` of each generation. evaluated: how many individuals were.
+    are compared. history: float64 (G + 1, 4), `HISTORY_COLUMNS` of each generation.
+    evaluated: how many individuals were.
     """
 
-    query: Query
+    query: Individual
     fitness: float
     rank: float
     history: F64
     evaluated: int
 
 
-def make_material(
+def make_training_task(
     frames: TrainingFrames,
     positives: int,
     template: QuantisedTemplate,
     allowed: int,
     weights: F64 | None = None,
-) -> Material:
+) -> TrainingTask:
     """Put together what a query is learned from.
 
     Parameters
@@ -168,7 +169,7 @@ def make_material(
     masks = template.mask & np.uint64(allowed)
     if not masks.any():
         raise ParameterError("template", "with one fixed entry at least among the features allowed", "wildcards alone")
-    return Material(frames, positives, weights, masks, template.value & masks, allowed)
+    return TrainingTask(frames, positives, weights, masks, template.value & masks, allowed)
 
 
 def steady_entries(template: QuantisedTemplate, steady: int) -> QuantisedTemplate:

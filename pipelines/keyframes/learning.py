@@ -22,12 +22,18 @@ from kinedex.ops.keyframes import genetic_algorithm as genetics
 from kinedex.ops.keyframes import genetic_operators as breeding
 from kinedex.ops.keyframes import greedy_selection as greedy
 from kinedex.ops.keyframes import training_task as learned_from
-from kinedex.ops.keyframes.consensus import AtLeast, Consensus, consent
+from kinedex.ops.keyframes.consensus import AtLeast, Consensus, find_consensus
 from kinedex.ops.keyframes.fitness import training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evolve, random_search
 from kinedex.ops.keyframes.greedy_selection import forward_selection
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import Evolution, Material, Run, make_material, steady_entries
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import (
+    EvolutionSettings,
+    LearningRun,
+    TrainingTask,
+    make_training_task,
+    steady_entries,
+)
 from kinedex.ops.templates import templates as template_code
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import U64
@@ -43,7 +49,7 @@ class Setting:
     """How queries are learned; `pipelines.stages.learn_keyframes.Params` says what each number means."""
 
     learner: Learner
-    evolution: Evolution
+    evolution: EvolutionSettings
     delta: float
     allowed: int
     features: int
@@ -124,7 +130,7 @@ class AgreeTask:
 
     lesson: Lesson
     setting: Setting
-    runs: tuple[Run, ...]
+    runs: tuple[LearningRun, ...]
 
     @property
     def subject(self) -> str:
@@ -136,7 +142,7 @@ class AgreeTask:
 class Chosen:
     """A query that was chosen, and how many frames before and after its hits the motion may reach."""
 
-    query: Query
+    query: Individual
     left: int
     right: int
 
@@ -206,13 +212,13 @@ def strict_template(lesson: Lesson, setting: Setting) -> QuantisedTemplate:
     )
 
 
-def material_of(lesson: Lesson, setting: Setting) -> Material:
+def material_of(lesson: Lesson, setting: Setting) -> TrainingTask:
     """The clips as bitmaps, positives first, and the template's columns."""
     others = [*lesson.negatives, *_joined(lesson, setting), *lesson.background]
     every = [*lesson.positives, *others]
     judged = [setting.steady] * len(lesson.positives) + [0] * len(others)
     frames = training_frames(every, setting.features, judged)
-    return make_material(frames, len(lesson.positives), strict_template(lesson, setting), setting.allowed)
+    return make_training_task(frames, len(lesson.positives), strict_template(lesson, setting), setting.allowed)
 
 
 def _joined(lesson: Lesson, setting: Setting) -> list[U64]:
@@ -226,19 +232,19 @@ def _joined(lesson: Lesson, setting: Setting) -> list[U64]:
 
 
 @lru_cache(maxsize=4)
-def _cached(key: str) -> list[Material]:
+def _cached(key: str) -> list[TrainingTask]:
     # One material per lesson and worker; filled by its first task.
     return []
 
 
-def _material(lesson: Lesson, setting: Setting) -> Material:
+def _material(lesson: Lesson, setting: Setting) -> TrainingTask:
     kept = _cached(lesson.key(setting))
     if not kept:
         kept.append(material_of(lesson, setting))
     return kept[0]
 
 
-def do_runs(task: RunTask) -> list[Run]:
+def do_runs(task: RunTask) -> list[LearningRun]:
     """Do runs of one lesson (in a worker); a run follows from seed, subclass and number alone."""
     material = _material(task.lesson, task.setting)
     evolution = task.setting.evolution
@@ -260,7 +266,7 @@ def agree(task: AgreeTask) -> Outcome:
     material = _material(lesson, setting)
     reach = max(1, round(setting.reach * len(material.masks)))
     seed = (setting.seed, crc32(lesson.subclass.encode()), len(task.runs), 1)
-    found = consent(material, task.runs, setting.evolution, reach, seed, setting.at_least, setting.agreements)
+    found = find_consensus(material, task.runs, setting.evolution, reach, seed, setting.at_least, setting.agreements)
     queries = _queries(found, task.runs, setting.alternatives)
     columns = len(material.masks)
     margins = margins_of(queries, lesson.positives, setting.features, columns, setting.margins)
@@ -274,7 +280,7 @@ def agree(task: AgreeTask) -> Outcome:
     )  # fmt: skip
 
 
-def _queries(found: Consensus, runs: Sequence[Run], alternatives: int) -> list[Query]:
+def _queries(found: Consensus, runs: Sequence[LearningRun], alternatives: int) -> list[Individual]:
     """What the runs agree on, then the fittest runs; each with other keyframes than those before."""
     queries = [found.query]
     for run in sorted(runs, key=lambda run: -run.rank):

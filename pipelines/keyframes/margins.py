@@ -10,7 +10,7 @@ import numpy as np
 
 from kinedex.catalog.queries.queries import Gap
 from kinedex.ops.keyframes.fitness import Bool
-from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
 from kinedex.ops.search.preselection import margins as formula_margins
@@ -23,13 +23,13 @@ ALONE = 3
 """A query that shares its margins keeps one part in so many of those that it would have alone."""
 
 
-def hit_ranges(words: TakeWords, query: Query, features: int) -> tuple[I64, I64, I64]:
+def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64, I64, I64]:
     """Search takes: the index of the take, start and stop of each range that holds hits, int64 (n,)."""
     slices = slice_words(words.words, words.offsets, features)
     return from_axis(search_slices(slices, query.masks.tolist(), query.values.tolist(), query.gaps))
 
 
-def clips_hit(clips: Sequence[U64], queries: Sequence[Query], features: int) -> Bool:
+def clips_hit(clips: Sequence[U64], queries: Sequence[Individual], features: int) -> Bool:
     """Tell for each clip whether any of these queries has a hit in it, bool (T,)."""
     hit = np.zeros(len(clips), np.bool_)
     words = as_takes(clips)
@@ -45,7 +45,7 @@ def as_takes(clips: Sequence[U64]) -> TakeWords:
 
 
 def margins_of(
-    queries: Sequence[Query], clips: Sequence[U64], features: int, columns: int, policy: Margins
+    queries: Sequence[Individual], clips: Sequence[U64], features: int, columns: int, policy: Margins
 ) -> list[tuple[int, int]]:
     """How many frames before and after a hit of each query the motion may reach.
 
@@ -71,7 +71,7 @@ def margins_of(
     return learned
 
 
-def _by_formula(query: Query, columns: int) -> tuple[int, int]:
+def _by_formula(query: Individual, columns: int) -> tuple[int, int]:
     stiffness = min((Gap(low, high).nominal_stiffness for low, high in query.gaps), default=0.0)
     return formula_margins(int(query.positions[0]), int(query.positions[-1]), columns, stiffness)
 
@@ -79,7 +79,7 @@ def _by_formula(query: Query, columns: int) -> tuple[int, int]:
 class Reach:
     """The hits of one query in clips that follow each other on one axis of frames."""
 
-    def __init__(self, takes: TakeWords, query: Query, features: int) -> None:
+    def __init__(self, takes: TakeWords, query: Individual, features: int) -> None:
         clips, starts, stops = hit_ranges(takes, query, features)
         self.begins, self.ends = takes.offsets[clips], takes.offsets[clips + 1]
         self.starts, self.stops = self.begins + starts, self.begins + stops

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.ops.keyframes.consensus import Consensus
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import Run
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import LearningRun
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import AgreeTask, Chosen, Lesson, Outcome, RunTask, Setting, agree, do_runs
 from kinedex.storage.store.schemas import result_schema
@@ -27,7 +27,7 @@ class Known:
     key: str
     subclass: str
     number: int
-    run: Run
+    run: LearningRun
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Course:
 
     lesson: Lesson
     key: str
-    runs: dict[int, Run] = field(default_factory=dict)
+    runs: dict[int, LearningRun] = field(default_factory=dict)
     outcomes: list[Outcome] = field(default_factory=list)
     settled: bool = False
 
@@ -46,7 +46,7 @@ class Course:
         return max(reversed(self.outcomes), key=lambda one: one.consensus.rank)
 
     @property
-    def used(self) -> dict[int, Run]:
+    def used(self) -> dict[int, LearningRun]:
         """The runs that were wanted; a course may know more, of a time when more were asked for."""
         wanted = self.outcomes[-1].runs if self.outcomes else 0
         return {number: run for number, run in sorted(self.runs.items()) if number < wanted}
@@ -169,7 +169,7 @@ def known_runs(table: pa.Table) -> list[Known]:
     found = []
     for row in table.to_pylist():
         history = np.array(row["history"], np.float64).reshape(-1, 4)
-        run = Run(_query_of(row), row["fitness"], row["rank"], history, row["evaluated"])
+        run = LearningRun(_query_of(row), row["fitness"], row["rank"], history, row["evaluated"])
         found.append(Known(row["key"], row["subclass"], row["number"], run))
     return found
 
@@ -232,11 +232,11 @@ def _with(outcome: Outcome, chosen: Chosen) -> Outcome:
     return replace(outcome, chosen=(*outcome.chosen, chosen))
 
 
-def _query_columns(query: Query) -> dict[str, list[int]]:
+def _query_columns(query: Individual) -> dict[str, list[int]]:
     return {name: getattr(query, name).tolist() for name in ("masks", "values", "positions", "lows", "highs")}
 
 
-def _query_of(row: dict[str, list[int]]) -> Query:
+def _query_of(row: dict[str, list[int]]) -> Individual:
     masks, values = (np.array(row[name], np.uint64) for name in ("masks", "values"))
     positions, lows, highs = (np.array(row[name], np.int64) for name in ("positions", "lows", "highs"))
-    return Query(masks, values, positions, lows, highs)
+    return Individual(masks, values, positions, lows, highs)

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import SAME_FRAME
 from kinedex.ops.evaluation.confidence_intervals import wilson
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import HISTORY, Run
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, LearningRun
 from kinedex.ops.words import bits
 from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
 from kinedex.pipelines.keyframes.tables import sentence
@@ -30,7 +30,7 @@ LEAST_CELL = 3.0
 """Keyframes of long templates are drawn at least this wide."""
 FAINT = 0.2
 """Features that stand out less than this share of the strongest one are left out of a matrix, unless a query asks."""
-LINES = HISTORY[:3]
+LINES = HISTORY_COLUMNS[:3]
 """Precision, recall and fitness, as in Figure 4.3."""
 
 
@@ -106,7 +106,7 @@ class Card:
 def keyframes_page(
     title: str,
     outcomes: Sequence[Outcome],
-    runs: Mapping[str, Sequence[Run]],
+    runs: Mapping[str, Sequence[LearningRun]],
     feature_set: FeatureSet,
     rate_hz: float,
     learner: Learner = "genetic",
@@ -221,7 +221,7 @@ def matrix_of(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Matr
 
 
 def _query_cells(
-    query: Query, rows: Sequence[int], names: Sequence[str], width: float, number: int, features: int
+    query: Individual, rows: Sequence[int], names: Sequence[str], width: float, number: int, features: int
 ) -> list[Cell]:
     masks, values = bits(query.masks, features), bits(query.values, features)
     return [

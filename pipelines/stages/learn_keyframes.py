@@ -11,7 +11,7 @@ from kinedex.catalog.classes import OWN, load_classes
 from kinedex.catalog.configs import config_path
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.consensus import AGREEMENTS, AtLeast
-from kinedex.ops.keyframes.training_task import Evolution, InitialGaps
+from kinedex.ops.keyframes.training_task import EvolutionSettings, InitialGaps
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
@@ -97,9 +97,9 @@ class Params(BaseModel):
         "wider (of learned and formula)",
     )
 
-    def evolution(self) -> Evolution:
+    def evolution(self) -> EvolutionSettings:
         """The numbers of the algorithm."""
-        return Evolution(**{name: getattr(self, name) for name in Evolution.__dataclass_fields__})
+        return EvolutionSettings(**{name: getattr(self, name) for name in EvolutionSettings.__dataclass_fields__})
 
     def rounds(self) -> Rounds:
         """How many runs there are; the greedy learner has nothing to repeat."""

@@ -6,16 +6,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.individuals import Individual
 from kinedex.pipelines.keyframes.margins import ALONE, clips_hit, margins_of
 
 FEATURES = 3
 
 
-def pose(bit: int) -> Query:
+def pose(bit: int) -> Individual:
     """A query of one keyframe: this feature is on."""
     mask = np.array([1 << bit], np.uint64)
-    return Query(mask, mask, np.array([4]), np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return Individual(mask, mask, np.array([4]), np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
 def clip(text: str) -> np.ndarray:
@@ -23,7 +23,7 @@ def clip(text: str) -> np.ndarray:
     return np.array([{"a": 1, "b": 2, "c": 3}.get(letter, 0) for letter in text], np.uint64)
 
 
-def covered(clips: list[np.ndarray], queries: list[Query], margins: list[tuple[int, int]]) -> list[list[bool]]:
+def covered(clips: list[np.ndarray], queries: list[Individual], margins: list[tuple[int, int]]) -> list[list[bool]]:
     """The naive twin: every frame against every frame that matches."""
     found = []
     for words in clips:

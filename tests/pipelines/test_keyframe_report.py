@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinedex.ops.keyframes.consensus import Consensus
-from kinedex.ops.keyframes.individuals import Query
-from kinedex.ops.keyframes.training_task import Run
+from kinedex.ops.keyframes.individuals import Individual
+from kinedex.ops.keyframes.training_task import LearningRun
 from kinedex.pipelines.keyframes.learning import Chosen, Outcome
 from kinedex.pipelines.report.keyframes import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY
@@ -17,7 +17,7 @@ from tests.pipelines.study import Reading
 
 
 def outcome() -> Outcome:
-    query = Query(
+    query = Individual(
         np.array([0b100, 1 << 20], np.uint64), np.array([0b100, 0], np.uint64), np.array([2, 9]),
         np.array([4]), np.array([16]),
     )  # fmt: skip
@@ -29,7 +29,7 @@ def outcome() -> Outcome:
 
 def test_the_page_tells_each_class_with_its_query_in_words() -> None:
     history = np.array([[0.2, 1.0, 0.5, 0.6], [0.8, 0.9, 0.85, 1.0]])
-    run = Run(outcome().consensus.query, 1.0, 0.99, history, 60)
+    run = LearningRun(outcome().consensus.query, 1.0, 0.99, history, 60)
     page = keyframes_page("Keyframes of kicks", [outcome()], {"kick": [run, run]}, BODY, 30.0)
     reading = Reading(page)
     for text in (

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.keyframes.fitness import RESIDENT, find_bitmaps, retrieved, room_for, score, training_frames
-from kinedex.ops.keyframes.individuals import Query
+from kinedex.ops.keyframes.fitness import RESIDENT, find_bitmaps, new_workspace, retrieved, score, training_frames
+from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.search.keyframes import keyframe_list, search
 from kinedex.ops.search.runs import word_runs
@@ -26,7 +26,7 @@ LONG = st.lists(WORDS, min_size=1, max_size=12).flatmap(
 
 
 @st.composite
-def queries(draw: st.DrawFn) -> Query:
+def queries(draw: st.DrawFn) -> Individual:
     count = draw(st.integers(1, 4))
     masks = np.array(draw(st.lists(st.integers(0, 15), min_size=count, max_size=count)), np.uint64)
     values = np.array(draw(st.lists(st.integers(0, 15), min_size=count, max_size=count)), np.uint64) & masks
@@ -34,10 +34,10 @@ def queries(draw: st.DrawFn) -> Query:
     spans = draw(st.lists(st.sampled_from([0, 1, 3, 20, 64, 150, UNBOUNDED]), min_size=count - 1, max_size=count - 1))
     highs = [low + span for low, span in zip(lows, spans, strict=True)]
     positions = np.arange(count, dtype=np.int64)
-    return Query(masks, values, positions, np.array(lows, np.int64), np.array(highs, np.int64))
+    return Individual(masks, values, positions, np.array(lows, np.int64), np.array(highs, np.int64))
 
 
-def by_search(clips: list[np.ndarray], query: Query) -> list[bool]:
+def by_search(clips: list[np.ndarray], query: Individual) -> list[bool]:
     """The general keyframe search, clip by clip."""
     offsets = np.concatenate([[0], np.cumsum([len(clip) for clip in clips])]).astype(np.int64)
     runs = word_runs(np.concatenate(clips), offsets)
@@ -52,7 +52,9 @@ def by_search(clips: list[np.ndarray], query: Query) -> list[bool]:
 
 
 @given(st.lists(LONG, min_size=1, max_size=4), queries())
-def test_clips_with_a_hit_are_those_of_the_search_and_of_the_definition(clips: list[list[int]], query: Query) -> None:
+def test_clips_with_a_hit_are_those_of_the_search_and_of_the_definition(
+    clips: list[list[int]], query: Individual
+) -> None:
     arrays = [np.array(clip, np.uint64) for clip in clips]
     found = retrieved(training_frames(arrays, 4), query).tolist()
     masks, values = query.masks.tolist(), query.values.tolist()
@@ -67,7 +69,7 @@ def test_a_gap_may_be_as_long_as_the_clip_and_never_longer(frames: int) -> None:
     masks = values = np.array([1, 2], np.uint64)
     clips = training_frames([words, words[1:], words], 2)
     for low, high, expected in [(frames - 1, frames - 1, True), (frames, frames + 5, False), (0, frames - 2, False)]:
-        query = Query(masks, values, np.array([0, 1]), np.array([low]), np.array([high]))
+        query = Individual(masks, values, np.array([0, 1]), np.array([low]), np.array([high]))
         assert retrieved(clips, query).tolist() == [expected, False, expected]
 
 
@@ -92,7 +94,7 @@ def test_fitness_agrees_with_the_printed_equation(positive: list[bool], hits: in
 
 @given(st.lists(LONG, min_size=1, max_size=3), queries(), st.integers(-3, 3))
 def test_strict_clips_match_where_features_last_and_kind_ones_where_they_nearly_do(
-    clips: list[list[int]], query: Query, steady: int
+    clips: list[list[int]], query: Individual, steady: int
 ) -> None:
     arrays = [np.array(clip, np.uint64) for clip in clips]
     found = retrieved(training_frames(arrays, 4, [steady] * len(clips)), query).tolist()
@@ -105,7 +107,7 @@ def test_strict_clips_match_where_features_last_and_kind_ones_where_they_nearly_
 def test_resident_bitmaps_are_right_after_more_keyframes_than_there_is_room_for() -> None:
     words = np.arange(512, dtype=np.uint64)
     frames = training_frames([words], 9)
-    room = room_for(frames, 3)
+    room = new_workspace(frames, 3)
     for value in range(RESIDENT + 40):
         values = np.array([7, value, (value + 1) % 512], np.uint64)
         masks = np.full(3, 511, np.uint64)
@@ -120,8 +122,8 @@ def test_what_is_no_query_and_what_are_no_clips() -> None:
     one = np.array([1], np.uint64)
     none = np.empty(0, np.int64)
     with pytest.raises(ParameterError, match="value must be 0 wherever mask is 0"):
-        Query(one, one + np.uint64(1), np.array([0]), none, none)
+        Individual(one, one + np.uint64(1), np.array([0]), none, none)
     with pytest.raises(ParameterError, match="gap"):
-        Query(np.tile(one, 2), np.tile(one, 2), np.array([0, 1]), np.array([3]), np.array([2]))
+        Individual(np.tile(one, 2), np.tile(one, 2), np.array([0, 1]), np.array([3]), np.array([2]))
     with pytest.raises(ParameterError, match="clips"):
         training_frames([one, np.empty(0, np.uint64)], 2)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.keyframes.genetic_algorithm import judge
+from kinedex.ops.keyframes.genetic_algorithm import evaluate
 from kinedex.ops.keyframes.greedy_selection import forward_selection
-from kinedex.ops.keyframes.training_task import Evolution
+from kinedex.ops.keyframes.training_task import EvolutionSettings
 from tests.ops.keyframes.test_genetic_algorithm import material
 
 
 def test_columns_are_added_as_long_as_the_rank_rises() -> None:
-    given, evolution = material(seed=6), Evolution()
+    given, evolution = material(seed=6), EvolutionSettings()
     run = forward_selection(given, evolution)
     assert run.fitness == 1.0
     assert (np.diff(run.history[:, 2]) >= 0).all()
@@ -19,13 +19,13 @@ def test_columns_are_added_as_long_as_the_rank_rises() -> None:
     precision, recall = run.history[-1, :2].tolist()
     assert (precision, recall) == (1.0, 1.0)
     assert (run.history[:, 1] > 0).all()
-    assert judge(given, run.query, evolution)[2:] == (run.fitness, run.rank)
+    assert evaluate(given, run.query, evolution)[2:] == (run.fitness, run.rank)
     again = forward_selection(given, evolution)
     assert again.query.key() == run.query.key()
 
 
 def test_it_is_never_worse_than_the_best_single_column() -> None:
-    given, evolution = material(seed=8), Evolution(least_keyframes=1, most_keyframes=1)
+    given, evolution = material(seed=8), EvolutionSettings(least_keyframes=1, most_keyframes=1)
     single = forward_selection(given, evolution)
     assert len(single.query) == 1
-    assert forward_selection(given, Evolution()).rank >= single.rank
+    assert forward_selection(given, EvolutionSettings()).rank >= single.rank
