@@ -19,27 +19,23 @@ from kinedex.ops.body.gaps import find_gaps
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.tables import Shown, pairs
 from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import holding
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
 from kinedex.storage.formats.motion.acclaim import INCH_M, read_asf
 from kinedex.storage.formats.motion.amass import parse_amass
-from kinedex.storage.formats.motion.bodies import FORMS, NOTHING_GIVEN, Body, Given, form_of, read_body
+from kinedex.storage.formats.motion.bodies import NOTHING_GIVEN, Body, Given, form_of, read_body
 from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh import parse_bvh
 from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.export import TREE
 from kinedex.storage.formats.motion.positions import Points, parse_positions
-from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
 
 F64 = npt.NDArray[np.float64]
 
 SHOWN = 6
 """How many frames of a take the picture shows, the first and the last among them."""
 
-ABOVE = 3
-"""How many folders above an AMC file its ASF is looked for in, where no source root is given."""
-
-_READ = f"kinedex reads {', '.join(FORMS)}"
 _FORMATS = {
     ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".c3d": "C3D, markers", ".trc": "TRC, positions",
     ".csv": "CSV, positions", ".npz": "NPZ, positions", ".npy": "NPY, positions",
@@ -86,26 +82,22 @@ def inspect_file(
     Parameters
     ----------
     skeleton: `auto`, a shipped mapping or a file of the user's own. source: the source root, which the ASF of an AMC
-    file is looked for up to; `ABOVE` folders above the file unless given. given: what the user says of its rate.
+    file is looked for up to; three folders above the file unless given. given: what the user says of its rate.
 
     Raises
     ------
     KinedexError: it is no motion file, or there is no such mapping.
     """
-    ending = file.suffix.lower()
-    if file.is_dir():
-        raise KinedexError(f"{file}: is a folder; give a file of it, or read them all: kinedex ingest STORE {file}")
-    if not file.is_file():
-        raise KinedexError(f"{file}: no such file")
-    if ending not in FORMS:
-        raise SourceError(file, f"is not read: {UNREAD.get(ending, _READ)}")
+    ending = motion_ending(file)
     feature_set = load_feature_set()
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
     found.say("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
     found.say("format", "NPZ, joint angles (AMASS)" if form_of(file) == "amass" else _FORMATS[ending])
     try:
-        asf = _asf(found, file, source) if ending == ".amc" else None
+        asf = skeleton_beside(file, source) if ending == ".amc" else None
+        if asf is not None:
+            found.say("skeleton file", str(asf))
         raw = _raw(found, file, asf, mappings, given)
         _say_mapping(found, raw, mappings)
         found.figure = raw.figure
@@ -139,24 +131,6 @@ def show(found: Inspection, console: Console, features: bool = False) -> None:
     console.print(pairs(found.lines))
     if features and found.features is not None:
         console.print(Shown(found.features))
-
-
-def _asf(found: Inspection, amc: Path, source: Path | None) -> Path:
-    """The skeleton file of an AMC file, by the rule of ingest."""
-    amc = amc.resolve()
-    root = source.resolve() if source is not None else [amc.parent, *amc.parent.parents][: ABOVE + 1][-1]
-    if not amc.is_relative_to(root):
-        raise KinedexError(f"--source {source}: {amc} does not lie below it")
-    skeletons = []
-    for folder in (folder for folder in amc.parents if folder.is_relative_to(root)):
-        skeletons += [_source(root, path) for path in sorted(folder.glob("*")) if path.suffix.lower() == ".asf"]
-    asf = skeleton_of(_source(root, amc), skeletons).absolute
-    found.say("skeleton file", str(asf))
-    return asf
-
-
-def _source(root: Path, path: Path) -> SourceFile:
-    return SourceFile(str(root), path.relative_to(root).as_posix(), 0, 0)
 
 
 def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: Given) -> _Skeleton:

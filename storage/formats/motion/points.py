@@ -77,7 +77,7 @@ def _body(
     refuse_far(path, positions, joints, fit.unknown, valid)
     return Body(
         positions=positions,
-        orientation=_upright(positions, joints, valid, warnings),
+        orientation=root_orientation(positions, joints, valid, warnings),
         rate_hz=rate_hz,
         unit=unit,
         skeleton=fit.mapping.name,
@@ -148,10 +148,25 @@ def _gaps_in_words(gaps: list[Gap], names: list[str], most: int = 6) -> str:
     return ", ".join(said) + (f" and {len(worst) - most} more points" if len(worst) > most else "")
 
 
-def _upright(positions: F64, joints: tuple[str, ...], valid: Mask, warnings: list[str]) -> F64:
-    """The root's quaternion by hips and spine: X from the right hip to the left, Y up the spine; NaN in invalid frames.
+def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warnings: list[str]) -> F64:
+    """Estimate the root's orientation from hips and spine: X from the right hip to the left, Y up the spine.
 
-    NaN in all frames where hips or spine are unknown or have no length.
+    Parameters
+    ----------
+    positions : float64 array (J, 3, T)
+        Joint positions in metres.
+    joints : tuple of str
+        The names of the J joints.
+    valid : bool array (T,)
+        The frames in which the known joints are finite.
+    warnings : list of str
+        A sentence is appended where the orientation cannot be estimated.
+
+    Returns
+    -------
+    float64 array (4, T)
+        Unit quaternions w, x, y, z; NaN in invalid frames, and in all frames where hips or spine are unknown or have
+        no length.
     """
     whole = positions if valid.all() else positions[:, :, valid]
     places = dict(zip(joints, whole, strict=True))
