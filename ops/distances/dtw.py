@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from kinedex.ops.distances.costs import I64, cost_table, encode, lay_out
 from kinedex.ops.distances.sweep import pieces_of, sweep
-from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
 
@@ -50,7 +50,7 @@ def distance_curves(
     ------
     ParameterError: if the ranges are not ascending stretches within the words.
     """
-    stretches = check_ranges(ranges, len(words))
+    stretches = checked_ranges(ranges, len(words))
     curves = np.full((len(templates), len(words)), np.inf, dtype)
     if not templates or not len(stretches):
         return curves
@@ -69,17 +69,6 @@ def distance_curves(
         sweep(table, coded.codes, pieces - start, layout.firsts, layout.lasts, curves[:, start:stop])
     curves /= layout.lengths[:, None].astype(dtype)
     return curves
-
-
-def check_ranges(ranges: I64 | None, frames: int) -> I64:
-    """Return the stretches as int64 (R, 2), empty ones left out; raise ParameterError if they are wrong."""
-    if ranges is None:
-        return np.array([[0, frames]] if frames else np.empty((0, 2)), np.int64)
-    stretches = np.ascontiguousarray(ranges, np.int64).reshape(-1, 2)
-    edges = stretches.ravel()
-    if len(edges) and (edges[0] < 0 or edges[-1] > frames or np.any(np.diff(edges) < 0)):
-        raise ParameterError("ranges", f"ascending stretches within {frames} frames", stretches.tolist()[:4])
-    return stretches[stretches[:, 0] < stretches[:, 1]]
 
 
 def _batches(pieces: I64, frames: int) -> Iterator[I64]:

@@ -85,7 +85,7 @@ def coarse_bounds(
     Parameters
     ----------
     templates: T templates. coded: the words. thresholds: float64 (T,), τ > 0 of each.
-    stretches: int64 (R, 2), see `ops.distances.dtw.check_ranges`.
+    stretches: int64 (R, 2), see `ops.ranges.checked_ranges`.
 
     Raises
     ------

@@ -14,10 +14,10 @@ import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE, Matches
 from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
-from kinedex.ops.distances.dtw import check_ranges
 from kinedex.ops.distances.pruning import Coarse, surviving
 from kinedex.ops.distances.window_sums import step_back
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, U64
 
@@ -57,7 +57,7 @@ def minima_within(
         return Matches.of([])
     bounds = [None] * len(templates) if coarse is None else coarse
     pieces = [
-        _pieces(check_ranges(own, len(words)), bound, len(template), tau)
+        _pieces(checked_ranges(own, len(words)), bound, len(template), tau)
         for template, own, bound, tau in zip(templates, ranges, bounds, thresholds.tolist(), strict=True)
     ]
     edges = np.cumsum([0, *map(len, pieces)]).astype(np.int64)
@@ -75,58 +75,6 @@ def _pieces(stretches: I64, bound: Coarse | None, columns: int, threshold: float
     if bound is None:
         return np.stack([stretches[:, 0], stretches[:, 0], stretches[:, 1]], axis=1)
     return surviving(bound.below(threshold), stretches, 2 * (columns - 1))
-
-
-def ranges_around(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, right: int) -> I64:
-    """Extend the hits of a query by margins, within their takes, and unite those that then overlap or touch.
-
-    Parameters
-    ----------
-    starts, stops: int64 (H,), frames of a take, half-open, ascending within each. takes: int64 (T + 1,), take i has
-        the hits takes[i] .. takes[i + 1] − 1. offsets: int64 (T + 1,), where the takes lie among words laid end to
-        end. left, right: frames to add.
-
-    Returns
-    -------
-    int64 (R, 2), ranges of the words.
-    """
-    ranges = np.empty((len(starts), 2), np.int64)
-    return ranges[: extend_hits(starts, stops, takes, offsets, left, right, ranges)]
-
-
-def united(several: Sequence[I64], offsets: I64) -> I64:
-    """Unite ranges of words; those that overlap, or touch within a take, become one.
-
-    Parameters
-    ----------
-    several: one or more of int64 (R, 2), as `ranges_around` returns them. offsets: int64 (T + 1,), where takes lie.
-    """
-    ranges = np.concatenate(several)
-    ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
-    starts, reach = ranges[:, 0], np.maximum.accumulate(ranges[:, 1])
-    fresh = np.ones(len(ranges), np.bool_)
-    fresh[1:] = (starts[1:] > reach[:-1]) | ((starts[1:] == reach[:-1]) & np.isin(starts[1:], offsets))
-    firsts = np.flatnonzero(fresh)
-    lasts = np.append(firsts[1:], len(ranges))[: len(firsts)] - 1
-    return np.stack([starts[firsts], reach[lasts]], axis=1)
-
-
-@nb.njit(cache=True, nogil=True)
-def extend_hits(starts: I64, stops: I64, takes: I64, offsets: I64, left: int, right: int, ranges: I64) -> int:
-    """Fill the ranges of `ranges_around`; return how many there are (kernel)."""
-    count = 0
-    for take in range(len(takes) - 1):
-        fresh = True  # no range reaches from one take into the next
-        for hit in range(takes[take], takes[take + 1]):
-            start = max(offsets[take] + starts[hit] - left, offsets[take])
-            stop = min(offsets[take] + stops[hit] + right, offsets[take + 1])
-            if not fresh and start <= ranges[count - 1, 1]:
-                ranges[count - 1, 1] = max(stop, ranges[count - 1, 1])
-            else:
-                ranges[count, 0], ranges[count, 1] = start, stop
-                count += 1
-                fresh = False
-    return count
 
 
 @nb.njit(cache=True, nogil=True)

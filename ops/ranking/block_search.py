@@ -26,7 +26,7 @@ def gather_blocks(blocks: I64, sums: U8, stretches: I64, homes: I64, columns: in
     Parameters
     ----------
     blocks: int64 (B,), ascending, those to look at. sums: uint8, the coarse sum of each block there is.
-    stretches: int64 (R, 2), see `ops.distances.dtw.check_ranges`. homes: int64 (R,), the take of each. columns: N.
+    stretches: int64 (R, 2), see `ops.ranges.checked_ranges`. homes: int64 (R,), the take of each. columns: N.
 
     Returns
     -------

@@ -10,10 +10,10 @@ import numpy as np
 
 from kinedex.ops.annotation.segments import TOLERANCE
 from kinedex.ops.distances.costs import F64, I64, CodedWords, Layout, encode, lay_out
-from kinedex.ops.distances.dtw import check_ranges
 from kinedex.ops.distances.pruning import Coarse, bounds_below, coarse_bound, coarse_bounds, possible_minima
 from kinedex.ops.distances.stripes import BLOCK
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.ranking.block_search import gather_blocks, take_from_blocks
 from kinedex.ops.ranking.hit_selection import take_best
 from kinedex.ops.templates.templates import QuantisedTemplate
@@ -162,7 +162,7 @@ def _rank(
 def _archive(words: TakeWords, ranges: I64 | None, coded: CodedWords | None, order: I64 | None) -> _Archive:
     """Check the stretches that paths must not leave, the takes or ranges, and the places of takes among equal hits."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
-    stretches = check_ranges(whole if ranges is None else ranges, len(words.words))
+    stretches = checked_ranges(whole if ranges is None else ranges, len(words.words))
     homes = np.searchsorted(words.offsets, stretches[:, 0], side="right") - 1
     if len(stretches) and np.any(stretches[:, 1] > words.offsets[homes + 1]):
         raise ParameterError("ranges", "each within a take", stretches[stretches[:, 1] > words.offsets[homes + 1]][:4])

@@ -10,38 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.segments import Segments, from_axis, merge, to_axis
+from kinedex.ops.search.segments import Segments, from_axis
 from kinedex.ops.words import I64
 
 _COST_UNIT = 2**40
 """Costs are compared as whole numbers of this unit, so that ties are ties and not a matter of rounding."""
-
-
-@dataclass(frozen=True)
-class TakeRanges:
-    """Ranges of frames of T takes, one take after the other.
-
-    offsets: int64 (T + 1,), take i has the ranges offsets[i] .. offsets[i + 1] - 1. starts, stops: int64, frames of
-    the take, half-open, ascending, neither overlapping nor touching.
-    """
-
-    offsets: I64
-    starts: I64
-    stops: I64
-
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
-
-    def take(self, index: int) -> tuple[I64, I64]:
-        """The starts and stops of the ranges of the take at this position, without a copy."""
-        piece = slice(self.offsets[index], self.offsets[index + 1])
-        return self.starts[piece], self.stops[piece]
-
-    @property
-    def frames(self) -> int:
-        """How many frames the ranges hold together."""
-        return int((self.stops - self.starts).sum())
 
 
 @dataclass(frozen=True)
@@ -72,7 +47,8 @@ def ranges_of_takes(segments: Segments, takes: int) -> TakeRanges:
     index, starts, stops = from_axis(segments)
     if len(index) and index[-1] >= takes:
         raise ParameterError("takes", f"at least {int(index[-1]) + 1}, as the segments tell", takes)
-    return TakeRanges(np.searchsorted(index, np.arange(takes + 1)).astype(np.int64), starts, stops)
+    offsets = np.searchsorted(index, np.arange(takes + 1)).astype(np.int64)
+    return TakeRanges(offsets, np.stack([starts, stops], axis=1))
 
 
 def margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
@@ -101,48 +77,6 @@ def margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int,
         raise ParameterError("stiffness", "between 0 and 1", stiffness)
     slowest = max(stiffness, 0.5)
     return math.ceil(round(first / slowest, 9)) + 2, math.ceil(round((columns - last) / slowest, 9)) + 2
-
-
-def extend(ranges: TakeRanges, left: int, right: int, frames: I64) -> TakeRanges:
-    """Extend ranges by their margins, within their takes, and unite those that then overlap or touch.
-
-    Parameters
-    ----------
-    ranges: ranges of T takes.
-    left, right: frames to add before and after each range, see `margins`.
-    frames: int64 (T,), the length of each take.
-
-    Raises
-    ------
-    ParameterError: a negative margin, or lengths for another number of takes.
-    """
-    if left < 0 or right < 0:
-        raise ParameterError("margins", "0 or more frames", (left, right))
-    if len(frames) != len(ranges):
-        raise ParameterError("frames", f"the lengths of {len(ranges)} takes", len(frames))
-    index = np.repeat(np.arange(len(ranges), dtype=np.int64), np.diff(ranges.offsets))
-    starts = np.maximum(ranges.starts - left, 0)
-    stops = np.minimum(ranges.stops + right, frames[index])
-    return ranges_of_takes(merge(to_axis(index, starts), to_axis(index, stops)), len(ranges))
-
-
-def unite(several: Sequence[TakeRanges]) -> TakeRanges:
-    """Unite ranges of the same takes; those that overlap or touch become one.
-
-    Parameters
-    ----------
-    several: one or more sets of ranges, each of the same T takes.
-
-    Raises
-    ------
-    ParameterError: none, or ranges of different numbers of takes.
-    """
-    if not several or len({len(ranges) for ranges in several}) != 1:
-        raise ParameterError("ranges", "one or more, all of the same takes", [len(ranges) for ranges in several])
-    index = [np.repeat(np.arange(len(one), dtype=np.int64), np.diff(one.offsets)) for one in several]
-    starts = [to_axis(takes, one.starts) for takes, one in zip(index, several, strict=True)]
-    stops = [to_axis(takes, one.stops) for takes, one in zip(index, several, strict=True)]
-    return ranges_of_takes(merge(np.concatenate(starts), np.concatenate(stops)), len(several[0]))
 
 
 def fit_keyframes(

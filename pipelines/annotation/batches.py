@@ -17,10 +17,11 @@ from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import Coarse, coarse_bounds
-from kinedex.ops.distances.range_minima import minima_within, ranges_around, united
+from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, Row
 from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.search.preselection import ranges_around
 from kinedex.pipelines.search.search import preselect, preselect_stored
 from kinedex.storage.store.store import Store, open_store
 
@@ -178,11 +179,7 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
         if not queries:
             ranges.append(whole)
             continue
-        several = [
-            ranges_around(found.starts, found.stops, found.offsets, words.offsets, left, right)
-            for found, (left, right) in zip((hits[query] for query in queries), reach, strict=True)
-        ]
-        ranges.append(several[0] if len(several) == 1 else united(several, words.offsets))
+        ranges.append(ranges_around([hits[query] for query in queries], reach, words.offsets))
     return ranges
 
 

@@ -16,9 +16,9 @@ import pyarrow as pa
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.distances.costs import I64, encode
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
-from kinedex.ops.search.preselection import TakeRanges
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.engine.executors import cores
@@ -252,9 +252,7 @@ def _rank_batch(
 def _ranges(store: Store, one: Searched, words: TakeWords, hits: Mapping[KeyframeQuery, TakeRanges]) -> I64:
     """The frames of words laid end to end that the hits of a template's queries leave, int64 (R, 2)."""
     columns = one.template.values(len(store.feature_set.features))
-    within = template_ranges(hits, one.queries, columns, store.feature_set, words.frames)
-    shift = np.repeat(words.offsets[:-1], np.diff(within.offsets))
-    return np.stack([within.starts + shift, within.stops + shift], axis=1)
+    return template_ranges(hits, one.queries, columns, store.feature_set, words.offsets)
 
 
 def _in_threads(work: Callable[[Item], Found], items: Iterable[Item], workers: int) -> Iterator[Found]:

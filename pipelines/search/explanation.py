@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import SAME_FRAME, Keyframe, KeyframeQuery, pattern_of, words_of
-from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.ranges import TakeRanges
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.inverted_lists import RunLists, lists_of_store
 from kinedex.pipelines.search.resident_slices import resident_store
@@ -180,7 +180,7 @@ def _explain(lists: RunLists, answered: _Answered, feature_set: FeatureSet, read
     return QueryReport(
         query=query.name,
         keyframes=tuple(steps),
-        ranges=len(ranges.starts),
+        ranges=len(ranges.ranges),
         takes=int(np.count_nonzero(np.diff(ranges.offsets))),
         frames_kept=ranges.frames,
         frames_searched=int(answered.takes.frames.sum()),

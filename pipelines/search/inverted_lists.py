@@ -8,9 +8,10 @@ import numpy as np
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.keyframes import search, survivors
 from kinedex.ops.search.postings import Postings, make_postings
-from kinedex.ops.search.preselection import TakeRanges, ranges_of_takes, unite
+from kinedex.ops.search.preselection import ranges_of_takes
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.search.segments import Segments, to_axis
 from kinedex.ops.words import I64, TakeWords, cut
@@ -45,7 +46,7 @@ class RunLists:
 
     def search(self, query: KeyframeQuery) -> TakeRanges:
         """The union of all hit relevant ranges of a query and its alternatives, take by take."""
-        return unite([ranges_of_takes(self.chain(chain), self.takes) for chain in query.chains])
+        return TakeRanges.united([ranges_of_takes(self.chain(chain), self.takes) for chain in query.chains])
 
 
 def lists_of_words(words: TakeWords, feature_set: FeatureSet, sets: Iterable[str]) -> RunLists:

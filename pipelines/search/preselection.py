@@ -11,7 +11,8 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.search.preselection import KeyframeFit, TakeRanges, extend, fit_keyframes, margins, unite
+from kinedex.ops.ranges import TakeRanges, extend_and_unite
+from kinedex.ops.search.preselection import KeyframeFit, fit_keyframes, margins
 from kinedex.ops.words import I64
 
 
@@ -71,8 +72,8 @@ def template_ranges(
     queries: Sequence[KeyframeQuery],
     template: npt.NDArray[np.float64],
     feature_set: FeatureSet,
-    frames: I64,
-) -> TakeRanges:
+    offsets: I64,
+) -> I64:
     """Return the frames in which a template is to be matched: the hits of its queries with their margins, united.
 
     The hits of a query with alternatives get the widest of their margins, since any of them may have found a hit.
@@ -82,11 +83,37 @@ def template_ranges(
     hits: what `preselect` returns. queries: those of them that are for this template, at least one.
     template: float64 (N, f), see `template_window`.
     feature_set: the features of the queries' sets.
-    frames: int64 (T,), the length of each take (`TakeWords.frames`).
+    offsets: int64 (T + 1,), where the takes lie among words laid end to end (`TakeWords.offsets`).
+
+    Returns
+    -------
+    int64 (R, 2), ranges of the words laid end to end.
     """
-    extended = []
+    reach = []
     for query in queries:
         windows = [template_window(chain, template, feature_set) for chain in query.chains]
-        left, right = max(window.left for window in windows), max(window.right for window in windows)
-        extended.append(extend(hits[query], left, right, frames))
-    return unite(extended)
+        reach.append((max(window.left for window in windows), max(window.right for window in windows)))
+    return ranges_around([hits[query] for query in queries], reach, offsets)
+
+
+def ranges_around(hits: Sequence[TakeRanges], reach: Sequence[tuple[int, int]], offsets: I64) -> I64:
+    """Return the hits of several queries extended by margins and united, in frames of words laid end to end.
+
+    Parameters
+    ----------
+    hits : sequence of TakeRanges
+        The hits of each query, one query or more.
+    reach : sequence of (int, int)
+        The margins of each query, in frames before and after a hit.
+    offsets : int64 array (T + 1,)
+        The first frame of each take among the words laid end to end, and the end.
+
+    Returns
+    -------
+    int64 array (R, 2)
+    """
+    extended = [
+        extend_and_unite(found.end_to_end(offsets), offsets, left, right)
+        for found, (left, right) in zip(hits, reach, strict=True)
+    ]
+    return extended[0] if len(extended) == 1 else extend_and_unite(np.concatenate(extended), offsets)

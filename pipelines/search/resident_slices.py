@@ -17,9 +17,10 @@ import numpy as np
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import KeyframeQuery, WordPattern, word_pattern
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import BitSlices, slice_words
-from kinedex.ops.search.preselection import TakeRanges, ranges_of_takes, unite
+from kinedex.ops.search.preselection import ranges_of_takes
 from kinedex.ops.search.segments import Segments, from_axis
 from kinedex.ops.words import I64, TakeWords
 from kinedex.storage import index
@@ -50,8 +51,7 @@ class ResidentWords:
     def search(self, query: KeyframeQuery) -> TakeRanges:
         """The union of all hit relevant ranges of a query and its alternatives, take by take."""
         found = [self.pattern(word_pattern(chain, self.feature_set)) for chain in query.chains]
-        ranges = [ranges_of_takes(segments, len(self.take_ids)) for segments in found]
-        return ranges[0] if len(ranges) == 1 else unite(ranges)
+        return TakeRanges.united([ranges_of_takes(segments, len(self.take_ids)) for segments in found])
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class SharedWords:
         tasks = [(piece, pattern) for pattern in flat for piece in self.pieces]
         found = iter(self._all(tasks, threads))
         ranges = [[self._ranges([next(found) for _ in self.pieces]) for _ in chains] for chains in patterns]
-        return [one[0] if len(one) == 1 else unite(one) for one in ranges]
+        return [TakeRanges.united(one) for one in ranges]
 
     @cached_property
     def pieces(self) -> list[tuple[int, int, int]]:
@@ -150,7 +150,8 @@ class SharedWords:
             # the takes of several shards interleave; no take is in two
             order = np.argsort(place, kind="stable")
             place, starts, stops = place[order], starts[order], stops[order]
-        return TakeRanges(np.searchsorted(place, np.arange(len(self.take_ids) + 1)).astype(np.int64), starts, stops)
+        offsets = np.searchsorted(place, np.arange(len(self.take_ids) + 1)).astype(np.int64)
+        return TakeRanges(offsets, np.stack([starts, stops], axis=1))
 
 
 def _stretches(first: I64, places: I64) -> Iterable[tuple[int, int]]:

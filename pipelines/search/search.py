@@ -15,7 +15,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import KeyframeQuery, choose_queries
 from kinedex.catalog.queries.query_files import ANALYSIS_RATE_HZ, part_names, read_queries
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.words import I64, TakeWords
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.resident_slices import indexed_words, resident_store, resident_words
@@ -142,7 +142,7 @@ def of_these_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes
     chosen = takes.chosen(store, query)
     kept = np.repeat(chosen, counts)
     offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts * chosen)])
-    return TakeRanges(offsets, ranges.starts[kept], ranges.stops[kept])
+    return TakeRanges(offsets, ranges.ranges[kept])
 
 
 def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
@@ -217,7 +217,7 @@ def hits_table(
     by_name = np.argsort(np.argsort(np.array(names, dtype=np.str_), kind="stable"))
     tables = []
     for query, ranges in hits.items():
-        index = np.repeat(np.arange(len(ranges)), np.diff(ranges.offsets))
+        index = ranges.takes
         order = np.lexsort((ranges.starts, by_name[index]))
         index, starts, stops = index[order], ranges.starts[order], ranges.stops[order]
         columns = {

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import TOLERANCE
 from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, encode, lay_out
-from kinedex.ops.distances.dtw import check_ranges
 from kinedex.ops.distances.pruning import Coarse, bounds_below, coarse_bound, possible_minima
 from kinedex.ops.distances.window_sums import sum_window, walk_back, workspace
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
 
@@ -70,7 +70,7 @@ def minima_below(
     ------
     ParameterError: a threshold that is not above 0, or wrong ranges.
     """
-    stretches = check_ranges(ranges, len(words))
+    stretches = checked_ranges(ranges, len(words))
     coded = encode(words) if coded is None else coded
     if prune and coarse is None:
         coarse = coarse_bound(template, coded, threshold, stretches)
@@ -144,7 +144,7 @@ def best_paths(
     ------
     ParameterError: if an end is outside the words or the ranges, or ends do not ascend.
     """
-    stretches = check_ranges(ranges, len(words))
+    stretches = checked_ranges(ranges, len(words))
     ends = np.ascontiguousarray(ends, np.int64)
     if np.any(np.diff(ends) <= 0):
         raise ParameterError("ends", "ascending", ends.tolist()[:8])

@@ -1,8 +1,6 @@
-"""Minima within short ranges: those of whole curves, range by range; and ranges around hits."""
+"""Minima within short ranges are those of whole curves, range by range."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import numba
 import numpy as np
@@ -15,7 +13,7 @@ from kinedex.ops.distances import range_minima as within
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import coarse_bounds
-from kinedex.ops.distances.range_minima import minima_within, ranges_around, united
+from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD
@@ -78,43 +76,3 @@ def test_a_threshold_for_each_template_is_asked_for():
         minima_within([template], np.zeros(3, np.uint64), np.zeros(1), [np.array([[0, 3]])])
     with pytest.raises(ParameterError, match="ranges must be"):
         minima_within([template], np.zeros(3, np.uint64), np.ones(1), [np.array([[0, 4]])])
-
-
-hits_of_a_take = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 5)), max_size=4)
-
-
-def laid_down(steps: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
-    """Hits that are apart, and a length of their take."""
-    edges = np.cumsum([value for gap, length in steps for value in (gap + 1, length)]).tolist()
-    hits = list(zip(edges[::2], edges[1::2], strict=True))
-    return hits, (hits[-1][1] + 2 if hits else 3)
-
-
-def merged(frames: set[int], offsets: list[int]) -> list[list[int]]:
-    """Stretches of neighbouring frames, none of which reaches into another take."""
-    starts = sorted(frame for frame in frames if frame - 1 not in frames or frame in offsets)
-    return [
-        [start, next(n for n in range(start + 1, offsets[-1] + 1) if n not in frames or n in offsets)]
-        for start in starts
-    ]
-
-
-@given(st.lists(st.lists(hits_of_a_take, min_size=2, max_size=2), min_size=1, max_size=3), st.integers(0, 4))
-def test_ranges_around_hits_stay_within_their_takes(takes: list[list[list[tuple[int, int]]]], margin: int):
-    drawn = [[laid_down(steps) for steps in take] for take in takes]
-    offsets = np.cumsum([0, *(max(length for _, length in take) for take in drawn)])
-    found, expected = [], set[int]()
-    for query in range(2):
-        hits = [take[query][0] for take in drawn]
-        starts, stops = (np.array([hit[side] for own in hits for hit in own], np.int64) for side in (0, 1))
-        places = np.cumsum([0, *map(len, hits)])
-        found.append(ranges_around(starts, stops, places, offsets, margin, 2))
-        frames = {
-            frame
-            for own, (begin, end) in zip(hits, pairwise(offsets.tolist()), strict=True)
-            for start, stop in own
-            for frame in range(max(begin + start - margin, begin), min(begin + stop + 2, end))
-        }
-        assert found[-1].tolist() == merged(frames, offsets.tolist())
-        expected |= frames
-    assert united(found, offsets).tolist() == merged(expected, offsets.tolist())

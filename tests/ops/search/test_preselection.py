@@ -9,20 +9,9 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.preselection import TakeRanges, extend, fit_keyframes, margins, ranges_of_takes, unite
+from kinedex.ops.search.preselection import fit_keyframes, margins, ranges_of_takes
 from kinedex.ops.search.segments import Segments
 from tests.oracles.preselection import best_placement
-
-
-def ranges(*takes: list[tuple[int, int]]) -> TakeRanges:
-    pairs = [pair for take in takes for pair in take]
-    offsets = np.cumsum([0, *(len(take) for take in takes)])
-    starts, stops = np.array(pairs, np.int64).reshape(-1, 2).T
-    return TakeRanges(offsets.astype(np.int64), starts.copy(), stops.copy())
-
-
-def listed(found: TakeRanges) -> list[list[tuple[int, int]]]:
-    return [list(zip(*(part.tolist() for part in found.take(i)), strict=True)) for i in range(len(found))]
 
 
 def bools(patterns: list[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -34,7 +23,7 @@ def test_ranges_are_sorted_by_take_and_takes_without_any_stay_empty() -> None:
     second, fourth = 1 << 32, 3 << 32
     segments = Segments(np.array([second + 2, second + 9, fourth]), np.array([second + 5, second + 11, fourth + 1]))
     found = ranges_of_takes(segments, 5)
-    assert listed(found) == [[], [(2, 5), (9, 11)], [], [(0, 1)], []]
+    assert [found.take(i).tolist() for i in range(len(found))] == [[], [[2, 5], [9, 11]], [], [[0, 1]], []]
     assert found.frames == 6
     with pytest.raises(ParameterError, match="at least 4"):
         ranges_of_takes(segments, 3)
@@ -56,32 +45,10 @@ def test_the_margin_is_what_the_template_has_outside_its_keyframes(
     assert margins(first, last, columns, stiffness) == expected
 
 
-def test_margins_stay_inside_the_take_and_join_what_they_meet() -> None:
-    found = extend(ranges([(3, 5), (9, 12)], [], [(0, 4), (20, 22)]), 2, 3, np.array([13, 7, 40]))
-    assert listed(found) == [[(1, 13)], [], [(0, 7), (18, 25)]]
-
-
-def test_margins_that_touch_join() -> None:
-    assert listed(extend(ranges([(2, 4), (8, 9)]), 2, 2, np.array([30]))) == [[(0, 11)]]
-    assert listed(extend(ranges([(2, 4), (9, 10)]), 2, 2, np.array([30]))) == [[(0, 6), (7, 12)]]
-
-
-def test_ranges_of_several_queries_are_united_take_by_take() -> None:
-    one, other = ranges([(1, 3)], [(5, 8)], []), ranges([(3, 4), (9, 10)], [(0, 4)], [(2, 3)])
-    assert listed(unite([one, other])) == [[(1, 4), (9, 10)], [(0, 4), (5, 8)], [(2, 3)]]
-    for wrong in ([], [one, ranges([])]):
-        with pytest.raises(ParameterError):
-            unite(wrong)
-
-
 def test_margins_out_of_their_domain_are_refused() -> None:
     for wrong in ((3, 2, 9, 0.5), (0, 9, 9, 0.5), (-1, 2, 9, 0.5), (0, 1, 9, 1.5)):
         with pytest.raises(ParameterError):
             margins(*wrong)
-    with pytest.raises(ParameterError):
-        extend(ranges([]), -1, 0, np.array([3]))
-    with pytest.raises(ParameterError):
-        extend(ranges([]), 1, 0, np.array([3, 4]))
 
 
 def test_keyframes_find_their_columns() -> None:

@@ -262,14 +262,12 @@ def test_segments_are_those_of_whole_curves_labelled_frame_by_frame(
 
 
 def template_ranges_of(one: Annotator, words: TakeWords) -> list[np.ndarray]:
-    """The ranges of each template, as `template_ranges` has them take by take."""
+    """Return the ranges of each template by `template_ranges`, from hits that are found in memory."""
     hits = preselect(words, BODY, [query for queries in one.queries for query in queries])
     found = []
     for quantised, queries in zip(one.templates, one.queries, strict=True):
         if not queries:
             found.append(np.stack([words.offsets[:-1], words.offsets[1:]], axis=1))
             continue
-        own = template_ranges(hits, queries, quantised.values(40), BODY, words.frames)
-        shift = np.repeat(words.offsets[:-1], np.diff(own.offsets))
-        found.append(np.stack([own.starts + shift, own.stops + shift], axis=1))
+        found.append(template_ranges(hits, queries, quantised.values(40), BODY, words.offsets))
     return found

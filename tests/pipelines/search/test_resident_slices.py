@@ -16,8 +16,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import StoreError
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.ops.search.preselection import TakeRanges
 from kinedex.ops.words import NO_WORD, U64, TakeWords
 from kinedex.pipelines.search import resident_slices as resident
 from kinedex.pipelines.search.resident_slices import Shard, SharedWords, resident_store, resident_words

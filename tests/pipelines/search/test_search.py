@@ -14,7 +14,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.queries import KeyframeQuery, choose_queries
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.ops.search.preselection import TakeRanges
+from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.words import U64, TakeWords, pack
 from kinedex.pipelines.search.explanation import explain_search, explain_store
 from kinedex.pipelines.search.inverted_lists import lists_of_store, lists_of_words
@@ -252,7 +252,7 @@ def test_a_part_asked_for_by_name_is_told_from_a_name_that_is_not_there(tmp_path
 
 
 def ranges_of(found: TakeRanges) -> list[list[list[int]]]:
-    return [[part.tolist() for part in found.take(i)] for i in range(len(found))]
+    return [found.take(i).tolist() for i in range(len(found))]
 
 
 def test_words_in_memory_give_what_the_index_gives(store: Store) -> None:
@@ -310,9 +310,8 @@ def test_a_template_may_reach_out_of_the_hits_of_its_query() -> None:
     assert (window.fit.cost, window.fit.admissible) == (0.0, True)
     # 0 columns before and 8 − 5 after, at the stiffness sqrt(1 / 3) of the gaps, and 2 frames
     assert (window.left, window.right) == (2, 8)
-    found = template_ranges(hits, [squat], template, BODY, words.frames)
-    assert [part.tolist() for part in found.take(0)] == [[0], [7]]
-    assert [part.tolist() for part in found.take(1)] == [[], []]
+    found = template_ranges(hits, [squat], template, BODY, words.offsets)
+    assert found.tolist() == [[0, 7]]
 
 
 def test_several_queries_for_one_template_are_united() -> None:
@@ -320,9 +319,9 @@ def test_several_queries_for_one_template_are_united() -> None:
     queries = parse_queries(
         "a: {keyframes: [{on: [rknee_bent]}], positions: [0]}\nb: {keyframes: [{on: [body_low]}], positions: [0]}", BODY
     )
-    found = template_ranges(preselect(words, BODY, queries), queries, np.zeros((2, 40)), BODY, words.frames)
+    found = template_ranges(preselect(words, BODY, queries), queries, np.zeros((2, 40)), BODY, words.offsets)
     # K = 1: nothing is known of the tempo, so 2 columns may take 4 frames, and 2 frames are added
-    assert [part.tolist() for part in found.take(0)] == [[0, 36], [7, 40]]
+    assert found.tolist() == [[0, 7], [36, 40]]
 
 
 def test_a_query_that_does_not_fit_the_template_is_told() -> None:
@@ -365,9 +364,9 @@ def test_the_authors_queries_agree_with_brute_force_on_hdm05(shared: Path) -> No
                 take = (words.take(i) >> np.uint64(word_set.first - 1)) & np.uint64(keyframe.mask)
                 matches.append((take == np.uint64(keyframe.value)).tolist())
             expected = ranges_by_sets(matches, query.bounds) if all(map(any, matches)) else []
-            found = [part.tolist() for part in hits[query].take(i)]
-            assert list(zip(*found, strict=True)) == expected, (query.name, names[i])
-    assert sum(len(found.starts) for found in hits.values()) > 100
+            found = [tuple(own) for own in hits[query].take(i).tolist()]
+            assert found == expected, (query.name, names[i])
+    assert sum(len(found.ranges) for found in hits.values()) > 100
 
 
 @pytest.mark.shared

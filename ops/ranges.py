@@ -1,0 +1,196 @@
+"""Half-open ranges of frames: int64 arrays of shape (R, 2), one row [start, stop) for each range.
+
+Ranges count either the frames of one take, or the frames of words that are laid end to end, where take i has the frames
+offsets[i] to offsets[i + 1]. `TakeRanges` holds the ranges of many takes, each in frames of its own take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+
+I64 = npt.NDArray[np.int64]
+
+_TAKE_BITS = 32  # takes that are laid end to end without known lengths lie so many bits apart: none is that long
+
+
+@dataclass(frozen=True)
+class TakeRanges:
+    """Ranges of frames of T takes, one take after the other.
+
+    Parameters
+    ----------
+    offsets : int64 array (T + 1,)
+        Take i has the ranges offsets[i] to offsets[i + 1] - 1.
+    ranges : int64 array (R, 2)
+        Half-open ranges in frames of their take, ascending within a take, neither overlapping nor touching.
+    """
+
+    offsets: I64
+    ranges: I64
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    @property
+    def starts(self) -> I64:
+        """The first frame of each range, int64 (R,), without a copy."""
+        return self.ranges[:, 0]
+
+    @property
+    def stops(self) -> I64:
+        """The frame behind the last one of each range, int64 (R,), without a copy."""
+        return self.ranges[:, 1]
+
+    @property
+    def takes(self) -> I64:
+        """The position of the take of each range, int64 (R,)."""
+        return np.repeat(np.arange(len(self), dtype=np.int64), np.diff(self.offsets))
+
+    @property
+    def frames(self) -> int:
+        """The number of frames in all ranges together."""
+        return int((self.stops - self.starts).sum())
+
+    def take(self, index: int) -> I64:
+        """Return the ranges of the take at a position, int64 (r, 2), without a copy."""
+        return self.ranges[self.offsets[index] : self.offsets[index + 1]]
+
+    def end_to_end(self, offsets: I64) -> I64:
+        """Return the ranges in frames of words laid end to end.
+
+        Parameters
+        ----------
+        offsets : int64 array (T + 1,)
+            The first frame of each take, and the end (`TakeWords.offsets`).
+
+        Returns
+        -------
+        int64 array (R, 2)
+        """
+        return self.ranges + offsets[self.takes, None]
+
+    @classmethod
+    def by_take(cls, ranges: I64, offsets: I64) -> TakeRanges:
+        """Divide ranges of words laid end to end by take; the inverse of `end_to_end`.
+
+        Parameters
+        ----------
+        ranges : int64 array (R, 2)
+            Ascending ranges, each within a take.
+        offsets : int64 array (T + 1,)
+            The first frame of each take, and the end.
+        """
+        edges = np.searchsorted(ranges[:, 0], offsets).astype(np.int64)
+        takes = np.repeat(np.arange(len(offsets) - 1), np.diff(edges))
+        return cls(edges, ranges - offsets[takes, None])
+
+    @staticmethod
+    def united(several: Sequence[TakeRanges]) -> TakeRanges:
+        """Unite ranges of the same takes; those that overlap or touch become one.
+
+        Parameters
+        ----------
+        several : sequence of TakeRanges
+            One or more, each of the same T takes.
+
+        Raises
+        ------
+        ParameterError
+            If there are none, or their numbers of takes differ.
+        """
+        if not several or len({len(one) for one in several}) != 1:
+            raise ParameterError("ranges", "one or more, all of the same takes", [len(one) for one in several])
+        if len(several) == 1:
+            return several[0]
+        offsets = np.arange(len(several[0]) + 1, dtype=np.int64) << _TAKE_BITS
+        return TakeRanges.by_take(
+            extend_and_unite(np.concatenate([one.end_to_end(offsets) for one in several]), offsets), offsets
+        )
+
+
+def checked_ranges(ranges: npt.ArrayLike | None, frames: int) -> I64:
+    """Return ranges as an array without its empty ones, or raise an error where they are not ascending.
+
+    Parameters
+    ----------
+    ranges : array_like (R, 2), optional
+        Half-open ranges, ascending and disjoint; they may touch. None stands for one range of all frames.
+    frames : int
+        The number of frames that the ranges must lie within.
+
+    Returns
+    -------
+    int64 array (R, 2)
+
+    Raises
+    ------
+    ParameterError
+        If a range ends before it starts, begins before another one ends, or lies outside the frames.
+    """
+    if ranges is None:
+        return np.array([[0, frames]] if frames else np.empty((0, 2)), np.int64)
+    checked = np.ascontiguousarray(ranges, np.int64).reshape(-1, 2)
+    edges = checked.ravel()
+    if len(edges) and (edges[0] < 0 or edges[-1] > frames or np.any(np.diff(edges) < 0)):
+        raise ParameterError("ranges", f"ascending ranges within {frames} frames", checked.tolist()[:4])
+    return checked[checked[:, 0] < checked[:, 1]]
+
+
+def extend_and_unite(ranges: I64, offsets: I64, left: int = 0, right: int = 0) -> I64:
+    """Extend ranges by margins, within their takes, and unite those that then overlap or touch.
+
+    Parameters
+    ----------
+    ranges : int64 array (R, 2)
+        Half-open ranges of words laid end to end, in any order, none of them empty, each within a take.
+    offsets : int64 array (T + 1,)
+        The first frame of each take, and the end. Ranges of two takes are never united.
+    left, right : int
+        The numbers of frames to add before and after each range, 0 or more.
+
+    Returns
+    -------
+    int64 array (R', 2)
+        Ascending ranges; two of them touch only where one take ends and the next one begins.
+
+    Raises
+    ------
+    ParameterError
+        If a margin is negative, or a range lies outside the takes.
+    """
+    if left < 0 or right < 0:
+        raise ParameterError("margins", "0 or more frames", (left, right))
+    if not len(ranges):
+        return np.empty((0, 2), np.int64)
+    if np.any(ranges[1:, 0] < ranges[:-1, 0]):
+        ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
+    if ranges[0, 0] < offsets[0] or ranges[-1, 0] >= offsets[-1]:
+        raise ParameterError("ranges", f"within the frames {offsets[0]} to {offsets[-1]}", ranges[[0, -1]].tolist())
+    result = np.empty((len(ranges), 2), np.int64)
+    return result[: _extend_and_unite(ranges, offsets, left, right, result)]
+
+
+@nb.njit(cache=True, nogil=True)
+def _extend_and_unite(ranges: I64, offsets: I64, left: int, right: int, result: I64) -> int:
+    """Fill the ranges that `extend_and_unite` returns, and return their number (kernel)."""
+    take, count, begun = 0, 0, 0  # ranges from `begun` on belong to the take at hand
+    for i in range(len(ranges)):
+        if ranges[i, 0] >= offsets[take + 1]:
+            begun = count
+            while ranges[i, 0] >= offsets[take + 1]:
+                take += 1
+        start = max(ranges[i, 0] - left, offsets[take])
+        stop = min(ranges[i, 1] + right, offsets[take + 1])
+        if count > begun and start <= result[count - 1, 1]:
+            result[count - 1, 1] = max(stop, result[count - 1, 1])
+        else:
+            result[count, 0], result[count, 1] = start, stop
+            count += 1
+    return count
