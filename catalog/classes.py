@@ -1,4 +1,4 @@
-"""Classes: which subclasses (the labels of training clips) make up the classes that takes are annotated with."""
+"""Class files sort the subclasses (labels of training clips) of an archive into the classes of an annotation."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.ops.errors import ConfigError, did_you_mean
 
 OWN = "own"
-"""In place of a class file: every subclass is a class of its own."""
+"""Use this name in place of a class file to make every subclass a class of its own."""
 
 
 @dataclass(frozen=True)
 class MotionClass:
-    """A class: its name, what it is, and the subclasses in it."""
+    """A class with its name, its description and its subclasses."""
 
     name: str
     description: str
@@ -30,7 +30,10 @@ class MotionClass:
 class Classes:
     """The classes of an annotation, in order of their labels (ties in cost go to the first).
 
-    without_class: subclasses that the archive has and no class takes; they are not annotated.
+    Attributes
+    ----------
+    without_class : tuple of str
+        Subclasses that the archive has and no class takes; they are not annotated.
     """
 
     classes: tuple[MotionClass, ...]
@@ -38,20 +41,20 @@ class Classes:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The classes' names."""
+        """Return the names of the classes, in order."""
         return tuple(motion_class.name for motion_class in self.classes)
 
     def of_subclass(self) -> dict[str, str]:
-        """Subclass → class."""
+        """Return the class of every subclass."""
         return {subclass: one.name for one in self.classes for subclass in one.subclasses}
 
     def class_of(self, label: str) -> str | None:
-        """The class that a label means: a class by its name, or the class of a subclass; None where neither."""
+        """Return the class that a label names, directly or by one of its subclasses; None if it names neither."""
         return self._meaning.get(label)
 
     @cached_property
     def _meaning(self) -> dict[str, str]:
-        # a class by its name goes before a subclass that is called the same
+        # A class takes precedence over a subclass of the same name.
         return self.of_subclass() | {name: name for name in self.names}
 
 
@@ -66,13 +69,16 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
 
     Parameters
     ----------
-    name_or_path: "own", a shipped file of `configs/classes`, or a path to a .yaml file. The file maps a class to its
-        description and its subclasses, names or patterns with * ? [ ].
-    subclasses: every subclass that the archive has. A pattern takes those that it fits; classes without any stay.
+    name_or_path : path
+        "own", a shipped file of `configs/classes`, or a path to a .yaml file. The file maps a class to its description
+        and its subclasses, names or patterns with * ? [ ].
+    subclasses : iterable of str
+        Every subclass that the archive has. A pattern matches any number of them; a class without a match stays.
 
     Raises
     ------
-    ConfigError: file and line of an unknown subclass, of one that is in two classes, or of a wrong entry.
+    ConfigError
+        If a subclass is unknown or stands in two classes, or an entry is invalid; names file and line.
     """
     known = sorted(set(subclasses))
     if str(name_or_path) == OWN:
@@ -80,7 +86,9 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
     try:
         path = config_path("classes", name_or_path)
     except ConfigError as fault:
-        raise ConfigError(name_or_path, f"{fault.reason}; or say '{OWN}': every subclass its own class") from None
+        raise ConfigError(
+            name_or_path, f"{fault.reason}; or use '{OWN}', which makes every subclass a class of its own"
+        ) from None
     located = load_yaml(path)
     entries = {
         str(name): located.model(_ClassEntry, name, data=entry if isinstance(entry, dict) else {"subclasses": entry})
@@ -106,7 +114,7 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
 
 
 def _matching(located: Located, key: tuple[str | int, ...], pattern: str, known: list[str]) -> list[str]:
-    """The known subclasses that an entry names; a plain name must be one of them, a pattern may fit none."""
+    """Return the known subclasses that an entry names; a plain name must exist, a pattern may match none."""
     if any(character in pattern for character in "*?["):
         return [name for name in known if fnmatch.fnmatchcase(name, pattern)]
     if pattern not in known:

@@ -1,4 +1,4 @@
-"""Configuration files: where they are, and YAML that remembers its line numbers."""
+"""Configuration files are found by kind and name, and parsed as YAML that keeps its line numbers."""
 
 from __future__ import annotations
 
@@ -24,33 +24,36 @@ KINDS = {
     "queries": "query file",
     "pipelines": "pipeline",
 }
-"""The kinds of configuration file, each a folder of the shipped `configs/`, and what one of them is called."""
+"""The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 
 def shipped_configs() -> Path:
-    """The folder of the configuration files that come with kinedex, in a checkout and in a wheel alike."""
+    """Return the folder of the configuration files that come with kinedex, in a checkout and in a wheel alike."""
     return Path(__file__).resolve().parents[1] / "configs"
 
 
 def config_names(kind: str) -> list[str]:
-    """The names of the shipped files of one kind, sorted."""
+    """Return the names of the shipped files of one kind, sorted."""
     return sorted(path.stem for path in (shipped_configs() / kind).glob("*.yaml"))
 
 
 def config_path(kind: str, name: str | Path) -> Path:
-    """Find a configuration file: a path as it is, else a shipped file of that kind by its name.
+    """Return the path of a configuration file that is given by its path or by the name of a shipped file.
 
     Parameters
     ----------
-    kind: one of `KINDS`.
-    name: a path to a YAML file (anything with a separator or a .yaml/.yml/.json ending), or a shipped name.
+    kind : str
+        One of `KINDS`.
+    name : path
+        A path to a YAML file (anything with a separator or a .yaml/.yml/.json ending), or a shipped name.
 
     Raises
     ------
-    ConfigError: neither exists; the message names the nearest shipped file.
+    ConfigError
+        If no such file exists; the message names the nearest shipped file.
     """
     text = str(name)
     if "/" in text or text.endswith((".yaml", ".yml", ".json")):
@@ -77,18 +80,18 @@ class Located:
     lines: dict[Key, int] = field(default_factory=dict)
 
     def line(self, *key: str | int) -> int | None:
-        """The line of a key, or of the nearest enclosing one that has a line."""
+        """Return the line of a key, or of the nearest enclosing one that has a line."""
         for end in range(len(key), -1, -1):
             if key[:end] in self.lines:
                 return self.lines[key[:end]]
         return None
 
     def error(self, message: str, *key: str | int) -> ConfigError:
-        """An error that names this file, the key and its line."""
+        """Return an error that names this file, the key and its line."""
         return ConfigError(self.path, message, line=self.line(*key), key=_dotted(key) or None)
 
     def mapping(self) -> dict[str, Any]:
-        """The top level as a mapping, or an error that says what it is instead."""
+        """Return the top level as a mapping; raise a ConfigError if it is something else."""
         if not isinstance(self.data, dict):
             raise self.error(f"expected a mapping of names, found {_kind_of(self.data)}")
         return self.data
@@ -98,7 +101,8 @@ class Located:
 
         Raises
         ------
-        ConfigError: the first fault, with its line, what was expected, and the nearest valid name.
+        ConfigError
+            At the first fault; names its line, what was expected, and the nearest valid name.
         """
         part = data
         if part is None:
@@ -111,7 +115,7 @@ class Located:
             raise self._translate(model, fault, key) from None
 
     def _translate(self, model: type[BaseModel], fault: ValidationError, key: Key) -> ConfigError:
-        # A misspelt key also makes the right one missing: the misspelling is what to say.
+        # A misspelt key also makes the right one missing, and the misspelling is the more useful message.
         first = min(fault.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
         at = (*key, *first["loc"])
         if first["type"] == "extra_forbidden":
@@ -131,7 +135,7 @@ class Located:
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """The keys of the model that stands at a place inside another one."""
+    """Return the keys of the model that stands at a place inside another one."""
     current: Any = model
     for step in loc:
         fields = getattr(current, "model_fields", {})
@@ -141,7 +145,7 @@ def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
 
 
 def _model_in(annotation: Any) -> Any:
-    """The first model inside an annotation such as `dict[str, Model | None]`, or the annotation itself."""
+    """Return the first model inside an annotation such as `dict[str, Model | None]`, or the annotation itself."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((found for part in get_args(annotation) if (found := _model_in(part)) is not None), None)
@@ -168,17 +172,19 @@ def load_yaml(path: str | Path) -> Located:
 
     Raises
     ------
-    ConfigError: unreadable, not UTF-8, not YAML, or a key that stands twice; with the line.
+    ConfigError
+        If the file cannot be read, is not UTF-8 or not YAML, or repeats a key; names the line.
     """
     return parse_yaml(read_text(Path(path)), path)
 
 
 def read_text(path: Path, encoding: Literal["utf-8", "utf-8-sig"] = "utf-8") -> str:
-    """The text of a configuration file.
+    """Return the text of a configuration file.
 
     Raises
     ------
-    ConfigError: unreadable, or not UTF-8.
+    ConfigError
+        If the file cannot be read or is not UTF-8.
     """
     try:
         return path.read_text(encoding=encoding)
@@ -189,12 +195,12 @@ def read_text(path: Path, encoding: Literal["utf-8", "utf-8-sig"] = "utf-8") -> 
 
 
 def parse_yaml(text: str, path: str | Path) -> Located:
-    """Like `load_yaml`, for text that is already read; `path` is what errors name."""
+    """Parse YAML text like `load_yaml`; errors name `path`."""
     known = _parsed(text, Path(path))
     return Located(known.path, copy.deepcopy(known.data), dict(known.lines))
 
 
-@lru_cache(maxsize=32)  # a run asks for the same dozen files again and again, and YAML is slow to read
+@lru_cache(maxsize=32)  # A run reads the same dozen files repeatedly, and YAML is slow to parse.
 def _parsed(text: str, path: Path) -> Located:
     located = Located(path, None, {})
     try:
@@ -204,7 +210,7 @@ def _parsed(text: str, path: Path) -> Located:
         line = fault.problem_mark.line + 1 if fault.problem_mark else None
         raise ConfigError(path, f"is not valid YAML: {fault.problem}", line=line) from None
     except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as fault:
-        # Values that look like dates but are none, keys that cannot be keys, and what PyYAML itself trips over.
+        # Invalid dates, unhashable keys, and faults inside PyYAML itself.
         raise ConfigError(path, f"is not valid YAML: {fault}") from None
     except RecursionError:
         raise ConfigError(path, "is nested too deeply, or an alias contains itself") from None
@@ -217,7 +223,7 @@ if yaml.__with_libyaml__:
     from yaml._yaml import CParser
 
     class _FastLoader(Composer, CParser, SafeConstructor, Resolver):
-        """Events of libyaml, and nodes made of them in Python, where too deep a nesting is an error and no crash."""
+        """A loader of libyaml events that builds nodes in Python, where deep nesting raises instead of crashing."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
@@ -229,9 +235,9 @@ if yaml.__with_libyaml__:
 
 
 def _composed(text: str) -> yaml.Node | None:
-    """The nodes of a text; by libyaml where it is there, which is seven times as fast."""
+    """Return the node tree of a text, by libyaml where it is installed, which is seven times as fast."""
     for loader in _LOADERS[:-1]:
-        # of what it refuses, the reader in Python says better what is wrong
+        # The parser in Python gives the better message for what libyaml refuses.
         with suppress(yaml.YAMLError, ValueError):
             return yaml.compose(text, Loader=loader)
     return yaml.compose(text, Loader=_LOADERS[-1])

@@ -1,4 +1,4 @@
-"""Feature sets: the YAML definition of the features, their bits, and the sets that words are cut into."""
+"""Feature sets: the YAML definition of the features, their bits, and the subsets that words are split into."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kinedex.ops.words import MOST_FEATURES
 
 @dataclass(frozen=True)
 class Feature:
-    """One feature: its number (bit number − 1), its name, what it says, and its rule."""
+    """A feature with its number (its bit is number − 1), name, description and rule."""
 
     number: int
     name: str
@@ -33,7 +33,7 @@ class Feature:
 
 @dataclass(frozen=True)
 class WordSet:
-    """A stretch of features whose bits make one kind of word; `first` is its lowest feature's number."""
+    """A range of consecutive features whose bits form one kind of word; `first` is the lowest feature number."""
 
     name: str
     first: int
@@ -41,15 +41,18 @@ class WordSet:
 
     @property
     def numbers(self) -> range:
-        """The numbers of the set's features."""
+        """Return the numbers of the set's features."""
         return range(self.first, self.first + self.count)
 
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """The features of a kind of body and the sets they are split into.
+    """The features of a kind of body and the word sets that they are split into.
 
-    mirror: pairs of feature numbers that change places where left and right do; every other feature stays.
+    Attributes
+    ----------
+    mirror : tuple[tuple[int, int], ...]
+        Pairs of feature numbers that swap when left and right are exchanged; all other features stay.
     """
 
     name: str
@@ -63,7 +66,7 @@ class FeatureSet:
 
     @cached_property
     def mirror_order(self) -> npt.NDArray[np.int64]:
-        """Where each bit of a mirrored word comes from, int64 (f,), counted from 0; it is its own inverse."""
+        """Return the source bit of each bit of a mirrored word, int64 (f,), from 0; it is its own inverse."""
         order = np.arange(len(self.features))
         for one, other in self.mirror:
             order[[one - 1, other - 1]] = other - 1, one - 1
@@ -71,11 +74,11 @@ class FeatureSet:
 
     @cached_property
     def encoded(self) -> dict[str, Any]:
-        """The set as manifests write it; kept, since every version of a store writes it again."""
+        """Return the set as manifests write it; cached, since every version of a store repeats it."""
         return asdict(self)
 
     def mirrored(self, words: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-        """The words of the same motion with left and right exchanged; invalid frames stay invalid.
+        """Exchange left and right in words; invalid frames stay invalid.
 
         Where a rule names a limb or a joint of one side for both twins, as the papers' do (F1 and F2 measure both hands
         against the left hip), the words of the motion in a true mirror can differ from these by a few frames.
@@ -83,20 +86,21 @@ class FeatureSet:
         return rearrange(words, self.mirror_order)
 
     def mirrored_number(self, number: int) -> int:
-        """The feature that takes this one's place in the mirror; itself where it has no twin."""
+        """Return the number of a feature's mirror image, which is the feature itself if it has no counterpart."""
         return int(self.mirror_order[number - 1]) + 1
 
     @property
     def rules(self) -> tuple[Rule, ...]:
-        """The rules in bit order."""
+        """Return the rules in bit order."""
         return tuple(feature.rule for feature in self.features)
 
     def feature(self, name_or_number: str | int) -> Feature:
-        """Look a feature up by name, number, or "F7".
+        """Return a feature by its name, its number, or a text such as "F7".
 
         Raises
         ------
-        KinedexError: no such feature; the message names the nearest.
+        KinedexError
+            If there is no such feature; the message names the nearest.
         """
         text = str(name_or_number).strip()
         digits = text[1:] if text[:1] in "Ff" and text[1:].isdigit() else text
@@ -110,18 +114,19 @@ class FeatureSet:
         raise KinedexError(f"no feature '{text}'{did_you_mean(text, [f.name for f in self.features])}")
 
     def word_set(self, name: str) -> WordSet:
-        """Look a word set up by name; a KinedexError names the nearest."""
+        """Return a word set by its name; a KinedexError names the nearest one."""
         if name not in self.sets:
             raise KinedexError(f"no feature set '{name}'{did_you_mean(name, self.sets)}")
         return self.sets[name]
 
     def without(self, joints: Iterable[str]) -> tuple[tuple[Feature, ...], tuple[Feature, ...]]:
-        """What becomes of the features where joints are unknown.
+        """Return the features that are affected when joints are unknown.
 
         Returns
         -------
-        off: features that name one of the joints, or are scaled by a length that ends there; they are never on.
-        narrowed: features over several joints of which only the known ones then count, such as the lowest point.
+        tuple[tuple of Feature, tuple of Feature]
+            First the features that name one of the joints, or are scaled by a length that ends there, which are
+            never on; then those over several joints of which only the known ones count, such as the lowest point.
         """
         lost = {self.joints.index(joint) for joint in joints if joint in self.joints}
         off, narrowed = [], []
@@ -134,7 +139,7 @@ class FeatureSet:
         return tuple(off), tuple(narrowed)
 
     def set_of(self, number: int) -> WordSet:
-        """The word set that a feature belongs to."""
+        """Return the word set that a feature belongs to."""
         return next(s for s in self.sets.values() if number in s.numbers)
 
 
@@ -167,7 +172,8 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
 
     Raises
     ------
-    ConfigError: file, line and key of the first fault.
+    ConfigError
+        At the first fault, with its file, line and key.
     """
     located = load_yaml(config_path("features", name_or_path))
     located.mapping()
@@ -193,7 +199,7 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
 
 
 def _digest(parsed: _FeatureFile) -> str:
-    """A hash of what the words depend on; comments, layout and the mirror pairs do not count."""
+    """Return a hash of what the words depend on; comments, layout and the mirror pairs do not count."""
     text = json.dumps(parsed.model_dump(exclude={"mirror"}), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -1,4 +1,4 @@
-"""Template files: motion templates as YAML or CSV that people edit by hand, and the way back."""
+"""Template files hold motion templates as YAML or CSV that people can edit by hand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy.typing as npt
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.catalog.configs import Located, load_yaml, parse_yaml, read_text
+from kinedex.catalog.configs import Located, load_yaml, read_text
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.ops.templates.templates import Template
@@ -29,7 +29,7 @@ _WEIGHT = "weight"
 
 @dataclass(frozen=True)
 class NamedTemplate:
-    """A template under its name, which is the subclass that it stands for."""
+    """A template with its name, which is the subclass that it represents."""
 
     name: str
     template: Template
@@ -41,18 +41,21 @@ def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemp
 
     A YAML file maps a name to `rows`: a feature (by name or number) and its value in every column, as a text of 0, 1
     and * (a wildcard), or as a list of numbers from 0 to 1. Features without a row are wildcards throughout. `weights`
-    says how much a feature counts (1 unless given; 0: not at all), `column_weights` how much each column weighs,
-    `description` what it is. A CSV file holds one template, named after the file: a row per feature, the feature
+    gives the weight of a feature (1 by default, 0 to ignore it), `column_weights` the weight of each column,
+    `description` a text. A CSV file holds one template, named after the file: a row per feature, the feature
     first, then (in a column headed `weight`, where there is one) its weight, then its value in every column.
 
     Parameters
     ----------
-    path: a file ending in .yaml, .yml or .csv.
-    feature_set: the features that the file speaks of.
+    path : path
+        A file ending in .yaml, .yml or .csv.
+    feature_set : FeatureSet
+        The features that the file refers to.
 
     Raises
     ------
-    ConfigError: the first fault, with its line, what was expected, and the nearest valid name.
+    ConfigError
+        At the first fault, with its line, what was expected, and the nearest valid name.
     """
     path = Path(path).expanduser()
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -60,16 +63,6 @@ def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemp
     if path.suffix.lower() != ".csv":
         raise ConfigError(path, "a template file ends in .yaml or .csv")
     return (NamedTemplate(path.stem, _from_csv(read_text(path, "utf-8-sig"), path, feature_set)),)
-
-
-def parse_templates(text: str, feature_set: FeatureSet, path: str | Path = "templates") -> tuple[NamedTemplate, ...]:
-    """Like `read_templates`, for YAML that is already read; `path` is what errors name."""
-    return _from_yaml(parse_yaml(text, path), feature_set)
-
-
-def parse_csv(text: str, feature_set: FeatureSet, path: str | Path) -> NamedTemplate:
-    """Like `read_templates`, for CSV that is already read; the template is named after `path`."""
-    return NamedTemplate(Path(path).stem, _from_csv(text, Path(path), feature_set))
 
 
 def write_yaml(templates: Iterable[NamedTemplate], feature_set: FeatureSet) -> str:
@@ -177,7 +170,7 @@ def _row(located: Located, written: object, at: tuple[str | int, ...]) -> list[f
 
 
 def _value(entry: object) -> float | None:
-    """What an entry means; None where it means nothing."""
+    """Return the value of an entry, or None if it is invalid."""
     if isinstance(entry, str):
         if entry in _LETTERS:
             return _LETTERS[entry]
@@ -198,7 +191,7 @@ def _yaml(one: NamedTemplate, feature_set: FeatureSet) -> str:
     if template.feature_weights is not None:
         pairs = zip(feature_set.features, template.feature_weights.tolist(), strict=True)
         unlike = [f"{feature.name}: {_number(weight)}" for feature, weight in pairs if weight != 1]
-        # All weights of 1 are written too: they are not the same as none at all in what is stored.
+        # Weights that are all 1 are written too, because the store distinguishes them from no weights.
         lines.append(f"  weights: {{{', '.join(unlike or [f'{feature_set.features[0].name}: 1'])}}}")
     if np.any(template.weights != 1):
         lines.append(f"  column_weights: [{', '.join(map(_number, template.weights))}]")
@@ -218,13 +211,13 @@ def _row_text(row: F64) -> str:
 
 
 def _number(value: float) -> str:
-    """The shortest text that reads back as the same number."""
+    """Return the shortest text that reads back as the same number."""
     whole = float(value)
     return str(int(whole)) if whole.is_integer() else repr(whole)
 
 
 def _scalar(text: str) -> str:
-    """A text as YAML: plain where it reads back as itself, else in quotes."""
+    """Return a text as YAML: plain where it reads back as itself, else in quotes."""
     plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
     return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()
 

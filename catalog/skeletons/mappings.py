@@ -1,4 +1,4 @@
-"""Skeleton mappings: how the joints of a source's skeleton become the named joints that features speak of."""
+"""Skeleton mappings turn the joints of a source's skeleton into the named joints that features refer to."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _ONLY: dict[str, tuple[Format, ...]] = {
     "order": ("positions",),
     "screen": ("c3d",),
 }
-"""Keys that mean something for some formats only."""
+"""The formats for which a key is meaningful, for keys that some formats do not have."""
 
 
 class _SkeletonFile(BaseModel):
@@ -70,7 +70,7 @@ class _SkeletonFile(BaseModel):
     handedness: Literal["right", "left"] = "right"
     facing: Axis = "z"
     root_axes: _Root | None = None
-    unit_m: Any  # a number of metres or `guess`; pydantic's messages about either-or are of no use to anybody
+    unit_m: Any  # A number of metres or `guess`; checked below, because pydantic's messages about unions are unhelpful.
     strip_prefix: str | None = None
     bones: dict[str, dict[str, float]] = Field(default_factory=dict)
     order: list[str] = Field(default_factory=list)
@@ -81,22 +81,23 @@ class _SkeletonFile(BaseModel):
 
 @dataclass(frozen=True)
 class Mappings:
-    """The mappings that one archive is read with: one chosen by the user, or all that are shipped, by format."""
+    """The mappings that an archive is read with, by format: one chosen by the user, or all shipped ones."""
 
     of_format: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
 
     def digest(self, form: Format) -> str:
-        """A hash of the mappings of one format, which the takes read with them depend on."""
+        """Return a hash of the mappings of one format, on which the takes read with them depend."""
         return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
 
     def detect(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit:
-        """The mapping that fits a skeleton: all its nodes occur there, and it supplies the most joints.
+        """Return the fit of the mapping whose nodes all occur in a skeleton and that supplies the most joints.
 
-        Where there is only one mapping of the format, it is taken, and what it lacks is an error.
+        If the format has only one mapping, it is used, and any node that it lacks is an error.
 
         Raises
         ------
-        SourceError: none fits (the message names the nearest and what it lacks), or two fit equally well.
+        SourceError
+            If none fits (the message names the nearest and what it lacks), or two fit equally well.
         """
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
         if len(fits) == 1:
@@ -129,7 +130,7 @@ class Mappings:
         )
 
     def without_prefix(self, form: Format, nodes: Mapping[str, int]) -> tuple[str, SkeletonMapping] | None:
-        """What nearly all names of a skeleton begin with, and a mapping that fits them without it; None for no such."""
+        """Return a prefix that most names share and a mapping that fits without it; None if there is no such pair."""
         for prefix in _prefixes(list(nodes)):
             short = {name.removeprefix(prefix): index for name, index in nodes.items()}
             fits = [mapping.fit(short) for mapping in self.of_format.get(form, ())]
@@ -139,7 +140,7 @@ class Mappings:
         return None
 
     def stripped(self, form: Format, nodes: Mapping[str, int]) -> str:
-        """A clause about names that a mapping would fit without their prefix."""
+        """Return a clause for messages about names that a mapping would fit without their prefix."""
         found = self.without_prefix(form, nodes)
         if found is None:
             return ""
@@ -147,7 +148,7 @@ class Mappings:
         return f"; without '{prefix}' its names fit '{mapping.name}': copy {mapping.path}, with {stripping(*found)}"
 
     def _several(self, form: Format, nodes: Iterable[str]) -> str:
-        """A clause about a file of several figures, whose joints differ by their prefix only."""
+        """Return a clause for messages about a file of several figures whose joints differ only by a prefix."""
         found = [mapping.shared(nodes) for mapping in self.of_format.get(form, ())]
         most = max(found, key=len, default={})
         if not most:
@@ -157,11 +158,12 @@ class Mappings:
         return f"; of {differ}, none is taken: write one figure a file"
 
     def names_in_order(self, source: str | Path, count: int) -> tuple[str, ...]:
-        """The names of the points of a file that does not name them: those of the mapping with as many in its `order`.
+        """Return names for the points of a file that has none: those of the mapping with as many in its `order`.
 
         Raises
         ------
-        SourceError: no mapping has as many, or several have and give them different names.
+        SourceError
+            If no mapping has as many, or several have and give them different names.
         """
         orders = {mapping.order for mapping in self.of_format.get("positions", ()) if mapping.order}
         fitting = [order for order in orders if len(order) == count]
@@ -175,9 +177,9 @@ class Mappings:
         )
 
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        """The mapping that finds the most joints in a skeleton, knows the most of its nodes, and lacks the least.
+        """Return the fit that finds the most joints in a skeleton, knows the most of its nodes, and lacks the fewest.
 
-        Where none knows any node, it is that of the names without a prefix that they share, if it knows any of these.
+        If no mapping knows any node, the names without a common prefix are tried.
         """
         near = self._nearest(form, nodes)
         for prefix in _prefixes(list(nodes)) if near is not None and not near.known else ():
@@ -192,13 +194,13 @@ class Mappings:
 
 
 def stripping(prefix: str, mapping: SkeletonMapping) -> str:
-    """The line of a copy of a mapping that lets it leave a prefix out."""
+    """Return the `strip_prefix` line to add to a copy of a mapping so that it ignores a prefix."""
     pattern = re.escape(prefix) + (f"(?:{mapping.strip_prefix})?" if mapping.strip_prefix is not None else "")
     return f"`strip_prefix: '{pattern}'`"
 
 
 def _prefixes(names: Sequence[str]) -> list[str]:
-    """What all names begin with, and what more than half of them do, up to a mark such as _ or a colon."""
+    """Return the prefixes of all names and of more than half of them, each up to a mark such as _ or a colon."""
     marks = Counter(name[: mark.end()] for name in names for mark in re.finditer(r"[^A-Za-z0-9]", name))
     usual = [prefix for prefix, count in marks.most_common() if 2 * count > len(names)]
     first, last = min(names, default=""), max(names, default="")
@@ -212,11 +214,12 @@ def _listed(names: Sequence[str], most: int = 6) -> str:
 
 
 def load_mappings(choice: str | Path, joints: tuple[str, ...]) -> Mappings:
-    """The mappings of an archive: `auto`, or one by its name or path, which counts for the files of its format.
+    """Load the mappings for an archive: all shipped ones (`auto`), or one by name or path for files of its format.
 
     Raises
     ------
-    ConfigError: there is no such mapping, or it is wrong.
+    ConfigError
+        If there is no such mapping, or it is wrong.
     """
     chosen = None if choice == "auto" else load_skeleton(choice, joints)
     of_format: dict[Format, tuple[SkeletonMapping, ...]] = {}
@@ -234,11 +237,13 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
 
     Parameters
     ----------
-    joints: the named joints of the feature set; a mapping must say of each what it is, or `null`.
+    joints : tuple of str
+        The named joints of the feature set; a mapping must define each of them, or set it to `null`.
 
     Raises
     ------
-    ConfigError: file, line and key of the first fault.
+    ConfigError
+        At the first fault, with its file, line and key.
     """
     path = config_path("skeletons", name_or_path)
     stat = path.stat()
@@ -325,7 +330,7 @@ def _has_virtual(what: object) -> bool:
 
 
 def _axes(located: Located, up: Axis, facing: Axis, handedness: str, key: str) -> F64:
-    """The turn that takes a mapping's axes to ours: its up to +Y, its facing to +Z."""
+    """Return the rotation that takes a mapping's up axis to +Y and its facing axis to +Z."""
     if up[-1] == facing[-1]:
         raise located.error("up and facing must be different axes", key)
     upward, forward = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (up, facing))

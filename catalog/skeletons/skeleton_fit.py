@@ -1,4 +1,4 @@
-"""Skeletons and their fits: what a mapping makes of the nodes, points or markers that a source has."""
+"""A skeleton mapping, and its fit to the nodes, points or markers of one source."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ F64 = npt.NDArray[np.float64]
 SEEN = ("positions", "c3d")
 """Formats whose nodes are not there in every frame."""
 
-_ALIKE = 0.75  # names of joints are short: of `root` and `Foot_R`, six letters in ten are the same
+_ALIKE = 0.75  # Joint names are short: `root` and `Foot_R` already share six letters in ten.
 
 Format: TypeAlias = Literal["acclaim", "bvh", "positions", "c3d", "amass"]
 Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -27,8 +27,11 @@ Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 class Mix:
     """A fixed linear combination of nodes of a skeleton, or (`of_joints`) of other named joints.
 
-    plane, out: nodes a, b, c, and how many times |b − a| the place lies off along (b − a) × (c − a), the normal of
-    their plane: where a joint lies beneath the markers on the skin.
+    Attributes
+    ----------
+    plane, out : tuple of str
+        Nodes a, b, c, and how many times |b − a| the place lies off along (b − a) × (c − a), the normal of their plane:
+        where a joint lies beneath the markers on the skin.
     """
 
     weights: tuple[tuple[str, float], ...]
@@ -38,12 +41,12 @@ class Mix:
 
     @property
     def node(self) -> str | None:
-        """The node that this is, where it is just one."""
+        """Return the node, if the combination has only one; else None."""
         return self.weights[0][0] if len(self.weights) == 1 and not self.of_joints and not self.plane else None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All nodes, or joints, that it is made of."""
+        """Return all nodes (or joints) of the combination."""
         return tuple(dict.fromkeys([*(name for name, _ in self.weights), *self.plane]))
 
     def __str__(self) -> str:
@@ -51,8 +54,8 @@ class Mix:
         return f"{mixed} {self.out:+g} aside of {'-'.join(self.plane)}" if self.plane else mixed
 
     def apply(self, places: Mapping[str, F64], hand: float) -> F64:
-        """The place (3, T) by those of the nodes; hand: 1 for right-handed axes, −1 for left-handed ones."""
-        with np.errstate(over="ignore", invalid="ignore"):  # faulty numbers become infinite, and are refused
+        """Return the position (3, T) from those of the nodes; `hand` is 1 for right-handed axes, −1 for left-handed."""
+        with np.errstate(over="ignore", invalid="ignore"):  # Invalid numbers become infinite and are refused later.
             mixed: F64 = np.sum([weight * places[name] for name, weight in self.weights], axis=0)
             if self.plane:
                 a, b, c = (places[name] for name in self.plane)
@@ -66,14 +69,25 @@ class Mix:
 class SkeletonMapping:
     """One mapping file.
 
-    joints: named joint → what it may be, the first that a skeleton can supply counts, or that is seen in a frame; None:
-    such a skeleton has none.
-    unit_m: metres of one unit, None where it is to be guessed. axes: (3, 3), turns source coordinates into X, Y up, Z
-    (right-handed). root_axes: (3, 3), the same for the axes of the root node itself.
-    bones: node → weights over the offsets of other nodes, which it is given where the file leaves its own at zero.
-    order: the points of files that do not name theirs, in order; empty where these cannot be read.
-    aliases: node → what else it may be called, by the first name that is there.
-    screen: whether the axis that a file calls vertical counts in place of the mapping's own.
+    Attributes
+    ----------
+    joints : dict[str, tuple[Mix or None, ...]]
+        The alternatives for each named joint; the first that a skeleton supplies, or that is visible in a frame,
+        is used; None if such skeletons lack the joint.
+    unit_m : float or None
+        Metres of one unit; None to guess it.
+    axes : float64 array
+        Shape (3, 3); rotates source coordinates into X, Y up, Z (right-handed).
+    root_axes : float64 array
+        Shape (3, 3); the same for the axes of the root node itself.
+    bones : dict[str, dict[str, float]]
+        Weights over the offsets of other nodes that replace a node's own offset where the file has zero.
+    order : tuple of str
+        The names of the points of files without names, in order; empty if such files cannot be read.
+    aliases : Mapping[str, tuple of str]
+        Other names of a node; the first that occurs is used.
+    screen : bool
+        If True, the vertical axis that a file states replaces the mapping's own.
     """
 
     name: str
@@ -91,7 +105,7 @@ class SkeletonMapping:
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
-        """Node name → index, by the names that the mapping uses; what a stripped prefix makes ambiguous is left out."""
+        """Return the index of each node by the name that the mapping uses, excluding names that become ambiguous."""
         short = self._short(nodes)
         places = {name: nodes[whole[0]] for name, whole in short.items() if len(whole) == 1} | dict(nodes)
         for name, others in self.aliases.items():
@@ -101,11 +115,11 @@ class SkeletonMapping:
         return places
 
     def shared(self, nodes: Iterable[str]) -> dict[str, list[str]]:
-        """The names that a stripped prefix makes ambiguous, and the nodes whose names they are."""
+        """Return the names that become ambiguous without their prefix, each with its nodes."""
         return {name: whole for name, whole in self._short(nodes).items() if len(whole) > 1}
 
     def _short(self, nodes: Iterable[str]) -> dict[str, list[str]]:
-        """What node names are without their prefix, and the nodes of each such name."""
+        """Return the node names without their prefix, each with its nodes."""
         short: dict[str, list[str]] = {}
         for name in nodes if self.strip_prefix is not None else ():
             found = re.match(self.strip_prefix or "", name)
@@ -118,7 +132,7 @@ class SkeletonMapping:
         found: dict[str, Mix | None] = {}
         instead: dict[str, tuple[Mix, ...]] = {}
         missing: dict[str, str] = {}
-        # Virtual joints last: what they are made of is never virtual itself.
+        # Virtual joints come last; their parts are never virtual themselves.
         for joint in sorted(self.joints, key=lambda joint: any(mix and mix.of_joints for mix in self.joints[joint])):
             usable = []
             for mix in self.joints[joint]:
@@ -143,16 +157,23 @@ class SkeletonMapping:
 
         Parameters
         ----------
-        source: the file that errors name. nodes: node name → index. positions: float64 (nodes, 3, T).
-        joints: the named joints wanted, in order.
+        source : path
+            The file that errors name.
+        nodes : Mapping[str, int]
+            Node name → index.
+        positions : float64 array (nodes, 3, T)
+        joints : tuple of str
+            The named joints wanted, in order.
 
         Returns
         -------
-        float64 (len(joints), 3, T), Y up; NaN for a joint that the skeleton does not have.
+        float64 array (len(joints), 3, T)
+            Y up; NaN for a joint that the skeleton does not have.
 
         Raises
         ------
-        SourceError: the skeleton lacks a node that the mapping names.
+        SourceError
+            If the skeleton lacks a node that the mapping names.
         """
         fit = self.fit(nodes)
         fit.check(source)
@@ -163,10 +184,18 @@ class SkeletonMapping:
 class Fit:
     """A mapping laid over one skeleton.
 
-    places: node name → index, under the names that the mapping uses. joints: named joint → what it is here.
-    missing: what the mapping cannot make here (a joint, a bone) → the first node that it would need.
-    instead: named joint → what stands for it, in this order, in frames in which not all of its nodes are seen.
-    prefix: what was left out in front of the names, where they fit no mapping with it.
+    Attributes
+    ----------
+    places : dict[str, int]
+        Node name → index, under the names that the mapping uses.
+    joints : dict[str, Mix or None]
+        The combination of nodes for each named joint.
+    missing : dict[str, str]
+        The joints and bones that cannot be built here, each with the first node that is missing.
+    instead : dict[str, tuple of Mix]
+        The alternatives for a named joint, in order, in frames where some of its nodes are not visible.
+    prefix : str
+        The prefix that was ignored, if the names fit no mapping with it.
     """
 
     mapping: SkeletonMapping
@@ -178,50 +207,50 @@ class Fit:
 
     @property
     def called(self) -> str:
-        """The mapping's name, for messages, with what was left out."""
+        """Return the mapping's name for messages, with the prefix that was ignored."""
         return f"'{self.mapping.name}'" + (f" (without the prefix '{self.prefix}')" if self.prefix else "")
 
     @property
     def named(self) -> int:
-        """How many joints the skeleton itself supplies."""
+        """Return the number of joints that the skeleton itself supplies."""
         return sum(mix is not None and not mix.of_joints for mix in self.joints.values())
 
     @property
     def known(self) -> int:
-        """How many of the skeleton's nodes the mapping speaks of."""
+        """Return the number of the skeleton's nodes that the mapping refers to."""
         mixes = [mix for choices in self.mapping.joints.values() for mix in choices if mix and not mix.of_joints]
         return len({name for mix in mixes for name in mix.names} & self.places.keys())
 
     @property
     def root(self) -> int:
-        """The index of the node whose turns are those of the body: that of joint `root`, else the skeleton's first."""
+        """Return the index of the node whose rotation is the body's: that of joint `root`, else the first node."""
         mix = self.joints.get("root")
         return self.places[mix.node] if mix is not None and mix.node is not None else 0
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """The indices of the nodes that the named joints are made of."""
+        """Return the indices of the nodes that the named joints are made of."""
         mixes = [*self.joints.values(), *(mix for others in self.instead.values() for mix in others)]
         own = [mix for mix in mixes if mix is not None and not mix.of_joints]
         return tuple(sorted({self.places[name] for mix in own for name in mix.names}))
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """The joints that the skeleton does not have."""
+        """Return the joints that the skeleton does not have."""
         return tuple(joint for joint, mix in self.joints.items() if mix is None)
 
     @property
     def virtual(self) -> dict[str, Mix]:
-        """The joints that are built from others, and how."""
+        """Return the joints that are built from others, and how."""
         return {joint: mix for joint, mix in self.joints.items() if mix is not None and mix.node is None}
 
     def upright(self, up: str | None) -> Fit:
-        """The same where the file calls the axis `up` vertical and the mapping lets it; None: the file says nothing."""
+        """Return the fit with the vertical axis that the file states (None: not stated), if the mapping allows it."""
         mapping = self.mapping
         if up is None or not mapping.screen or np.array_equal(mapping.axes[1], np.eye(3)["xyz".index(up)]):
             return self
         index = "xyz".index(up)
-        # The next two axes in turn, so that the three are right-handed; which way the figure looks, its hips say.
+        # The next two axes in cyclic order keep the three right-handed; the hips determine the facing direction.
         return replace(self, mapping=replace(mapping, axes=np.eye(3)[[(index + 2) % 3, index, (index + 1) % 3]]))
 
     def check(self, source: str | Path, way_out: str = "") -> None:
@@ -234,11 +263,11 @@ class Fit:
             )
 
     def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:
-        """The named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of the skeleton's nodes."""
+        """Return the named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of all nodes."""
         tracks: dict[str, F64] = {}
         frames = positions.shape[2]
         hand = float(np.sign(np.linalg.det(self.mapping.axes)))
-        for joint, mix in self.joints.items():  # in the order of `fit`: what a virtual joint needs is there before it
+        for joint, mix in self.joints.items():  # The order of `fit` puts the parts of a virtual joint before it.
             tracks[joint] = np.full((3, frames), np.nan) if mix is None else self._track(mix, positions, tracks, hand)
             for other in self.instead.get(joint, ()):
                 lost = np.isnan(tracks[joint]).any(axis=0)

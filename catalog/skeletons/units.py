@@ -1,4 +1,4 @@
-"""Units of length: what files come in, and which one makes a body as high as a human."""
+"""Units of length, and the guess of a file's unit from the height of the body."""
 
 from __future__ import annotations
 
@@ -21,23 +21,28 @@ UNITS_M = {"metres": 1.0, "inches / 0.45 (Acclaim)": 0.0254 / 0.45, "inches": 0.
 
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
-_UPRIGHT = 1.1  # what the feet and the slope of the pelvis add to legs and trunk stretched out
+_UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
 
 
 def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> tuple[str, float, float]:
-    """Guess the unit of length from the height of a body, which legs and trunk make when stretched out.
+    """Guess the unit of length from the height of a body, measured along its legs and trunk.
 
     Parameters
     ----------
-    source: the file that errors name. positions: float64 (J, 3, T) of the named joints, in the unit to be guessed.
+    source : path
+        The file that errors name.
+    positions : float64 array (J, 3, T)
+        Of the named joints, in the unit to be guessed.
 
     Returns
     -------
-    name: one of `UNITS_M`. unit_m: the metres of one. height_m: what the body's height then is.
+    tuple[str, float, float]
+        The name of the unit (a key of `UNITS_M`), its metres, and the height of the body in metres.
 
     Raises
     ------
-    SourceError: no unit makes this a human height, or there are no legs to measure.
+    SourceError
+        If no unit makes this a human height, or there are no legs to measure.
     """
     way_out = "state `unit_m` in the skeleton mapping"
     height = body_height(positions, joints)
@@ -54,11 +59,12 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
 
 
 def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
-    """How high a body is, legs and trunk stretched out, in the unit of its positions; None without a whole leg.
+    """Return the height of a body along its legs and trunk, in the unit of its positions; None without a whole leg.
 
     Parameters
     ----------
-    positions: float64 (J, 3, T) of the named joints; the first frame counts.
+    positions : float64 array (J, 3, T)
+        Of the named joints; the first frame counts.
     """
     known = {joint: positions[i, :, 0] for i, joint in enumerate(joints) if np.isfinite(positions[i, :, 0]).all()}
     legs = [_length(known, leg) for leg in _LEGS if all(joint in known for joint in leg)]
@@ -69,5 +75,5 @@ def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
 
 def _length(points: Mapping[str, F64], chain: Iterable[str]) -> float:
     path = [points[joint] for joint in chain]
-    with np.errstate(over="ignore"):  # a faulty number's length is infinite, which no unit makes human
+    with np.errstate(over="ignore"):  # An invalid number gives an infinite length, which no unit makes human.
         return float(sum(np.linalg.norm(b - a) for a, b in pairwise(path)))

@@ -1,1 +1,1 @@
-"""Bodies: from channels and positions to trajectories, features and words."""
+"""Bodies: kinematics from channels to positions, gaps, resampling, and features from positions."""

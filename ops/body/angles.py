@@ -1,4 +1,4 @@
-"""Sines and cosines of many angles at once: compiled loops without branches, which the compiler vectorises."""
+"""Sines and cosines of arrays of angles, in compiled loops without branches that the compiler vectorises."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _C2, _C3, _C4, _C5, _C6, _C7, _C8 = ((-1) ** k / math.factorial(2 * k) for k in 
 
 @njit(cache=True, nogil=True)
 def sincos(angles: F64, sines: F64, cosines: F64) -> None:
-    """Sines and cosines of angles in radians, into arrays of the same length, off by less than 0.8 of the last digit.
+    """Compute sines and cosines of angles in radians into given arrays, with errors below 0.8 units of the last place.
 
     Angles are at most `LARGEST` from zero: see `sincos_far`. An infinity or a NaN gives NaN.
     """
     for t in range(angles.shape[0]):
         angle = angles[t]
         quarters = np.rint(angle * _QUARTERS)
-        # What is left of the angle, in two parts: x, and the little that x is short of it.
+        # The remainder of the angle in two parts: x, and the rounding error of x.
         near = angle - quarters * _FIRST
         second = quarters * _SECOND
         x = near - second
@@ -61,7 +61,7 @@ def sincos(angles: F64, sines: F64, cosines: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def sincos_far(angles: F64, sines: F64, cosines: F64) -> None:
-    """`sincos` for angles of any size, one by one, as the C library computes them."""
+    """Compute what `sincos` does for angles of any size, one by one, with the C library."""
     for t in range(angles.shape[0]):
         sines[t] = np.sin(angles[t])
         cosines[t] = np.cos(angles[t])

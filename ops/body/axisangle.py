@@ -1,4 +1,4 @@
-"""Joint angles as rotation vectors (axis times angle), and where they bring the joints of a body."""
+"""Forward kinematics of joint angles that are given as rotation vectors (axis times angle)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _AT_ONCE = 4096  # frames: a few megabytes of matrices, whatever the take's leng
 
 
 def matrices(vectors: F64) -> F64:
-    """Rotation vectors (T, 3) in radians as matrices (T, 3, 3).
+    """Return the matrices (T, 3, 3) of rotation vectors (T, 3) in radians.
 
     Rodrigues' formula: R = I + (sin θ / θ) K + ((1 − cos θ) / θ²) K², with K the cross product by the vector.
     """
@@ -31,24 +31,31 @@ def matrices(vectors: F64) -> F64:
 
 
 def forward(rest: F64, parents: Sequence[int], turns: F64, places: F64) -> tuple[F64, F64]:
-    """Where the joints of a body are, by the turns of each about its parent.
+    """Compute the positions of the joints of a body from the rotation of each relative to its parent.
 
     The skeleton of SMPL (Loper et al. 2015, Eq. 4): a joint's offset from its parent in the rest pose turns with all
     the turns above it.
 
     Parameters
     ----------
-    rest: float64 (J, 3), the joints in the rest pose. parents: the index of each joint's parent, smaller than its own;
-    −1 for the first, the root. turns: float64 (T, J, 3), rotation vectors in radians. places: float64 (T, 3), how far
-    the root is from its place at rest.
+    rest : float64 array (J, 3)
+        The joints in the rest pose.
+    parents : sequence of int
+        The index of each joint's parent, smaller than its own; −1 for the first, the root.
+    turns : float64 array (T, J, 3)
+        Rotation vectors in radians.
+    places : float64 array (T, 3)
+        The displacement of the root from its rest position.
 
     Returns
     -------
-    positions: float64 (J, 3, T). root: float64 (9, T), the root's matrices, row by row.
+    tuple[float64 array, float64 array]
+        The positions, (J, 3, T), and the rotation matrices of the root row by row, (9, T).
 
     Raises
     ------
-    ParameterError: shapes that do not agree, or a parent that does not come before its child.
+    ParameterError
+        If shapes do not agree, or a parent does not come before its child.
     """
     joints, frames = len(rest), len(turns)
     if rest.shape != (joints, 3) or turns.shape != (frames, joints, 3) or places.shape != (frames, 3):

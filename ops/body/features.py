@@ -1,4 +1,4 @@
-"""Relational features of a take: rules over joint trajectories in, words out (thesis, 2.2; features.md)."""
+"""Relational features: rules over joint trajectories give one word a frame (thesis, 2.2)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ JOINTS_OF = {
 
 @dataclass(frozen=True)
 class Term:
-    """One primitive over joints (indices), with its factor in a sum."""
+    """A geometric primitive over joints (by index), with its factor in a sum."""
 
     primitive: str
     joints: tuple[int, ...]
@@ -48,10 +48,14 @@ class Term:
 
 @dataclass(frozen=True)
 class Rule:
-    """One feature: a sum of terms against a weak and a strong threshold.
+    """The rule of a feature: a sum of terms is compared with a weak and a strong threshold.
 
-    length: pairs of joints whose distances in frame 0, added up, scale the thresholds; empty for plain numbers.
-    weak, strong: (low, high); one-sided comparisons use the first only.
+    Attributes
+    ----------
+    length : tuple[tuple[int, int], ...]
+        Pairs of joints whose distances in frame 0, added up, scale the thresholds; empty for plain numbers.
+    weak, strong : tuple[float, float]
+        (low, high); one-sided comparisons use the first only.
     """
 
     terms: tuple[Term, ...]
@@ -61,7 +65,7 @@ class Rule:
     length: tuple[tuple[int, int], ...] = ()
 
     def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
-        """The joints without which the rule is off, and those that it takes where they are known (of all of `body`)."""
+        """Return the joints that the rule requires, and those of `body` that it uses where they are known."""
         fixed = {joint for pair in self.length for joint in pair}
         several: set[int] = set()
         for term in self.terms:
@@ -75,7 +79,7 @@ class Rule:
 
 
 def window_samples(window_ms: float, rate_hz: float) -> int:
-    """Samples in a velocity window: max(1, ceil(w/1000 · rate)), free of float noise (features.md, `vel`)."""
+    """Return the number of samples in a velocity window, max(1, ceil(w/1000 · rate)), without float noise."""
     return max(1, math.ceil(round(window_ms / 1000.0 * rate_hz, 9)))
 
 
@@ -88,25 +92,32 @@ def words(
 ) -> npt.NDArray[np.uint64]:
     """Compute the word of every frame.
 
-    Invalid frames cut the take: what lies between them is a stretch of its own, where velocities and hysteresis begin
-    anew. Limb lengths are those of the first valid frame for the whole take.
+    Invalid frames divide the take into segments in which velocities and hysteresis start anew. Limb lengths are
+    those of the first valid frame for the whole take.
 
     Parameters
     ----------
-    positions: float64 (J, 3, T) in metres, Y up; NaN where a joint is unknown.
-    orientation: float64 (4, T), the root's unit quaternion w, x, y, z.
-    rate_hz: frames per second.
-    rules: one per feature, the first is bit 0; at most 63.
-    valid: bool (T,), the frames of which everything is known that is ever known; None: all.
+    positions : float64 array
+        float64 (J, 3, T) in metres, Y up; NaN where a joint is unknown.
+    orientation : float64 array (4, T)
+        The root's unit quaternion w, x, y, z.
+    rate_hz : float
+        Frames per second.
+    rules : sequence of Rule
+        One per feature, the first is bit 0; at most 63.
+    valid : bool array (T,)
+        The valid frames; None if all are valid.
 
     Returns
     -------
-    uint64 (T,): bit i − 1 is F_i; `NO_WORD` in an invalid frame. A feature that meets a NaN, or a vector without
-    length, is off there.
+    uint64 array (T,)
+        Bit i − 1 is F_i; `NO_WORD` in an invalid frame. A feature that meets a NaN, or a vector without length, is off
+        there.
 
     Raises
     ------
-    ParameterError: an array has another shape, or the rate is not positive.
+    ParameterError
+        If an array has another shape, or the rate is not positive.
     """
     positions = np.ascontiguousarray(positions, dtype=np.float64)
     orientation = np.ascontiguousarray(orientation, dtype=np.float64)
@@ -135,7 +146,7 @@ def words(
 def _stretch(
     positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule], measured: F64
 ) -> npt.NDArray[np.uint64]:
-    """The words of frames of which everything is known; limb lengths are measured in one frame, (J, 3, 1)."""
+    """Return the words of consecutive valid frames; limb lengths are measured in one frame, (J, 3, 1)."""
     out = np.zeros(positions.shape[2], dtype=np.uint64)
     if not len(out):
         return out
@@ -149,7 +160,7 @@ def _stretch(
 
 
 class _Body:
-    """The trajectories of one stretch, with the quantities that several features share computed once."""
+    """The trajectories of consecutive valid frames; quantities that several features share are computed once."""
 
     def __init__(self, positions: F64, orientation: F64, rate_hz: float, measured: F64) -> None:
         self.positions = positions
@@ -180,7 +191,7 @@ class _Body:
         return self._terms[term]
 
     def _velocity(self, q: int, c: int, window_ms: float) -> F64:
-        """Velocity of joint q relative to joint c (c = −1: to the room)."""
+        """Return the velocity of joint q relative to joint c, or to the room for c = −1."""
         key = (q, c, window_ms)
         if key not in self._velocities:
             x = self.positions[q] if c < 0 else p.difference(self.positions[q], self.positions[c])

@@ -1,4 +1,4 @@
-"""Gaps in trajectories: stretches of frames in which a point was not seen, and how short ones are closed."""
+"""Gaps in trajectories: ranges of frames in which a point was not seen, and the interpolation of short ones."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ class Gap:
 
     @property
     def frames(self) -> int:
-        """How long it is."""
+        """Return the number of frames in the gap."""
         return self.stop - self.start
 
 
 def find_gaps(positions: F64) -> list[Gap]:
-    """All gaps, by point and then by frame.
+    """Return all gaps, by point and then by frame.
 
     Parameters
     ----------
-    positions: float64 (points, 3, T); a point is missing where any of its coordinates is NaN.
+    positions : float64 array (points, 3, T)
+        A point is missing where any of its coordinates is NaN.
     """
     missing = np.count_nonzero(np.isnan(positions), axis=1) > 0
     found = []
@@ -41,15 +42,17 @@ def find_gaps(positions: F64) -> list[Gap]:
 
 
 def fill_gaps(positions: F64, longest: int) -> tuple[F64, list[Gap], list[Gap]]:
-    """Close gaps of up to `longest` frames along straight lines; at a take's ends the nearest place is held.
+    """Fill gaps of up to `longest` frames along straight lines; at the ends of a take the nearest position is repeated.
 
     Parameters
     ----------
-    positions: float64 (points, 3, T) with NaN in the gaps.
+    positions : float64 array
+        float64 (points, 3, T) with NaN in the gaps.
 
     Returns
     -------
-    filled: a copy. closed: the gaps that were filled. left: those that are too long, or without any frame to go by.
+    tuple[float64 array, list of Gap, list of Gap]
+        A filled copy, the gaps that were filled, and those that are too long or have no known frame.
     """
     filled = positions.copy()
     frames = np.arange(positions.shape[2])

@@ -1,4 +1,4 @@
-"""Forward kinematics: joint angles of a chain of nodes to positions in space."""
+"""Forward kinematics: positions in space from the joint angles of a chain of nodes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ I32 = npt.NDArray[np.int32]
 ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
 """What a channel does to its node: turn about an axis, move along one, or lengthen the bone."""
 
-BLOCK = 128  # frames worked on together: the matrices of a whole body then stay in the second-level cache
+BLOCK = 128  # frames per block; the matrices of a whole body then fit into the second-level cache
 
 
 @dataclass(frozen=True)
 class Step:
-    """One channel of a node: what it does, and its column in the channel matrix."""
+    """A channel of a node: its effect, and its column in the channel matrix."""
 
     kind: int
     column: int
@@ -33,12 +33,20 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One node of a chain; two are the same only where they are one object.
+    """A node of a chain; nodes are compared by identity.
 
-    parent: index of the node before it, −1 for the root. frame: (3, 3) the node's axes in its parent's.
-    before, after: (3,) offsets in metres, before (in the parent's axes) and after the node's own rotation.
-    direction: (3,) unit vector that a STRETCH channel lengthens `after` along.
-    steps: in the order in which the rotation matrices are multiplied, leftmost first.
+    Attributes
+    ----------
+    parent : int
+        Index of the node before it, −1 for the root.
+    frame : float64 array
+        (3, 3) the node's axes in its parent's.
+    before, after : float64 array
+        (3,) offsets in metres, before (in the parent's axes) and after the node's own rotation.
+    direction : float64 array
+        (3,) unit vector that a STRETCH channel lengthens `after` along.
+    steps : tuple of Step
+        In the order in which the rotation matrices are multiplied, leftmost first.
     """
 
     name: str
@@ -51,7 +59,7 @@ class Node:
 
 
 def rotation(axis: int, degrees: float) -> F64:
-    """The (3, 3) matrix of a turn about X (0), Y (1) or Z (2)."""
+    """Return the (3, 3) matrix of a rotation about X (0), Y (1) or Z (2)."""
     angle = np.deg2rad(degrees)
     c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -62,7 +70,7 @@ def rotation(axis: int, degrees: float) -> F64:
 
 
 def euler(degrees: tuple[float, float, float], order: str) -> F64:
-    """The matrix of three turns, the first listed axis first: order "XYZ" is Rz · Ry · Rx (features.md)."""
+    """Return the matrix of three rotations, the first axis applied first: order "XYZ" is Rz · Ry · Rx."""
     matrix = np.eye(3)
     for axis, angle in zip(order, degrees, strict=True):
         matrix = rotation("XYZ".index(axis), angle) @ matrix
@@ -72,23 +80,29 @@ def euler(degrees: tuple[float, float, float], order: str) -> F64:
 def forward(
     nodes: tuple[Node, ...], channels: F64, oriented: int = 0, wanted: Iterable[int] | None = None
 ) -> tuple[F64, F64]:
-    """Positions of nodes and the orientation of one of them, the root's where nothing else is said.
+    """Compute the positions of nodes and the orientation of one of them, by default of the root.
 
     Parameters
     ----------
-    nodes: parents before children.
-    channels: float64 (T, C); rotations in radians, moves and stretches in metres.
-    oriented: index of the node whose orientation is wanted.
-    wanted: indices of the nodes whose positions are wanted, None: all. What none of these hangs on is not computed.
+    nodes : tuple of Node
+        Parents before children.
+    channels : float64 array (T, C)
+        Rotations in radians, moves and stretches in metres.
+    oriented : int
+        Index of the node whose orientation is wanted.
+    wanted : iterable of int or None
+        Indices of the nodes whose positions are wanted; None for all. Other branches are not computed.
 
     Returns
     -------
-    positions: float64 (nodes, 3, T), metres; NaN for nodes that are not computed.
-    orientation: float64 (9, T), the node's rotation matrix, row by row.
+    tuple[float64 array, float64 array]
+        The positions (nodes, 3, T) in metres, NaN for nodes that are not computed, and the rotation matrices of the
+        oriented node, row by row, (9, T).
 
     Raises
     ------
-    ParameterError: a parent stands after its child, or a step, `oriented` or `wanted` names what is not there.
+    ParameterError
+        If a parent stands after its child, or a step, `oriented` or `wanted` is out of range.
     """
     chain = _chain(nodes)
     if not 0 <= oriented < len(nodes):
@@ -108,7 +122,7 @@ def forward(
 
 
 class _Chain(NamedTuple):
-    """Nodes as arrays: parents, where the steps of each begin and end, these, and the fixed turns and offsets."""
+    """Nodes as arrays: parents, the range of steps of each, the steps, and the fixed rotations and offsets."""
 
     parents: I32
     counts: I32
@@ -119,7 +133,7 @@ class _Chain(NamedTuple):
     offsets: F64
 
 
-@lru_cache(maxsize=16)  # the takes of an archive share a few skeletons
+@lru_cache(maxsize=16)  # The takes of an archive share a few skeletons.
 def _chain(nodes: tuple[Node, ...]) -> _Chain:
     for i, node in enumerate(nodes):
         if not -1 <= node.parent < i:
@@ -140,7 +154,7 @@ def _chain(nodes: tuple[Node, ...]) -> _Chain:
 
 
 def _needed(nodes: tuple[Node, ...], wanted: Iterable[int]) -> npt.NDArray[np.bool_]:
-    """Which nodes are wanted, or stand between one that is and the root."""
+    """Return the nodes that are wanted or lie between a wanted node and the root."""
     needed = np.zeros(len(nodes), dtype=np.bool_)
     for index in wanted:
         if not 0 <= index < len(nodes):
@@ -153,7 +167,7 @@ def _needed(nodes: tuple[Node, ...], wanted: Iterable[int]) -> npt.NDArray[np.bo
 
 @njit(cache=True, nogil=True)
 def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
-    """Turn a row of a matrix about an axis, a and b being its other two numbers, in every frame."""
+    """Rotate a row of a matrix about an axis in every frame; a and b are its two other components."""
     for t in range(a.shape[0]):
         p, q = a[t], b[t]
         a[t] = p * cosines[t] + q * sines[t]
@@ -162,7 +176,7 @@ def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
-    """A row (a, b, c) of a matrix times a fixed one, in every frame, into x, y, z."""
+    """Multiply a row (a, b, c) by a fixed matrix in every frame, into x, y, z."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = matrix
     for t in range(a.shape[0]):
         p, q, r = a[t], b[t], c[t]
@@ -173,7 +187,7 @@ def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def _shift(out: F64, turns: F64, offset: F64) -> None:
-    """Move positions (3, T) by a fixed offset, turned by matrices (9, T)."""
+    """Move positions (3, T) by a fixed offset that is rotated by matrices (9, T)."""
     x, y, z = offset
     if x == 0.0 and y == 0.0 and z == 0.0:
         return
@@ -185,7 +199,7 @@ def _shift(out: F64, turns: F64, offset: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> None:
-    """Move positions (3, T) along a fixed direction by as much as a channel says, turned by matrices (9, T)."""
+    """Move positions (3, T) along a fixed direction, rotated by matrices (9, T), by the values of a channel."""
     for axis in range(3):
         place, a, b, c = out[axis], turns[3 * axis], turns[3 * axis + 1], turns[3 * axis + 2]
         for t in range(place.shape[0]):
@@ -194,7 +208,7 @@ def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> N
 
 @njit(cache=True, nogil=True)
 def _copy(source: F64, target: F64) -> None:
-    """Copy a matrix; assigned as a whole it would bring along, and compile, the words for shapes that do not fit."""
+    """Copy a matrix by element; assigning it whole would compile the error messages for unequal shapes as well."""
     for i in range(source.shape[0]):
         for t in range(source.shape[1]):
             target[i, t] = source[i, t]
@@ -202,9 +216,21 @@ def _copy(source: F64, target: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def _add(values: F64, to: F64) -> None:
-    """Add numbers in place, as plainly as `_copy`."""
+    """Add numbers in place, by element as in `_copy`."""
     for t in range(to.shape[0]):
         to[t] += values[t]
+
+
+@njit(cache=True, nogil=True)
+def _rotate(own: F64, kind: int, angles: F64, near: bool, s: F64, c: F64) -> None:
+    """Rotate the matrices (9, T) of a node about one of its axes; s and c are buffers for sines and cosines."""
+    if near:
+        sincos(angles, s, c)
+    else:
+        sincos_far(angles, s, c)
+    i, j = (kind + 1) % 3, (kind + 2) % 3
+    for k in (0, 3, 6):
+        _turn(own[k + i], own[k + j], s, c)
 
 
 @njit(cache=True, nogil=True)
@@ -230,7 +256,7 @@ def _forward(
                 continue
             parent = parents[node]
             own, out = h[node, :, :size], positions[node, :, start:stop]
-            # Where the node starts: the parent's end and the fixed offset, then what its own channels move it by.
+            # The node starts at the parent's end plus the fixed offset, moved by its own channels.
             if parent < 0:
                 for k in range(9):
                     own[k] = frames[node, k]
@@ -254,15 +280,8 @@ def _forward(
                     else:
                         _move(out, own, axes[axis, 0], axes[axis, 1], axes[axis, 2], along)
             for step in range(counts[node], counts[node + 1]):
-                kind, angles = kinds[step], of_channel[columns[step], :size]
-                if kind <= ROTATE_Z:
-                    if near:
-                        sincos(angles, s, c)
-                    else:
-                        sincos_far(angles, s, c)
-                    i, j = (kind + 1) % 3, (kind + 2) % 3
-                    for k in (0, 3, 6):
-                        _turn(own[k + i], own[k + j], s, c)
+                if kinds[step] <= ROTATE_Z:
+                    _rotate(own, kinds[step], of_channel[columns[step], :size], near, s, c)
             _shift(out, own, offsets[node, 1])
             for step in range(counts[node], counts[node + 1]):
                 if kinds[step] == STRETCH:
@@ -272,11 +291,12 @@ def _forward(
 
 
 def frames_along(across: F64, up: F64) -> F64:
-    """Rotation matrices (9, T), row by row, whose X axis lies along `across` and whose Y axis is nearest to `up`.
+    """Return rotation matrices (9, T), row by row, with X along `across` and Y as near to `up` as possible.
 
     Parameters
     ----------
-    across, up: float64 (3, T), of any length. Where one is zero or both lie on one line, the matrix is NaN.
+    across, up : float64 array (3, T)
+        Of any length. Where one is zero or both lie on one line, the matrix is NaN.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         x = across / np.linalg.norm(across, axis=0)
@@ -288,12 +308,14 @@ def frames_along(across: F64, up: F64) -> F64:
 
 
 def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = None) -> F64:
-    """Unit quaternions (4, T) w x y z of rotation matrices (9, T), without jumps of sign.
+    """Return unit quaternions (4, T) w x y z of rotation matrices (9, T), without jumps of sign.
 
     Parameters
     ----------
-    matrices: float64 (9, T), row by row.
-    before, after: (3, 3) fixed rotations that stand left and right of every matrix; None: none.
+    matrices : float64 array (9, T)
+        Row by row.
+    before, after : float64 array or None
+        (3, 3) fixed rotations that stand left and right of every matrix; None: none.
     """
     q = np.empty((4, matrices.shape[1]))
     left = np.eye(3) if before is None else np.ascontiguousarray(before, dtype=np.float64)
@@ -304,7 +326,7 @@ def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = No
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quaternions(matrices: F64, left: F64, right: F64, out: F64) -> None:
-    """The largest component is found first, so that no division comes near zero."""
+    """Convert by the largest component first, so that no divisor is near zero."""
     m, half = np.empty((3, 3)), np.empty((3, 3))
     last = np.array([1.0, 0.0, 0.0, 0.0])  # the first one has w ≥ 0
     for t in range(out.shape[1]):

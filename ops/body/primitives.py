@@ -1,7 +1,7 @@
-"""The geometric primitives of relational features: compiled loops over the frames of one take.
+"""The geometric primitives of relational features, as compiled loops over the frames of one take.
 
 Arrays are (3, T) float64, one row per coordinate, so that the loops over frames vectorise. A vector of length zero
-gives NaN (0/0), which every comparison of a feature turns into "off" (features.md, Edges).
+gives NaN (0/0), which every comparison of a feature turns into "off".
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ DEGREES = 180.0 / math.pi
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def difference(q: F64, c: F64) -> F64:
-    """The vector from c to q in every frame, (3, T)."""
+    """Return the vector from c to q in every frame, (3, T)."""
     return q - c
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _reflect(index: int, length: int) -> int:
-    """The index that symmetric reflection (edge value repeated) maps an index outside 0 … length − 1 to."""
+    """Return the index that symmetric reflection (edge value repeated) maps an index outside 0 … length − 1 to."""
     period = 2 * length
     index %= period
     return index if index < length else period - 1 - index
@@ -33,7 +33,7 @@ def _reflect(index: int, length: int) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def velocity(x: F64, window: int, rate_hz: float) -> F64:
-    """Smoothed velocity of a trajectory: `vel` of features.md for a window of W samples.
+    """Return the velocity of a trajectory, smoothed by a moving average over a window of W samples.
 
     The moving average of first differences telescopes: away from the ends it is the difference of two positions W
     frames apart, divided by W. At the ends the reflected differences are summed one by one.
@@ -65,7 +65,7 @@ def velocity(x: F64, window: int, rate_hz: float) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def along_plane_normal(a: F64, b: F64, c: F64, v: F64) -> F64:
-    """n · v with the unit normal n = (a − c) × (b − c) / |…| of the plane through a, b, c."""
+    """Return n · v with the unit normal n = (a − c) × (b − c) / |…| of the plane through a, b, c."""
     frames = v.shape[1]
     out = np.empty(frames)
     for t in range(frames):
@@ -79,7 +79,7 @@ def along_plane_normal(a: F64, b: F64, c: F64, v: F64) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def along_direction(a: F64, b: F64, v: F64) -> F64:
-    """n · v with the unit vector n = (b − a) / |b − a|."""
+    """Return n · v with the unit vector n = (b − a) / |b − a|."""
     frames = v.shape[1]
     out = np.empty(frames)
     for t in range(frames):
@@ -91,7 +91,7 @@ def along_direction(a: F64, b: F64, v: F64) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def norm(v: F64) -> F64:
-    """The length of a vector in every frame, (T,)."""
+    """Return the length of a vector in every frame, (T,)."""
     frames = v.shape[1]
     out = np.empty(frames)
     for t in range(frames):
@@ -101,7 +101,7 @@ def norm(v: F64) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def angle_between(u: F64, v: F64) -> F64:
-    """The angle between two vectors in degrees, (T,); NaN where one has no length."""
+    """Return the angle between two vectors in degrees, (T,); NaN where one has no length."""
     frames = u.shape[1]
     out = np.empty(frames)
     for t in range(frames):
@@ -119,7 +119,7 @@ def angle_between(u: F64, v: F64) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lowest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
-    """The lowest Y over the given joints of positions (J, 3, T), NaN joints left out, (T,)."""
+    """Return the lowest Y over the given joints of positions (J, 3, T), NaN joints left out, (T,)."""
     frames = positions.shape[2]
     out = np.full(frames, np.inf)
     for j in joints:
@@ -132,7 +132,7 @@ def lowest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def widest_xz(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
-    """The largest horizontal distance between any two of the given joints of positions (J, 3, T), (T,)."""
+    """Return the largest horizontal distance between any two of the given joints of positions (J, 3, T), (T,)."""
     frames = positions.shape[2]
     out = np.zeros(frames)
     for m in range(len(joints)):
@@ -151,7 +151,7 @@ def widest_xz(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_rate(orientation: F64, rate_hz: float) -> F64:
-    """Unsigned rate of turning around Y in degrees per second, (T,), from unit quaternions (4, T) w x y z.
+    """Return the unsigned rate of turning about Y in degrees per second, (T,), from unit quaternions (4, T).
 
     The X axis, turned by the orientation and projected on the XZ plane, is compared between a frame and the next; 0 in
     the last frame, and where a projection has no length.
@@ -175,7 +175,7 @@ ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
 
 
 def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
-    """The least and the greatest number for which a comparison holds; only WITHIN uses `high`."""
+    """Return the lowest and highest number for which a comparison holds; only WITHIN uses `high`."""
     if comparison == ABOVE:
         return math.nextafter(low, math.inf), math.inf
     if comparison == AT_LEAST:
@@ -192,7 +192,7 @@ def hysteresis(
     x: F64, weak_low: float, weak_high: float, strong_low: float, strong_high: float, bit: int,
     words: npt.NDArray[np.uint64],
 ) -> None:  # fmt: skip
-    """Set one bit of the words where the feature is on.
+    """Set a bit of the words in the frames where its feature is on.
 
     It turns on where the strong condition becomes true and stays on until the weak one is false; a condition holds
     from its low to its high number, both included (`bounds`), and never for NaN.

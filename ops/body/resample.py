@@ -1,4 +1,4 @@
-"""Change of frame rate: positions linearly, orientations by slerp (features.md, Rates)."""
+"""Change of frame rate: positions are interpolated linearly, orientations by slerp."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-_ON_A_FRAME = 1e-9  # a share of the next frame below this is float noise
+_ON_A_FRAME = 1e-9  # shares of the next frame below this are float noise
 
 
 def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
-    """The multiple of the analysis rate nearest to a source rate, and at least the analysis rate.
+    """Return the multiple of the analysis rate nearest to a source rate, and at least the analysis rate.
 
-    Features are computed there, then every (multiple)-th frame is kept. A rate in the middle takes the higher one.
+    Features are computed at that rate, then every (multiple)-th frame is kept. Halfway rates are rounded up.
     """
     if not (np.isfinite(source_rate_hz) and source_rate_hz > 0):
         raise ParameterError("source_rate_hz", "positive and finite", source_rate_hz)
@@ -40,14 +40,20 @@ def resample(
 
     Parameters
     ----------
-    positions: float64 (J, 3, T), metres. orientation: float64 (4, T), unit quaternions.
-    source_rate_hz, rate_hz: frames per second of the input and of the result.
-    valid: bool (T,), the frames that are to be believed; None: all.
+    positions : float64 array (J, 3, T)
+        Metres.
+    orientation : float64 array (4, T)
+        Unit quaternions.
+    source_rate_hz, rate_hz : float
+        Frames per second of the input and of the result.
+    valid : bool array (T,)
+        The valid frames; None if all are valid.
 
     Returns
     -------
-    The take with T' = floor((T − 1) · rate / source_rate) + 1 frames; unchanged for one rate. A frame is valid where
-    all that it is made of (one frame, or the two beside it) are.
+    Sampled
+        The take with T' = floor((T − 1) · rate / source_rate) + 1 frames; unchanged for one rate. A frame is valid
+        if the frames that it is interpolated from are valid.
     """
     frames = positions.shape[2]
     if source_rate_hz == rate_hz or frames < 2:
@@ -56,7 +62,7 @@ def resample(
     at = np.minimum(np.arange(count) * (source_rate_hz / rate_hz), frames - 1)
     left = np.minimum(np.floor(np.round(at, 9)).astype(np.int64), frames - 2)
     share = at - left
-    # a frame that is hit asks nothing of the ones beside it
+    # A frame that is met exactly does not depend on its neighbours.
     left, right = np.where(share > 1.0 - _ON_A_FRAME, left + 1, left), np.where(share > _ON_A_FRAME, left + 1, left)
     moved = positions[:, :, left] * (1.0 - share) + positions[:, :, right] * share
     turned = _slerp(orientation[:, left], orientation[:, right], share)
@@ -68,7 +74,7 @@ def _slerp(a: F64, b: F64, share: F64) -> F64:
     b = np.where(cosine < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     sine = np.sin(angle)
-    near = sine < 1e-9  # the two are one rotation: mix them linearly instead of dividing by zero
+    near = sine < 1e-9  # The two are the same rotation: interpolate linearly instead of dividing by zero.
     safe = np.where(near, 1.0, sine)
     first = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
     second = np.where(near, share, np.sin(share * angle) / safe)

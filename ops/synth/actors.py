@@ -16,12 +16,30 @@ _NAMES = ("al", "bo", "cy", "di", "ed", "fi", "gu", "ha", "io", "jo", "ka", "lu"
 class Actor:
     """One actor: a body, a way to stand, and how steadily motions are repeated.
 
-    tempo, range: factors on speed and size of every motion. unsteady: relative spread of both between repetitions.
-    loose: spread in seconds by which a hand, the trunk or the head is early or late. careless: spread of places
-    that hands go to, in arm lengths. manner: factor on how differently a motion is done from time to time.
-    restless: factor on sway, fidgeting and noise. swing: how far the arms swing. hang_out, hang_down, hang_ahead:
-    where the hands hang. stoop, lean, nod: trunk and head in standing, degrees. stance, toes_out: the feet in
-    standing. over_toes: how far the pelvis stands ahead of the balls of the feet.
+    Attributes
+    ----------
+    tempo, range : float
+        Factors on speed and size of every motion.
+    unsteady : float
+        Relative spread of both between repetitions.
+    loose : float
+        Spread in seconds by which a hand, the trunk or the head is early or late.
+    careless : float
+        Spread of places that hands go to, in arm lengths.
+    manner : float
+        Factor on how differently a motion is done from time to time.
+    restless : float
+        Factor on sway, fidgeting and noise.
+    swing : float
+        How far the arms swing.
+    hang_out, hang_down, hang_ahead : float
+        Where the hands hang.
+    stoop, lean, nod : float
+        Trunk and head in standing, degrees.
+    stance, toes_out : float
+        The feet in standing.
+    over_toes : float
+        How far the pelvis stands ahead of the balls of the feet.
     """
 
     name: str

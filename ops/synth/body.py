@@ -178,14 +178,19 @@ def build_body(scale: dict[str, float], *, splay: float = 20.0, palm: float = 30
 
     Parameters
     ----------
-    scale: factor on the limb lengths of each group: leg, foot, spine, arm, shoulder, hip.
-    splay: how far the legs are spread in the rest position, degrees.
-    palm: how far the elbow's axis is turned in the rest position, degrees.
-    asymmetry: relative difference in length between the left and the right limbs.
+    scale : dict[str, float]
+        Factor on the limb lengths of each group: leg, foot, spine, arm, shoulder, hip.
+    splay : float
+        How far the legs are spread in the rest position, degrees.
+    palm : float
+        How far the elbow's axis is turned in the rest position, degrees.
+    asymmetry : float
+        Relative difference in length between the left and the right limbs.
 
     Returns
     -------
-    The body; its root is the origin of the rest position, Y up, facing +Z.
+    Body
+        The body; its root is the origin of the rest position, Y up, facing +Z.
     """
     factor = {part: scale[group] for group, parts in _GROUPS.items() for part in parts}
     bones = []

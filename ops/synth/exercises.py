@@ -12,7 +12,8 @@ def squat(score: Score, times: int) -> list[float]:
 
     Returns
     -------
-    The times at which a squat begins, and the end of the last one, seconds.
+    list of float
+        The times at which a squat begins, and the end of the last one, seconds.
     """
     score.begin("squat")
     actor = score.actor
@@ -49,7 +50,8 @@ def elbow_to_knee(score: Score, times: int) -> list[float]:
 
     Returns
     -------
-    The times at which a pair begins, and the end of the last one, seconds.
+    list of float
+        The times at which a pair begins, and the end of the last one, seconds.
     """
     score.begin("elbow")
     ready, leave = score.beat(0.30), score.beat(0.34)
@@ -91,7 +93,8 @@ def jumping_jack(score: Score, times: int) -> list[float]:
 
     Returns
     -------
-    The times at which a jump apart begins, and the end of the last jump, seconds.
+    list of float
+        The times at which a jump apart begins, and the end of the last jump, seconds.
     """
     score.begin("jack")
     actor = score.actor
@@ -141,7 +144,8 @@ def arm_circles(score: Score, times: int) -> list[float]:
 
     Returns
     -------
-    The times at which a circle begins, and the end of the last one, seconds.
+    list of float
+        The times at which a circle begins, and the end of the last one, seconds.
     """
     score.begin("circles")
     actor = score.actor

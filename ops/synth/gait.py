@@ -12,12 +12,34 @@ from kinedex.ops.synth.score import Score
 class Gait:
     """How somebody goes. Lengths in leg lengths, times in seconds, angles in degrees.
 
-    seconds: from one step to the next. stride: how far a step goes ahead of the last one. swing: how long a foot
-    is in the air, in steps. lift: how high it goes. heel: how far it is bent back then.
-    strike: its pitch at landing, negative for heel first. sink: how low the pelvis
-    goes. bob: up and down. high_when: when in a step the pelvis is highest, 0 at landing. bend: the trunk
-    forwards. arms: how far the hands swing; elbow: how far they are lifted by bent elbows. narrow: half the
-    distance between the feet.
+    Attributes
+    ----------
+    seconds : float
+        From one step to the next.
+    stride : float
+        How far a step goes ahead of the last one.
+    swing : float
+        How long a foot is in the air, in steps.
+    lift : float
+        How high it goes.
+    heel : float
+        How far it is bent back then.
+    strike : float
+        Its pitch at landing, negative for heel first.
+    sink : float
+        How low the pelvis goes.
+    bob : float
+        Up and down.
+    high_when : float
+        When in a step the pelvis is highest, 0 at landing.
+    bend : float
+        The trunk forwards.
+    arms : float
+        How far the hands swing;.
+    elbow : float
+        How far they are lifted by bent elbows.
+    narrow : float
+        Half the distance between the feet.
     """
 
     seconds: float
@@ -50,12 +72,23 @@ def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, clo
 
     Parameters
     ----------
-    score: to write on; `now` goes on to the end. gait: how. first: the foot that starts, "l" or "r". steps: how many.
-    curve: change of direction per step, degrees, to the left. close: whether the last step brings the feet together.
+    score : Score
+        To write on; `now` goes on to the end.
+    gait : Gait
+        How.
+    first : str
+        The foot that starts, "l" or "r".
+    steps : int
+        How many.
+    curve : float
+        Change of direction per step, degrees, to the left.
+    close : bool
+        Whether the last step brings the feet together.
 
     Returns
     -------
-    The times at which a step begins, and the end, seconds.
+    list of float
+        The times at which a step begins, and the end, seconds.
     """
     score.begin(f"gait{gait.seconds}")
     times = [score.now]
@@ -167,7 +200,10 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
 
     Parameters
     ----------
-    seconds: how long a step takes. arms: where the hands are held; they hang where nothing is said.
+    seconds : float
+        How long a step takes.
+    arms : tuple[float, float, float] or None
+        Where the hands are held; they hang where nothing is said.
     """
     score.begin()
     first, second = ("l", "r") if degrees > 0 else ("r", "l")

@@ -17,9 +17,16 @@ Span = tuple[float, float]
 class Motion:
     """One subclass: how it is performed once as an example, and how it appears in a long take.
 
-    label: the class it belongs to. seconds: what an example lasts on the average. example, scene: write the
-    motion and return begin and end of what is labelled, in seconds. before, after: "stand", "sit" or "lie", how
-    the performer begins and ends.
+    Attributes
+    ----------
+    label : str
+        The class it belongs to.
+    seconds : float
+        What an example lasts on the average.
+    example, scene : Callable[[Score], Span]
+        Write the motion and return begin and end of what is labelled, in seconds.
+    before, after : str
+        "stand", "sit" or "lie", how the performer begins and ends.
     """
 
     name: str

@@ -22,7 +22,7 @@ def coloured(
 
     Returns
     -------
-    float64 (frames, columns).
+    float64 array (frames, columns)
     """
     size = frames + round(2 * rate_hz)  # longer than asked for, so that the end knows nothing of the beginning
     spectrum = np.fft.rfft(rng.standard_normal((columns, size)), axis=1)

@@ -58,12 +58,19 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
 
     Parameters
     ----------
-    actor: who. name: the subclass. number: which repetition. seed: of the archive; the same four give the same
-    performance.
+    actor : Actor
+        Who.
+    name : str
+        The subclass.
+    number : int
+        Which repetition.
+    seed : int
+        Of the archive; the same four give the same performance.
 
     Returns
     -------
-    A performance that is labelled from its first to its last frame.
+    Performance
+        A performance that is labelled from its first to its last frame.
     """
     rng = np.random.default_rng([seed, 11, actor.seed % 1000, zlib.crc32(name.encode()), number])
     what = motion(name)
@@ -84,11 +91,19 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
 
     Parameters
     ----------
-    actor: who. seconds: how long at least. number: which take. seed: of the archive.
+    actor : Actor
+        Who.
+    seconds : float
+        How long at least.
+    number : int
+        Which take.
+    seed : int
+        Of the archive.
 
     Returns
     -------
-    A performance; its labels are sorted and do not overlap.
+    Performance
+        A performance; its labels are sorted and do not overlap.
     """
     if not seconds > 0:
         raise ParameterError("seconds", "above 0", seconds)

@@ -50,7 +50,8 @@ class Score:
 
         Parameters
         ----------
-        what: the motion's name; a performer keeps part of the manner from one repetition to the next.
+        what : str
+            The motion's name; a performer keeps part of the manner from one repetition to the next.
         """
         self.anchor = self.standing()
         actor = self.actor
@@ -218,11 +219,16 @@ def curves(score: Score, rate_hz: float, stop: float) -> F64:
 
     Parameters
     ----------
-    score: the keys. rate_hz: frames per second. stop: end of the performance, seconds.
+    score : Score
+        The keys.
+    rate_hz : float
+        Frames per second.
+    stop : float
+        End of the performance, seconds.
 
     Returns
     -------
-    float64 (frames, channels).
+    float64 array (frames, channels)
     """
     times = np.arange(round(stop * rate_hz)) / rate_hz
     result = np.empty((len(times), len(CHANNELS)))

@@ -75,13 +75,15 @@ def solve(body: Body, channels: F64) -> F64:
 
     Parameters
     ----------
-    body: the actor's skeleton.
-    channels: float64 (T, channels), see ops.synth.channels.
+    body : Body
+        The actor's skeleton.
+    channels : float64 array (T, channels)
+        See ops.synth.channels.
 
     Returns
     -------
-    float64 (T, n), one column per root number and dof in the order of `columns`: root position in metres, angles
-    in degrees.
+    float64 array (T, n)
+        One column per root number and dof in the order of `columns`: root position in metres, angles in degrees.
     """
     pose = _Pose(body, channels)
     root = pose.point("px", "py", "pz") * body.leg

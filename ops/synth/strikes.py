@@ -18,7 +18,8 @@ def kick(score: Score, side: str, times: int) -> list[float]:
 
     Returns
     -------
-    The times at which a kick begins, and the end of the last one, seconds.
+    list of float
+        The times at which a kick begins, and the end of the last one, seconds.
     """
     score.begin("kick")
     actor = score.actor
@@ -80,7 +81,8 @@ def punch(score: Score, side: str, times: int) -> list[float]:
 
     Returns
     -------
-    The times at which a punch begins, and the end of the last one, seconds.
+    list of float
+        The times at which a punch begins, and the end of the last one, seconds.
     """
     score.begin("punch")
     actor = score.actor

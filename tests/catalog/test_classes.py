@@ -105,5 +105,5 @@ def test_wrong_entries_and_missing_files_are_explained(tmp_path: Path):
         load_classes(written(tmp_path, "legs:\n  subclases: [kick]\n"), ["kick"])
     with pytest.raises(ConfigError, match=r"mine\.yaml:1: legs: a class needs `subclasses`"):
         load_classes(written(tmp_path, "legs:\n  description: nothing in it\n"), ["kick"])
-    with pytest.raises(ConfigError, match=r"did you mean 'thesis-15'.*or say 'own'"):
+    with pytest.raises(ConfigError, match=r"did you mean 'thesis-15'.*or use 'own'"):
         load_classes("thesis15", ["kick"])

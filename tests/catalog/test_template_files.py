@@ -1,7 +1,8 @@
-"""Template files: what people may write, that it comes back as it was, and what they are told when it is wrong."""
+"""Template files: their syntax, reading back what was written, and the errors of invalid files."""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,6 @@ from hypothesis.extra import numpy as arrays
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.template_files import (
     NamedTemplate,
-    parse_csv,
-    parse_templates,
     read_templates,
     write_csv,
     write_yaml,
@@ -33,8 +32,15 @@ squat:
 """
 
 
+def read(text: str, name: str = "mine.yaml") -> tuple[NamedTemplate, ...]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, name)
+        path.write_text(text, encoding="utf-8")
+        return read_templates(path, BODY)
+
+
 def test_rows_are_named_and_what_has_no_row_is_a_wildcard():
-    (squat,) = parse_templates(SQUAT, BODY)
+    (squat,) = read(SQUAT)
     assert (squat.name, squat.description) == ("squat", "knees bend and stretch")
     assert squat.template.values[:, 19].tolist() == [0, 0, 1, 1, 1, 0.5, 0, 0]
     assert squat.template.values[:, 20].tolist() == [0, 0, 1, 1, 0.9, 0.5, 0, 0]
@@ -61,9 +67,9 @@ def templates(draw: st.DrawFn) -> Template:
 @given(st.dictionaries(st.text(min_size=1), st.tuples(templates(), st.text()), min_size=1, max_size=3))
 def test_what_is_written_as_yaml_is_read_as_the_same(found: dict[str, tuple[Template, str]]):
     written = [NamedTemplate(name, template, text) for name, (template, text) in found.items()]
-    read = parse_templates(write_yaml(written, BODY), BODY)
-    assert [(one.name, one.description) for one in read] == [(one.name, one.description) for one in written]
-    for there, back in zip(written, read, strict=True):
+    found_again = read(write_yaml(written, BODY))
+    assert [(one.name, one.description) for one in found_again] == [(one.name, one.description) for one in written]
+    for there, back in zip(written, found_again, strict=True):
         same(there.template, back.template)
         assert np.array_equal(there.template.weights, back.template.weights)
 
@@ -71,7 +77,9 @@ def test_what_is_written_as_yaml_is_read_as_the_same(found: dict[str, tuple[Temp
 @settings(max_examples=40)
 @given(templates())
 def test_what_is_written_as_csv_is_read_as_the_same(template: Template):
-    same(template, parse_csv(write_csv(template, BODY), BODY, "kick.csv").template)
+    (again,) = read(write_csv(template, BODY), "kick.csv")
+    assert again.name == "kick"
+    same(template, again.template)
 
 
 def same(one: Template, other: Template) -> None:
@@ -81,7 +89,7 @@ def same(one: Template, other: Template) -> None:
         assert np.array_equal(one.feature_weights, other.feature_weights)
 
 
-def test_files_are_told_by_their_ending(tmp_path: Path):
+def test_the_ending_decides_the_format(tmp_path: Path):
     (tmp_path / "mine.yaml").write_text(SQUAT)
     (squat,) = read_templates(tmp_path / "mine.yaml", BODY)
     (tmp_path / "squat.csv").write_text("\ufeff" + write_csv(squat.template, BODY), encoding="utf-8")
@@ -113,9 +121,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("text", "line", "said"), WRONG)
-def test_a_wrong_file_is_told_by_its_line(text: str, line: int, said: str):
+def test_an_error_names_the_line_of_an_invalid_file(text: str, line: int, said: str):
     with pytest.raises(ConfigError, match=rf"mine.yaml:{line}: .*{said}"):
-        parse_templates(text, BODY, "mine.yaml")
+        read(text)
 
 
 WRONG_CSV = [
@@ -133,6 +141,6 @@ WRONG_CSV = [
 
 
 @pytest.mark.parametrize(("text", "line", "said"), WRONG_CSV)
-def test_a_wrong_table_is_told_by_its_line(text: str, line: int, said: str):
+def test_an_error_names_the_line_of_an_invalid_table(text: str, line: int, said: str):
     with pytest.raises(ConfigError, match=rf"kick.csv:{line}: .*{said}"):
-        parse_csv(text, BODY, "kick.csv")
+        read(text, "kick.csv")
