@@ -27,7 +27,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quant
 from kinedex.ops.words import TakeWords, bits
 from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.ranking.ranking import rank_store
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store
 
 COLUMNS, FRAMES, WORDS = 60, 400_000, 4_000
@@ -201,7 +201,7 @@ def _share(frames: int, computed: int) -> str:
 def _threads() -> list[Figure]:
     """Ten hours by all classes of the synthetic archive, in one thread and in two: by the clock, with reading."""
     searched, many = searched_classes(), made_up(THREAD_HOURS)
-    one, two = (seconds(lambda w=workers: rank_store(many, searched, TAU, TOP, workers=w), 3) for workers in (1, 2))
+    one, two = (seconds(lambda w=workers: rank_takes(many, searched, TAU, TOP, workers=w), 3) for workers in (1, 2))
     cells = sum(len(each.template) for each in searched) * sum(many.takes()["frames"]) / 1e9
     title = f"{THREAD_HOURS:g} hours ranked by {len(searched)} classes, 2 threads"
     return [Figure(title, cells, "G cells", two, "1 thread", one)]

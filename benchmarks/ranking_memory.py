@@ -21,7 +21,7 @@ from benchmarks.indexing import own_peak_mb, store_of_words
 from kinedex.ops.templates.templates import learn_soft, quantise
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.console.terminal import make_console
-from kinedex.pipelines.ranking.ranking import Searched, rank_store
+from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.storage.store.store import Store, open_store
 
 RATE_HZ = 30
@@ -41,14 +41,14 @@ def made_up(hours: float) -> Store:
     return store_of_words(TakeWords(np.arange(len(offsets) - 1), offsets, every), store().feature_set)
 
 
-def searched_classes() -> list[Searched]:
+def searched_classes() -> list[RankedTemplate]:
     """The templates of the classes of the synthetic archive."""
     known = store()
     searched = []
     for (name,), group in known.takes("class IS NOT NULL").sort("class", "name").group_by("class", maintain_order=True):
         clips = known.words(group["take_id"].to_list())
         learned = learn_soft([clips.take(i) for i in range(len(clips))], len(known.feature_set.features))
-        searched.append(Searched(str(name), quantise(learned.template, 0.1)))
+        searched.append(RankedTemplate(str(name), quantise(learned.template, 0.1)))
     return searched
 
 
@@ -58,7 +58,7 @@ def rank_all(path: Path, workers: int | None) -> dict[str, float]:
     opened = open_store(path)
     before = own_peak_mb()
     begin = time.perf_counter()
-    found = rank_store(opened, searched, 0.1, 100, workers=workers)
+    found = rank_takes(opened, searched, 0.1, 100, workers=workers)
     seconds = time.perf_counter() - begin
     cells = sum(len(one.template) for one in searched) * found[0].frames
     return {

@@ -94,11 +94,11 @@ def from_clip(
 ) -> None:
     """Propose a keyframe query from an example: YAML with comments, to be edited."""
     from kinedex.pipelines.search.query_proposal import propose_query
-    from kinedex.pipelines.templates.templates import stretch
+    from kinedex.pipelines.templates.stored_templates import clip_range
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
-    first, last = stretch(opened, take, start, stop)
+    first, last = clip_range(opened, take, start, stop)
     text = propose_query(opened, take, first, last, name=name, keyframes=keyframes)
     if output is None:
         print(text, end="")

@@ -39,7 +39,7 @@ def list_(
     output: Output = None,
 ) -> None:
     """List the templates of a store."""
-    from kinedex.pipelines.templates.templates import stored_templates, templates_overview
+    from kinedex.pipelines.templates.stored_templates import stored_templates, templates_overview
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
@@ -72,8 +72,8 @@ def show(
     from kinedex.catalog.template_files import NamedTemplate
     from kinedex.pipelines.report.matrix import write_figure
     from kinedex.pipelines.report.template_figures import template_figure
+    from kinedex.pipelines.templates.stored_templates import choose_template
     from kinedex.pipelines.templates.template_text import heading, template_lines
-    from kinedex.pipelines.templates.templates import choose_template
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
@@ -109,8 +109,8 @@ def diff(
     from kinedex.ops.templates.derived_templates import contrast
     from kinedex.pipelines.report.matrix import write_figure
     from kinedex.pipelines.report.template_figures import contrast_figure
+    from kinedex.pipelines.templates.stored_templates import choose_template
     from kinedex.pipelines.templates.template_text import contrast_lines
-    from kinedex.pipelines.templates.templates import choose_template
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
@@ -139,7 +139,7 @@ def from_clip(
 ) -> None:
     """Make a template from one example: a take, or a stretch of it. `template_files` of learn_templates reads it."""
     from kinedex.catalog.template_files import write_yaml
-    from kinedex.pipelines.templates.templates import template_from_clip
+    from kinedex.pipelines.templates.stored_templates import template_from_clip
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
@@ -161,16 +161,6 @@ def kind_of(text: str) -> Kind:
     if text not in ("soft", "hard"):
         raise KinedexError(f"--kind {text}: expected soft or hard")
     return cast("Kind", text)
-
-
-def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
-    """The one template that a template file holds."""
-    from kinedex.catalog.template_files import read_templates
-
-    found = read_templates(path, features)
-    if len(found) > 1:
-        raise KinedexError(f"{path} holds {len(found)} templates; leave one in it: {', '.join(t.name for t in found)}")
-    return found[0]
 
 
 def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Ranking a store: takes batch by batch through threads, and of every template the best hits."""
+"""The pass of a ranking over the takes of a store: batch by batch through threads, the best hits of every template."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
-from kinedex.ops.templates.templates import QuantisedTemplate, quantise
+from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.preselection import template_ranges
 from kinedex.pipelines.search.search import preselect_stored
-from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.store.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 200_000
-"""Analysis frames (under two hours) that a thread reads and ranks at a time; a longer take makes a batch of its own."""
+"""A thread reads and ranks so many analysis frames (under two hours) at a time; a longer take is a batch of its own."""
 
 Item = tuple[tuple[int, ...], tuple[float, ...]]
-"""Takes, by id, and the threshold of every template."""
+"""The ids of some takes, and the threshold of every template."""
 
 
 @dataclass(frozen=True)
-class Searched:
-    """A template to rank with, by a name for the results, and the keyframe queries that preselect frames for it."""
+class RankedTemplate:
+    """A template to rank with: its name in the results, and the keyframe queries that preselect frames for it."""
 
     name: str
     template: QuantisedTemplate
@@ -46,7 +45,7 @@ class Searched:
 
 @dataclass(frozen=True)
 class Hit:
-    """A place in a take where a template fits: frames [start, stop), and the distance."""
+    """A range of frames [start, stop) of a take that a template fits, with the distance as `cost`."""
 
     take_id: int
     take: str
@@ -56,8 +55,22 @@ class Hit:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a batch holds: its takes and how many frames they have, and of each template the hits and the seconds."""
+class BatchHits:
+    """The hits of each template in a batch of takes.
+
+    Attributes
+    ----------
+    ids : int64 array (T,)
+        The ids of the takes.
+    frames : int
+        The frames of all of them.
+    hits : tuple of Hits
+        The hits of each template.
+    reading : float
+        Seconds in which words were read and coded, and keyframes looked up.
+    ranking : tuple of float
+        Seconds of each template.
+    """
 
     ids: I64
     frames: int
@@ -68,11 +81,26 @@ class Found:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The hits of one template, the best first; of how many frames were searched, how many were looked at closely.
+    """The hits of one template, with the work that they took; seconds are those of all threads added up.
 
-    bounded: whether a bound was tried, without which nothing is skipped. reading: the seconds of the whole pass that
-    are no ranking: takes are listed, words read and coded, keyframes looked up. ranking: the template's own seconds, of
-    templates that are ranked together its part by columns. Seconds are those of all threads added up.
+    Attributes
+    ----------
+    name : str
+        The name of the template.
+    hits : tuple of Hit
+        The hits, the best first.
+    frames : int
+        The frames of all takes.
+    searched : int
+        The frames that keyframe queries left, all of them without queries.
+    computed : int
+        The frames of these in which distances were computed, as no bound excluded a hit.
+    bounded : bool
+        True where a bound was tried.
+    reading : float
+        Seconds of the whole pass in which takes were listed, words read and coded, and keyframes looked up.
+    ranking : float
+        Seconds of this template; of templates that are ranked together, its share by columns.
     """
 
     name: str
@@ -86,46 +114,20 @@ class Ranking:
 
     @property
     def skipped(self) -> float | None:
-        """The share of the searched frames that provably had no hit; None where no bound was tried."""
+        """The share of the searched frames that a bound excluded; None where no bound was tried."""
         if not self.bounded:
             return None
         return max(0.0, 1 - self.computed / self.searched) if self.searched else 0.0
 
     @property
     def kept(self) -> float:
-        """The share of all frames that keyframe queries left."""
+        """The share of all frames that keyframe queries left, 1 without queries."""
         return self.searched / self.frames if self.frames else 0.0
 
 
-def searched_templates(
-    learned: Sequence[SubclassTemplate], delta: float, queries: Sequence[KeyframeQuery] = ()
-) -> tuple[list[Searched], list[str]]:
-    """Quantise templates, and give each the queries for its subclass.
-
-    Returns
-    -------
-    What to search for; and the subclasses whose template is wildcards alone and would fit anything, left out.
-
-    Raises
-    ------
-    KinedexError: no template is left.
-    """
-    searched, vague = [], []
-    for one in learned:
-        template = quantise(one.learned.template, delta)
-        if template.fixed:
-            own = tuple(query for query in queries if query.target == one.subclass)
-            searched.append(Searched(one.subclass, template, own))
-        else:
-            vague.append(one.subclass)
-    if not searched:
-        raise KinedexError(f"at delta = {delta:g} no template is left to rank with; raise `delta`")
-    return searched, vague
-
-
-def rank_store(
+def rank_takes(
     store: Store,
-    templates: Sequence[Searched],
+    templates: Sequence[RankedTemplate],
     tau: float,
     top: int | None = None,
     where: str | None = None,
@@ -133,21 +135,36 @@ def rank_store(
 ) -> list[Ranking]:
     """Rank the takes of a store by each of some templates, all of them in one pass over the words.
 
-    Of equal hits that of the take whose name comes first is first, and within it the one that ends first: the best 3
-    are the head of the best 10, whatever takes share a batch and in whatever order they were ingested.
-
-    Memory does not grow with the archive: besides the hits that are kept it holds a batch or two for each thread.
-    The hits are the same for any number of threads, and for templates together or one by one; how many frames can
-    be skipped depends on what is known already when a batch begins.
+    Of equal hits, the one in the take whose name comes first is first, and within a take the one that ends first: the
+    best 3 are the head of the best 10, whatever takes share a batch and in whatever order they were ingested. Memory
+    does not grow with the archive: besides the hits that are kept, each thread holds a batch or two. The hits are the
+    same for any number of threads, and for templates together or one by one; how many frames a bound excludes depends
+    on the hits that are known when a batch begins.
 
     Parameters
     ----------
-    templates: what to look for. tau: distances below it make a hit. top: how many hits a template at most.
-    where: a SQL filter over the columns of takes. workers: threads; all cores unless told.
+    store : Store
+        The store to search.
+    templates : sequence of RankedTemplate
+        The templates, each with its keyframe queries.
+    tau : float
+        Distances below it make a hit.
+    top : int, optional
+        The largest number of hits of a template; all hits unless given.
+    where : str, optional
+        A SQL filter over the columns of takes; all takes unless given.
+    workers : int, optional
+        The number of threads; that of the cores unless given.
+
+    Returns
+    -------
+    list of Ranking
+        One for each template, in their order.
 
     Raises
     ------
-    KinedexError: no take is selected, or a query does not fit the features.
+    KinedexError
+        The filter selects no take, or a query does not fit the features of the store.
     """
     begin = time.perf_counter()
     takes = store.takes(where).sort("take_id")
@@ -160,11 +177,11 @@ def rank_store(
     bounded = np.zeros(len(templates), np.bool_)
     reading, seconds = time.perf_counter() - begin, np.zeros(len(templates))
 
-    # Where enough hits are known, one that is no better than the last of them is of no interest any more. The others
-    # stay as they are: what is taken rules out what is dearer, never the other way round.
+    # Once `top` hits are known, a hit above the last of them cannot enter any more. The others stay as they are, as a
+    # hit excludes overlapping hits of higher cost only.
     bars = [tau] * len(templates)
 
-    def work(item: Item) -> Found:
+    def work(item: Item) -> BatchHits:
         return _rank_batch(store, templates, *item, top, names)
 
     items = ((batch, tuple(bars)) for batch in batches)
@@ -184,7 +201,7 @@ def rank_store(
             merged = best[place] + entries
             best[place] = sorted(merged, key=_order) if top is None else heapq.nsmallest(top, merged, key=_order)
             if len(best[place]) == top:
-                # equal costs (keys that are the same, and the tolerance below a threshold) are still let in
+                # hits of equal cost (the same key, or within the tolerance below a threshold) may still enter
                 bars[place] = min(tau, (best[place][-1][0] + 2) / KEYS)
     return [
         Ranking(one.name, tuple(entry[3] for entry in kept), count[0], count[1], count[2], tried, reading, own)
@@ -199,7 +216,7 @@ def _order(entry: tuple[float, str, int, Hit]) -> tuple[float, str, int]:
 
 
 def _batches(take_ids: Sequence[int], frames: Sequence[int]) -> list[tuple[int, ...]]:
-    """Divide takes into batches of about `BATCH_FRAMES`."""
+    """Divide takes into batches of about `BATCH_FRAMES`, in their order."""
     batches: list[list[int]] = []
     room = 0
     for take_id, length in zip(take_ids, frames, strict=True):
@@ -213,13 +230,13 @@ def _batches(take_ids: Sequence[int], frames: Sequence[int]) -> list[tuple[int, 
 
 def _rank_batch(
     store: Store,
-    templates: Sequence[Searched],
+    templates: Sequence[RankedTemplate],
     take_ids: tuple[int, ...],
     taus: tuple[float, ...],
     top: int | None,
     names: Mapping[int, str],
-) -> Found:
-    """The hits of each template in some takes."""
+) -> BatchHits:
+    """Return the hits of each template in some takes."""
     begin = time.perf_counter()
     words = store.words(take_ids)
     coded = encode(words.words)
@@ -246,25 +263,24 @@ def _rank_batch(
         ranked[place] = rank(templates[place].template, words, taus[place], top, own, coded, order=order)
         seconds[place] = time.perf_counter() - begin
     every = tuple(ranked[place] for place in range(len(templates)))
-    return Found(words.take_ids, len(words.words), every, reading, tuple(seconds))
+    return BatchHits(words.take_ids, len(words.words), every, reading, tuple(seconds))
 
 
-def _ranges(store: Store, one: Searched, words: TakeWords, hits: Mapping[KeyframeQuery, TakeRanges]) -> I64:
-    """The frames of words laid end to end that the hits of a template's queries leave, int64 (R, 2)."""
+def _ranges(store: Store, one: RankedTemplate, words: TakeWords, hits: Mapping[KeyframeQuery, TakeRanges]) -> I64:
+    """Return the frames, of words laid end to end, that the hits of a template's queries leave, int64 (R, 2)."""
     columns = one.template.values(len(store.feature_set.features))
     return template_ranges(hits, one.queries, columns, store.feature_set, words.offsets)
 
 
-def _in_threads(work: Callable[[Item], Found], items: Iterable[Item], workers: int) -> Iterator[Found]:
-    """Apply the work to every item in threads, two a thread in flight; results come in the items' order.
+def _in_threads(work: Callable[[Item], BatchHits], items: Iterable[Item], workers: int) -> Iterator[BatchHits]:
+    """Apply the work to every item in threads, with two items a thread in flight; results come in order.
 
-    An item is asked for only when there is room, after the results before it have been looked at.
-
-    The kernels let go of the interpreter, so that threads share the cores as processes would, without a copy.
+    The next item is drawn after the results before it were consumed, so that it knows their thresholds. The kernels
+    release the interpreter's lock: threads use all cores, without a copy of the words.
     """
     source = iter(items)
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        waiting: deque[Future[Found]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
+        waiting: deque[Future[BatchHits]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
         try:
             while waiting:
                 yield waiting.popleft().result()
@@ -275,7 +291,7 @@ def _in_threads(work: Callable[[Item], Found], items: Iterable[Item], workers: i
 
 
 def ranking_table(rankings: Iterable[Ranking], rate_hz: float, run: str = "") -> pa.Table:
-    """Lay hits out as results of the kind `ranked_hits`, in the order of templates and ranks."""
+    """Return hits as results of the kind `ranked_hits`, in the order of templates and ranks."""
     rows = [
         {
             "run": run,

@@ -12,7 +12,7 @@ from kinedex.catalog.queries.queries import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.evaluation.ranking_metrics import precision_recall
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
 from kinedex.pipelines.evaluation.ground_truth import Manual
-from kinedex.pipelines.ranking.ranking import Searched, rank_store
+from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import Judged, judge_hits
 from kinedex.storage.store.schemas import result_schema
 from kinedex.storage.store.store import Store
@@ -66,7 +66,7 @@ def mean_stiffness(queries: Iterable[KeyframeQuery]) -> float | None:
 
 def run_trials(
     store: Store,
-    searched: Sequence[Searched],
+    searched: Sequence[RankedTemplate],
     truth: Sequence[Manual],
     takes: str,
     stiffnesses: Sequence[float],
@@ -81,7 +81,7 @@ def run_trials(
     takes: a SQL filter over the columns of takes. stiffnesses: each in [0, 1], for all gaps of all queries.
     tau: recall at this threshold is told with each judgement.
     """
-    variants: list[tuple[str, float | None, list[Searched]]] = [
+    variants: list[tuple[str, float | None, list[RankedTemplate]]] = [
         (EVERYWHERE, None, [replace(one, queries=()) for one in searched])
     ]
     asked = [one for one in searched if one.queries]
@@ -93,7 +93,7 @@ def run_trials(
     return [
         Trial(name, value, judge_hits(ranking.name, ranking.hits, truth, tau), ranking.kept)
         for name, value, templates in variants
-        for ranking in rank_store(store, templates, 1.0, None, takes, workers)
+        for ranking in rank_takes(store, templates, 1.0, None, takes, workers)
     ]
 
 

@@ -11,7 +11,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
-from kinedex.pipelines.ranking.ranking import Searched, rank_store
+from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import (
     Judged,
     clip_costs,
@@ -96,8 +96,8 @@ def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
     truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
     for remark in truth.remarks:
         context.say(remark)
-    searched = [Searched(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
-    rankings = rank_store(store, searched, 1.0, None, f"({params.where}) AND {names_filter(truth.takes)}")
+    searched = [RankedTemplate(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
+    rankings = rank_takes(store, searched, 1.0, None, f"({params.where}) AND {names_filter(truth.takes)}")
     return [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
 
 

@@ -12,12 +12,13 @@ from rich.table import Table
 
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
-from kinedex.pipelines.ranking.ranking import Ranking, Searched, rank_store, ranking_table, searched_templates
+from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, rank_takes, ranking_table
 from kinedex.pipelines.ranking.stiffness import mean_stiffness
+from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.search.explanation import explain_store
 from kinedex.pipelines.search.search import search_store
 from kinedex.pipelines.templates.learning import read_templates
@@ -47,9 +48,11 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     store = context.open()
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
     queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
-    searched, vague = searched_templates(learned, params.delta, queries)
-    if vague:
-        context.say(f"templates of wildcards alone, which would fit anything, left out: {few(vague)}")
+    searched, remarks = ranked_templates(
+        [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
+    )
+    for remark in remarks:
+        context.say(remark)
     rankings = _rank(context, store, searched, params)
     table = ranking_table(rankings, store.rate_hz, context.run)
     lists = _lists(store, searched, params.where)
@@ -72,7 +75,7 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     }
 
 
-def _rank(context: StageContext, store: Store, searched: Sequence[Searched], params: Params) -> list[Ranking]:
+def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate], params: Params) -> list[Ranking]:
     """The ranking of each template: those with queries one by one, those without in one pass over the archive."""
     workers = context.executor.workers
     free = [one for one in searched if not one.queries]
@@ -80,7 +83,7 @@ def _rank(context: StageContext, store: Store, searched: Sequence[Searched], par
     some = store.takes(params.where).sort("frames")["take_id"].to_list()[-1:]
     for group in groups[-1:] + groups[:1]:  # a take before the clock starts: kernels are compiled when first called
         for take_id in some:
-            rank_store(store, group, params.tau, 1, f"take_id = {take_id}", workers)
+            rank_takes(store, group, params.tau, 1, f"take_id = {take_id}", workers)
     if len(free) > 1:
         context.say(
             f"{len(free)} templates in one pass, and reading is that of the pass; of its ranking each has its part of "
@@ -90,7 +93,7 @@ def _rank(context: StageContext, store: Store, searched: Sequence[Searched], par
     found: dict[str, Ranking] = {}
     with context.progress("templates", len(searched)) as progress:
         for group in groups:
-            rankings = rank_store(store, group, params.tau, params.top, params.where, workers)
+            rankings = rank_takes(store, group, params.tau, params.top, params.where, workers)
             found |= {one.name: one for one in rankings}
             progress.advance(len(group))
     return [found[one.name] for one in searched]
@@ -111,7 +114,7 @@ class Lists:
     lists_seconds: float
 
 
-def _lists(store: Store, searched: Sequence[Searched], where: str) -> dict[str, Lists]:
+def _lists(store: Store, searched: Sequence[RankedTemplate], where: str) -> dict[str, Lists]:
     """How the queries of each template that has any are answered from the index."""
     found = {}
     for query in [query for one in searched for query in one.queries][:1]:
@@ -130,7 +133,7 @@ def _lists(store: Store, searched: Sequence[Searched], where: str) -> dict[str, 
 
 
 def _shown(
-    searched: Sequence[Searched],
+    searched: Sequence[RankedTemplate],
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
 ) -> Table:

@@ -12,13 +12,14 @@ from rich.table import Table
 
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
-from kinedex.pipelines.ranking.ranking import searched_templates
 from kinedex.pipelines.ranking.ranking_evaluation import mean_average_precision, names_filter, read_truth
 from kinedex.pipelines.ranking.stiffness import WRITTEN, Trial, run_trials, trial_rows
+from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files
 from kinedex.storage.store.store import Store
@@ -56,7 +57,9 @@ def run(context: StageContext, params: Params) -> dict[str, object]:
     store = context.open()
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
     queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
-    searched, _ = searched_templates(learned, params.delta, queries)
+    searched, _ = ranked_templates(
+        [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
+    )
     truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
     takes = f"({params.where}) AND {names_filter(truth.takes)}"
     trials = run_trials(

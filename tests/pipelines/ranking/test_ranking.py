@@ -19,7 +19,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking import ranking
-from kinedex.pipelines.ranking.ranking import Hit, Searched, rank_store, ranking_table
+from kinedex.pipelines.ranking.ranking import Hit, RankedTemplate, rank_takes, ranking_table
 from kinedex.pipelines.ranking.ranking_evaluation import (
     Judged,
     judge_clips,
@@ -28,8 +28,10 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
     recall_at_tau,
 )
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial
+from kinedex.pipelines.ranking.store_ranking import rank_store, similar
 from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
 from kinedex.pipelines.stages import rank as rank_stage
+from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import write_archive
 
@@ -49,7 +51,7 @@ def example(store: Store, take: str, start: int, stop: int) -> QuantisedTemplate
 
 def test_a_stretch_of_a_take_is_found_first_and_the_order_is_that_of_one_long_list(store: Store):
     template = example(store, "x_c", 10, 40)
-    (found,) = rank_store(store, [Searched("c", template)], 0.4, workers=1)
+    (found,) = rank_takes(store, [RankedTemplate("c", template)], 0.4, workers=1)
     assert (found.hits[0].take, found.hits[0].start, found.hits[0].stop, found.hits[0].cost) == (
         "x_c",
         10,
@@ -68,17 +70,17 @@ def test_a_stretch_of_a_take_is_found_first_and_the_order_is_that_of_one_long_li
 
 
 def test_threads_and_batches_change_nothing(store: Store, monkeypatch: pytest.MonkeyPatch):
-    searched = [Searched("c", example(store, "x_c", 10, 40)), Searched("e", example(store, "x_e", 0, 25))]
-    plain = ranking_table(rank_store(store, searched, 0.4, workers=1), store.rate_hz)
+    searched = [RankedTemplate("c", example(store, "x_c", 10, 40)), RankedTemplate("e", example(store, "x_e", 0, 25))]
+    plain = ranking_table(rank_takes(store, searched, 0.4, workers=1), store.rate_hz)
     monkeypatch.setattr(ranking, "BATCH_FRAMES", 100)
     for workers in (1, 2, 3):
-        assert ranking_table(rank_store(store, searched, 0.4, workers=workers), store.rate_hz) == plain
-    few = rank_store(store, searched, 0.4, top=2, workers=2)
+        assert ranking_table(rank_takes(store, searched, 0.4, workers=workers), store.rate_hz) == plain
+    few = rank_takes(store, searched, 0.4, top=2, workers=2)
     for one in few:
         all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
         assert [hit.take for hit in one.hits] == [row["take"] for row in all_hits[:2]]
     for top in range(1, 12):  # whatever the last hit costs that is kept, equal costs included
-        for one in rank_store(store, searched, 0.4, top=top, workers=1):
+        for one in rank_takes(store, searched, 0.4, top=top, workers=1):
             all_hits = [row for row in plain.to_pylist() if row["template"] == one.name]
             assert [(hit.take, hit.start, hit.cost) for hit in one.hits] == [
                 (row["take"], row["start"], row["cost"]) for row in all_hits[:top]
@@ -93,32 +95,47 @@ def test_the_best_hits_are_the_head_of_more_where_costs_tie(tmp_path: Path, monk
         run_pipeline("ingest", tmp_path / "store", assignments={"source": str(archive)}, executor="serial")
     store = open_store(tmp_path / "store")
     assert store.takes().sort("take_id")["name"].to_list() == [f"x_{name}" for name in names]
-    searched = [Searched("one", example(store, "x_m", 5, 20)), Searched("other", example(store, "x_a", 2, 25))]
+    searched = [
+        RankedTemplate("one", example(store, "x_m", 5, 20)),
+        RankedTemplate("other", example(store, "x_a", 2, 25)),
+    ]
     for chosen in (searched, searched[:1]):
-        whole = rank_store(store, chosen, 0.3, workers=1)
+        whole = rank_takes(store, chosen, 0.3, workers=1)
         assert [hit.take for hit in whole[0].hits[:6]] == [f"x_{name}" for name in sorted(names)]
         for frames in (1, 60, 90, 200_000):
             monkeypatch.setattr(ranking, "BATCH_FRAMES", frames)
             for top in (1, 2, 3, 4, 5, 10):
                 for workers in (1, 2):
-                    few = rank_store(store, chosen, 0.3, top=top, workers=workers)
+                    few = rank_takes(store, chosen, 0.3, top=top, workers=workers)
                     assert [one.hits for one in few] == [one.hits[:top] for one in whole]
 
 
 def test_the_seconds_of_reading_and_of_ranking_are_apart_and_what_was_not_tried_is_no_number(store: Store):
-    one, other = Searched("c", example(store, "x_c", 10, 40)), Searched("e", example(store, "x_e", 0, 25))
-    both = rank_store(store, [one, other], 0.1, workers=1)
+    one, other = RankedTemplate("c", example(store, "x_c", 10, 40)), RankedTemplate("e", example(store, "x_e", 0, 25))
+    both = rank_takes(store, [one, other], 0.1, workers=1)
     assert both[0].reading == both[1].reading > 0
     assert both[0].ranking / 30 == pytest.approx(both[1].ranking / 25)
     assert both[0].skipped is not None
-    (alone,) = rank_store(store, [one], 0.1, workers=1)  # too few columns for a bound that pays
+    (alone,) = rank_takes(store, [one], 0.1, workers=1)  # too few columns for a bound that pays
     assert alone.skipped is None
     assert alone.ranking > 0
 
 
 def test_a_filter_that_selects_nothing_is_said(store: Store):
     with pytest.raises(KinedexError, match="selects none"):
-        rank_store(store, [Searched("c", example(store, "x_c", 10, 40))], 0.1, where="name = 'zzz'")
+        rank_takes(store, [RankedTemplate("c", example(store, "x_c", 10, 40))], 0.1, where="name = 'zzz'")
+
+
+def test_an_example_finds_itself_and_equals_the_ranking_by_its_template(store: Store):
+    found = similar(store, "x_c", 10, 40, tau=0.4, top=None)
+    assert (found.rankings[0].hits[0].take, found.rankings[0].hits[0].cost) == ("x_c", 0.0)
+    made = template_from_clip(store, "x_c", "10", "40", "mine")
+    by_template = rank_store(store, [made], tau=0.4, top=None)
+    assert by_template.rankings[0].hits == found.rankings[0].hits
+    assert found.table().num_rows == len(found.rankings[0].hits)
+    anything = replace(made.template, values=np.full_like(made.template.values, 0.5))
+    with pytest.raises(KinedexError, match="the template 'mine' is wildcards alone"):
+        rank_store(store, [replace(made, template=anything)])
 
 
 def test_query_by_example_on_the_command_line(store: Store):
@@ -258,10 +275,10 @@ def test_classes_without_a_query_are_ranked_in_all_frames_and_that_is_said(store
     assert ",free,1," in found.stdout
     none = runner.invoke(app, ["rank", str(store.path), files[1], *options])
     assert none.exit_code == 1
-    assert "has no query for free; its queries are for: asked" in none.stderr
+    assert "no query is for free; the queries are for: asked" in none.stderr
 
 
-def test_wishes_that_exclude_each_other_are_named_and_a_written_file_too(store: Store, tmp_path: Path):
+def test_options_that_exclude_each_other_are_named_and_an_output_file_is_written(store: Store, tmp_path: Path):
     runner = CliRunner()
     both = runner.invoke(app, ["rank", str(store.path), "kick", "--take", "x_c"])
     assert both.exit_code == 1
@@ -301,7 +318,7 @@ def test_two_queries_of_one_name_both_say_where_to_look(store: Store, tmp_path: 
     some = replace(anywhere, keyframes=(Keyframe(word_set, 1, first),))
     template = example(store, "x_c", 10, 40)
     for queries in ((anywhere, some), (some, anywhere)):
-        (found,) = rank_store(store, [Searched("c", template, queries)], 0.4, workers=1)
+        (found,) = rank_takes(store, [RankedTemplate("c", template, queries)], 0.4, workers=1)
         assert found.kept == 1
     files = [tmp_path / "one.yaml", tmp_path / "two.yaml"]
     for file in files:

@@ -1,0 +1,294 @@
+"""Templates of a store by name: the list of them, one of them, those of a file, and one made from a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.template_files import NamedTemplate, read_templates
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.templates import Kind, learn, quantise
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
+from kinedex.storage.store.store import Store
+
+TEMPLATE_ENDINGS = (".yaml", ".yml", ".csv")
+
+
+@dataclass(frozen=True)
+class StoredTemplate:
+    """A template and the stage that stored it, "<pipeline>/<stage>"."""
+
+    stage: str
+    one: SubclassTemplate
+
+
+def stored_templates(store: Store, stage: str | None = None) -> list[StoredTemplate]:
+    """Read all templates of a store, sorted by stage, subclass and kind.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    stage : str, optional
+        Only the templates of this stage: "<pipeline>/<stage>", or the name of the pipeline alone.
+
+    Returns
+    -------
+    list of StoredTemplate
+        At least one.
+
+    Raises
+    ------
+    KinedexError
+        The store has no templates, or none of this stage.
+    """
+    stages = {part.run: part.stage for part in store.manifest.results.get("templates", ())}
+    if not stages:
+        raise KinedexError(f"{store.path} has no templates yet; a pipeline with a stage learn_templates makes them")
+    known = sorted(set(stages.values()))
+    if stage is not None and not any(name == stage or name.startswith(f"{stage}/") for name in known):
+        raise KinedexError(f"no templates of a stage '{stage}'{did_you_mean(stage, known)}")
+    found = [
+        StoredTemplate(stages[row["run"]], template_of(row))
+        for row in store.result("templates").to_pylist()
+        if stage is None or stages[row["run"]] == stage or stages[row["run"]].startswith(f"{stage}/")
+    ]
+    return sorted(found, key=lambda each: (each.stage, each.one.subclass, each.one.kind != "soft"))
+
+
+def choose_template(store: Store, name: str, kind: Kind = "soft", stage: str | None = None) -> SubclassTemplate:
+    """Return the learned template of a subclass.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    name : str
+        The subclass.
+    kind : {"soft", "hard"}
+        The kind of template.
+    stage : str, optional
+        The stage that learned it, as for `stored_templates`; needed where several stages have learned one.
+
+    Returns
+    -------
+    SubclassTemplate
+        The template with its provenance.
+
+    Raises
+    ------
+    KinedexError
+        There is none of that name or kind, or several stages have one; the message lists those that there are.
+    """
+    every = stored_templates(store, stage)
+    of_name = [each for each in every if each.one.subclass == name]
+    if not of_name:
+        raise KinedexError(f"no template of '{name}'{did_you_mean(name, [each.one.subclass for each in every])}")
+    found = [each for each in of_name if each.one.kind == kind]
+    if not found:
+        raise KinedexError(f"'{name}' has no {kind} template (it has: {', '.join(each.one.kind for each in of_name)})")
+    if len(found) > 1:
+        raise KinedexError(
+            f"several stages have a template of '{name}': choose one with --stage "
+            f"({', '.join(each.stage for each in found)})"
+        )
+    return found[0].one
+
+
+def choose_templates(
+    store: Store, names: Sequence[str] | None = None, kind: Kind = "soft", stage: str | None = None
+) -> list[NamedTemplate]:
+    """Return learned templates by the names of their subclasses, and templates of files by their paths.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    names : sequence of str, optional
+        Subclasses with a learned template, or paths of template files; all learned templates unless given.
+    kind : {"soft", "hard"}
+        The kind of the learned templates.
+    stage : str, optional
+        The stage that learned them, as for `stored_templates`.
+
+    Returns
+    -------
+    list of NamedTemplate
+        The templates, in the order of `names`, each name once.
+
+    Raises
+    ------
+    KinedexError
+        A name has no template, a file is wrong or holds several, or two templates have the same name.
+    """
+    if names is None:
+        names = [each.one.subclass for each in stored_templates(store, stage) if each.one.kind == kind]
+        if not names:
+            raise KinedexError(f"{store.path} has no {kind} templates" + (f" of stage {stage}" if stage else ""))
+    found: dict[str, NamedTemplate] = {}
+    for name in dict.fromkeys(names):
+        if not name.endswith(TEMPLATE_ENDINGS):
+            found[name] = NamedTemplate(name, choose_template(store, name, kind, stage).learned.template)
+            continue
+        made = template_of_file(Path(name), store.feature_set)
+        if made.name in found:
+            raise KinedexError(f"{name}: there is a template '{made.name}' already; give it another name")
+        found[made.name] = made
+    return list(found.values())
+
+
+def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
+    """Return the one template of a template file; a KinedexError where it holds several."""
+    found = read_templates(path, features)
+    if len(found) > 1:
+        raise KinedexError(f"{path} holds {len(found)} templates; leave one in it: {', '.join(t.name for t in found)}")
+    return found[0]
+
+
+def templates_overview(store: Store, delta: float, stage: str | None = None) -> pa.Table:
+    """List the templates of a store as a table, one row each.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    delta : float
+        Entries within delta of 0 or 1 are fixed; the share of the others is the column `wildcards`.
+    stage : str, optional
+        Only the templates of this stage, as for `stored_templates`.
+
+    Returns
+    -------
+    pyarrow.Table
+        Columns stage, subclass, kind, columns, seconds, clips, rounds, last_cost, wildcards, origin, remarks.
+    """
+    rows = []
+    for each in stored_templates(store, stage):
+        one, template = each.one, each.one.learned.template
+        features = template.values.shape[1]
+        rows.append(
+            {
+                "stage": each.stage,
+                "subclass": one.subclass,
+                "kind": one.kind,
+                "columns": len(template),
+                "seconds": round(len(template) / store.rate_hz, 2),
+                "clips": len(one.clips),
+                "rounds": one.learned.rounds,
+                "last_cost": round(one.learned.costs[-1], 4) if one.learned.costs else None,
+                "wildcards": round(1 - quantise(template, delta).fixed / features, 3),
+                "origin": one.origin,
+                "remarks": "; ".join(one.remarks),
+            }
+        )
+    return pa.Table.from_pylist(rows)
+
+
+def parse_frame(text: str, rate_hz: float, what: str) -> int:
+    """Read a frame, given as a number (45) or in seconds (1.5s).
+
+    Parameters
+    ----------
+    text : str
+        What the user wrote.
+    rate_hz : float
+        The analysis rate, in frames per second.
+    what : str
+        The name of the argument, for the message.
+
+    Returns
+    -------
+    int
+        The nearest frame.
+
+    Raises
+    ------
+    KinedexError
+        The text is neither.
+    """
+    number = text.strip()
+    try:
+        return round(float(number[:-1]) * rate_hz) if number.endswith("s") else int(number)
+    except (ValueError, OverflowError):
+        raise KinedexError(f"{what} must be a frame (45) or seconds (1.5s), got '{text}'") from None
+
+
+def clip_range(store: Store, take: str, start: str | int | None, stop: str | int | None) -> tuple[int, int]:
+    """Return the frames [start, stop) of a clip within a take.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds the take.
+    take : str
+        The name of the take.
+    start, stop : int or str, optional
+        Frames, or texts as for `parse_frame`; the take's first frame, and the one after its last, unless given.
+
+    Returns
+    -------
+    tuple of int
+        The first frame and the one after the last.
+
+    Raises
+    ------
+    KinedexError
+        There is no such take, an end cannot be read, or the range is empty or not within the take.
+    """
+    frames = len(store.words([store.take_id(take)]).words)
+    first = parse_frame(str(start), store.rate_hz, "START") if start is not None else 0
+    last = parse_frame(str(stop), store.rate_hz, "STOP") if stop is not None else frames
+    if not 0 <= first < last <= frames:
+        raise KinedexError(
+            f"{take} has {frames} frames ({frames / store.rate_hz:g} s): expected 0 <= START < STOP <= "
+            f"{frames}, got {first} and {last}"
+        )
+    return first, last
+
+
+def template_from_clip(
+    store: Store, take: str, start: str | int | None = None, stop: str | int | None = None, name: str | None = None
+) -> NamedTemplate:
+    """Make a template from one example; invalid frames at its ends are cut off.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds the take.
+    take : str
+        The name of the take.
+    start, stop : int or str, optional
+        The clip within the take, as for `clip_range`; the whole take unless given.
+    name : str, optional
+        The name of the template; that of the take unless given.
+
+    Returns
+    -------
+    NamedTemplate
+        The template, one column for each frame of the clip.
+
+    Raises
+    ------
+    KinedexError
+        There is no such take, the range is not within it, or it has invalid frames in the middle.
+    """
+    first, last = clip_range(store, take, start, stop)
+    words = store.words([store.take_id(take)]).take(0)
+    valid = np.flatnonzero(words[first:last] != NO_WORD)
+    if not len(valid):
+        raise KinedexError(f"{take}: all frames from {first} to {last} are invalid")
+    clip = words[first + valid[0] : first + valid[-1] + 1]
+    if len(clip) > len(valid):
+        hole = first + int(np.flatnonzero(words[first + valid[0] : last] == NO_WORD)[0] + valid[0])
+        raise KinedexError(
+            f"{take}: frame {hole} is invalid, in the middle of {first} to {last}; choose an interval beside it"
+        )
+    template = learn("soft", [clip], len(store.feature_set.features)).template
+    begin = first + int(valid[0])
+    return NamedTemplate(name or take, template, f"frames {begin} to {begin + len(clip)} of {take}")
