@@ -1,4 +1,4 @@
-"""The actors of the synthetic archive: how big they are and how they move."""
+"""The actors of the synthetic archive, with their proportions and their manner of moving."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ class Actor:
     careless : float
         Spread of places that hands go to, in arm lengths.
     manner : float
-        Factor on how differently a motion is done from time to time.
+        Factor on the variation of a motion between repetitions.
     restless : float
         Factor on sway, fidgeting and noise.
     swing : float
-        How far the arms swing.
+        Factor on the swing of the arms.
     hang_out, hang_down, hang_ahead : float
-        Where the hands hang.
+        Position of the hanging hands.
     stoop, lean, nod : float
         Trunk and head in standing, degrees.
     stance, toes_out : float
         The feet in standing.
     over_toes : float
-        How far the pelvis stands ahead of the balls of the feet.
+        Distance of the pelvis ahead of the balls of the feet.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Actor:
         return float(rng.uniform(low, high))
 
     def likes(self, what: str, *choices: str, steady: float, rng: np.random.Generator) -> str:
-        """Return how this actor does something: mostly the habitual way, with probability 1 − steady another one."""
+        """Return the manner in which this actor does something, another than the habitual one with 1 − steady."""
         usual = choices[int(self.habit(what, 0.0, len(choices) - 1e-9))]
         return usual if rng.random() < steady else choices[int(rng.integers(len(choices)))]
 

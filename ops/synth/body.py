@@ -93,7 +93,7 @@ _GROUPS = {
 BALL_HEIGHT = 0.028
 """Height of the ball of a flat foot above the floor, metres."""
 FOOT_SLOPE = math.radians(37.0)
-"""How far the foot bone of a flat foot, ankle to ball, slopes down."""
+"""Slope of the foot bone, ankle to ball, of a flat foot."""
 
 
 @dataclass(frozen=True)
@@ -124,17 +124,17 @@ class Body:
 
     @property
     def leg(self) -> float:
-        """Hip to ankle of the shorter leg, metres: the unit of everything that happens on the floor."""
+        """Return the length from hip to ankle of the shorter leg in metres, the unit of all motion on the floor."""
         return min(self.length("lfemur", "ltibia"), self.length("rfemur", "rtibia"))
 
     @property
     def ankle_height(self) -> float:
-        """Height of the ankle of a flat foot above the floor, metres."""
+        """Return the height of the ankle of a flat foot above the floor, metres."""
         return BALL_HEIGHT + math.sin(FOOT_SLOPE) * self.bone("lfoot").length
 
     @property
     def standing_root_height(self) -> float:
-        """Height of the root above the floor with straight legs, metres."""
+        """Return the height of the root above the floor with straight legs, metres."""
         hip = self.bone("lhipjoint")
         return self.leg + self.ankle_height - hip.direction[1] * hip.length
 
@@ -181,9 +181,9 @@ def build_body(scale: dict[str, float], *, splay: float = 20.0, palm: float = 30
     scale : dict[str, float]
         Factor on the limb lengths of each group: leg, foot, spine, arm, shoulder, hip.
     splay : float
-        How far the legs are spread in the rest position, degrees.
+        Spread of the legs in the rest position, degrees.
     palm : float
-        How far the elbow's axis is turned in the rest position, degrees.
+        Rotation of the elbow's axis in the rest position, degrees.
     asymmetry : float
         Relative difference in length between the left and the right limbs.
 

@@ -1,4 +1,4 @@
-"""What people do between the motions they were asked for: nothing of it is labelled."""
+"""Filler motions: unlabelled things that people do between the motions they were asked for."""
 
 from __future__ import annotations
 
@@ -303,7 +303,7 @@ FILLERS: tuple[tuple[Callable[[Score], None], float], ...] = (
 
 
 def fill(score: Score) -> None:
-    """Do something that nobody asked for."""
+    """Perform a filler motion that is drawn at random."""
     weights = [weight for _, weight in FILLERS]
     choice = int(score.rng.choice(len(FILLERS), p=[weight / sum(weights) for weight in weights]))
     FILLERS[choice][0](score)

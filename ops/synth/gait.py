@@ -10,34 +10,34 @@ from kinedex.ops.synth.score import Score
 
 @dataclass(frozen=True)
 class Gait:
-    """How somebody goes. Lengths in leg lengths, times in seconds, angles in degrees.
+    """The parameters of a gait: lengths in leg lengths, times in seconds, angles in degrees.
 
     Attributes
     ----------
     seconds : float
         From one step to the next.
     stride : float
-        How far a step goes ahead of the last one.
+        Distance that a step gains on the last one.
     swing : float
-        How long a foot is in the air, in steps.
+        Time that a foot spends in the air, in steps.
     lift : float
-        How high it goes.
+        Height of the foot in the air.
     heel : float
-        How far it is bent back then.
+        Pitch of the heel in the air.
     strike : float
-        Its pitch at landing, negative for heel first.
+        Pitch of the foot at landing, negative for heel first.
     sink : float
-        How low the pelvis goes.
+        Lowering of the pelvis.
     bob : float
-        Up and down.
+        Vertical amplitude of the pelvis.
     high_when : float
-        When in a step the pelvis is highest, 0 at landing.
+        Phase of the step at which the pelvis is highest, 0 at landing.
     bend : float
-        The trunk forwards.
+        Forward bend of the trunk.
     arms : float
-        How far the hands swing;.
+        Amplitude of the hands.
     elbow : float
-        How far they are lifted by bent elbows.
+        Lift of the hands by bent elbows.
     narrow : float
         Half the distance between the feet.
     """
@@ -68,22 +68,22 @@ JOG = Gait(
 
 
 def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, close: bool = True) -> list[float]:
-    """Go some steps, and stand still where `close` says so.
+    """Walk some steps, and stand still at the end if `close` is set.
 
     Parameters
     ----------
     score : Score
-        To write on; `now` goes on to the end.
+        The score that is written; its `now` advances to the end.
     gait : Gait
-        How.
+        The parameters of the gait.
     first : str
         The foot that starts, "l" or "r".
     steps : int
-        How many.
+        Number of steps.
     curve : float
         Change of direction per step, degrees, to the left.
     close : bool
-        Whether the last step brings the feet together.
+        If True, the last step brings the feet together.
 
     Returns
     -------
@@ -201,9 +201,9 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
     Parameters
     ----------
     seconds : float
-        How long a step takes.
+        Duration of a step, seconds.
     arms : tuple[float, float, float] or None
-        Where the hands are held; they hang where nothing is said.
+        Position at which the hands are held; by default they hang.
     """
     score.begin()
     first, second = ("l", "r") if degrees > 0 else ("r", "l")

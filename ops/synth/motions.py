@@ -15,18 +15,18 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Motion:
-    """One subclass: how it is performed once as an example, and how it appears in a long take.
+    """A subclass, with its performance as an example clip and its performance in a long take.
 
     Attributes
     ----------
     label : str
         The class it belongs to.
     seconds : float
-        What an example lasts on the average.
+        Average duration of an example.
     example, scene : Callable[[Score], Span]
-        Write the motion and return begin and end of what is labelled, in seconds.
+        Functions that write the motion and return begin and end of the label, in seconds.
     before, after : str
-        "stand", "sit" or "lie", how the performer begins and ends.
+        Posture at the begin and at the end: "stand", "sit" or "lie".
     """
 
     name: str

@@ -25,7 +25,7 @@ UNASKED = 0.02
 HURRY = (0.10, 0.30)
 """Seconds by which the next thing begins before a motion has come to rest, from and to."""
 INTERRUPTED = 0.6
-"""How often the performer of a clip comes out of some other movement instead of standing."""
+"""Share of clips whose performer comes out of another movement instead of standing."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Performance:
-    """An angle table (see ops.synth.solve.columns), metres and degrees, and what is performed in it."""
+    """An angle table (see ops.synth.solve.columns), metres and degrees, and the labels of what is performed."""
 
     angles: F64
     labels: tuple[Label, ...]
@@ -59,13 +59,13 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
     Parameters
     ----------
     actor : Actor
-        Who.
+        The performer.
     name : str
         The subclass.
     number : int
-        Which repetition.
+        Number of the repetition.
     seed : int
-        Of the archive; the same four give the same performance.
+        Seed of the archive; the same four arguments give the same performance.
 
     Returns
     -------
@@ -92,13 +92,13 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
     Parameters
     ----------
     actor : Actor
-        Who.
+        The performer.
     seconds : float
-        How long at least.
+        Shortest duration, seconds.
     number : int
-        Which take.
+        Number of the take.
     seed : int
-        Of the archive.
+        Seed of the archive.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A score: what a performer is to do, as keys on channels, and the curves that come of it."""
+"""A score describes a performance by keys on channels, and evaluates them to curves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From channels to the angles of an Acclaim skeleton: two-bone chains for legs and arms, the spine as it is."""
+"""Inverse kinematics from channels to Acclaim angles, with two-bone chains for legs and arms."""
 
 from __future__ import annotations
 
