@@ -31,6 +31,7 @@ GUIDES = (
     "tutorial.md",
     "accuracy.md",
     "keyframe-learning.md",
+    "thesis.md",
     "labels.md",
     "formats.md",
     *(name for name in TEXTS if name.startswith("howto/")),
