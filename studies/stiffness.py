@@ -46,16 +46,13 @@ def main() -> None:
     given = parser.parse_args()
     features = load_feature_set()
     queries = [query for file in given.queries for query in read_queries(file, features)]
-    values = stiffness_values(queries)
+    values = np.array(stiffness_values(queries))
     apart = np.array(stiffness_values(queries, same_frame=False))
     print(f"{len(queries)} queries, {len(values)} gaps\n")
-    print("\n".join(histogram(values)))
-    print(f"\n0.9 or above: {np.mean(np.array(values) >= 0.85):.1%}; without parts of one keyframe {_share(apart):.1%}")
-    print(f"0.8 or below: {np.mean(np.array(values) < 0.85):.1%}; without parts of one keyframe {1 - _share(apart):.1%}")
-
-
-def _share(values: np.ndarray) -> float:
-    return float(np.mean(values >= 0.85))
+    print("\n".join(histogram(values.tolist())))
+    for name, chosen in (("all gaps", values), ("without parts of one keyframe", apart)):
+        stiff = np.mean(chosen >= 0.85)
+        print(f"\n{name}: {1 - stiff:.1%} are 0.8 or less, {stiff:.1%} are 0.9 or more")
 
 
 if __name__ == "__main__":
