@@ -14,8 +14,6 @@ from kinedex.pipelines.console.terminal import make_console
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kinedex.catalog.features import FeatureSet
-    from kinedex.catalog.template_files import NamedTemplate
     from kinedex.ops.templates.templates import Kind
 
 template = typer.Typer(name="template", help="Look at motion templates, compare them, make them.", no_args_is_help=True)
@@ -73,6 +71,7 @@ def show(
     from kinedex.pipelines.report.matrix import write_figure
     from kinedex.pipelines.report.template_figures import template_figure
     from kinedex.pipelines.templates.stored_templates import choose_template
+    from kinedex.pipelines.templates.template_output import write_template
     from kinedex.pipelines.templates.template_text import heading, template_lines
     from kinedex.storage.store.store import open_store
 
@@ -140,6 +139,7 @@ def from_clip(
     """Make a template from one example: a take, or a stretch of it. `template_files` of learn_templates reads it."""
     from kinedex.catalog.template_files import write_yaml
     from kinedex.pipelines.templates.stored_templates import template_from_clip
+    from kinedex.pipelines.templates.template_output import write_template
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
@@ -161,19 +161,6 @@ def kind_of(text: str) -> Kind:
     if text not in ("soft", "hard"):
         raise KinedexError(f"--kind {text}: expected soft or hard")
     return cast("Kind", text)
-
-
-def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:
-    """Write a template file, as the path's ending says."""
-    from kinedex.catalog.template_files import write_csv, write_yaml
-    from kinedex.pipelines.report.output import write_page
-
-    ending = path.suffix.lower()
-    if ending not in (".yaml", ".yml", ".csv"):
-        raise KinedexError(f"{path}: a template file ends in .yaml or .csv")
-    if ending == ".csv" and path.stem != made.name:
-        raise KinedexError(f"{path}: a CSV file holds the template that it is named after; call it {made.name}.csv")
-    write_page(write_csv(made.template, features) if ending == ".csv" else write_yaml([made], features), path)
 
 
 template.command("list")(guard(list_))

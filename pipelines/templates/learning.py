@@ -121,11 +121,30 @@ def training_clips(store: Store, takes: pl.DataFrame) -> list[TrainingClips]:
     clips = []
     for (subclass,), group in takes.sort("class", "name").group_by("class", maintain_order=True):
         every = {str(name): words.take(place[take_id]) for take_id, name in group.select("take_id", "name").iter_rows()}
-        clips.append(_usable(str(subclass), every))
+        clips.append(usable_clips(str(subclass), every))
     return clips
 
 
-def _usable(subclass: str, every: dict[str, U64]) -> TrainingClips:
+def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
+    """Return the clips of one subclass that can be learned from.
+
+    Parameters
+    ----------
+    subclass : str
+        The name of the subclass.
+    every : dict of str to uint64 array
+        The words of each clip by its name.
+
+    Returns
+    -------
+    TrainingClips
+        The clips without invalid frames at their ends; clips with others, or without any valid frame, are excluded.
+
+    Raises
+    ------
+    KinedexError
+        No clip is left.
+    """
     kept: dict[str, U64] = {}
     shortened, left_out = [], []
     for name, words in every.items():

@@ -13,7 +13,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.template_files import NamedTemplate, read_templates
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind, learn, quantise
-from kinedex.ops.words import NO_WORD
+from kinedex.ops.words import NO_WORD, U64
 from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
 from kinedex.storage.store.store import Store
 
@@ -241,12 +241,40 @@ def clip_range(store: Store, take: str, start: str | int | None, stop: str | int
     KinedexError
         There is no such take, an end cannot be read, or the range is empty or not within the take.
     """
-    frames = len(store.words([store.take_id(take)]).words)
-    first = parse_frame(str(start), store.rate_hz, "START") if start is not None else 0
-    last = parse_frame(str(stop), store.rate_hz, "STOP") if stop is not None else frames
+    return frame_range(take, len(store.words([store.take_id(take)]).words), store.rate_hz, start, stop)
+
+
+def frame_range(
+    take: str, frames: int, rate_hz: float, start: str | int | None, stop: str | int | None
+) -> tuple[int, int]:
+    """Return the frames [start, stop) of a clip within a take of so many frames.
+
+    Parameters
+    ----------
+    take : str
+        The name of the take, for the message.
+    frames : int
+        The number of its frames.
+    rate_hz : float
+        Frames per second.
+    start, stop : int or str, optional
+        Frames, or texts as for `parse_frame`; the take's first frame, and the one after its last, unless given.
+
+    Returns
+    -------
+    tuple of int
+        The first frame and the one after the last.
+
+    Raises
+    ------
+    KinedexError
+        An end cannot be read, or the range is empty or not within the take.
+    """
+    first = parse_frame(str(start), rate_hz, "START") if start is not None else 0
+    last = parse_frame(str(stop), rate_hz, "STOP") if stop is not None else frames
     if not 0 <= first < last <= frames:
         raise KinedexError(
-            f"{take} has {frames} frames ({frames / store.rate_hz:g} s): expected 0 <= START < STOP <= "
+            f"{take} has {frames} frames ({frames / rate_hz:g} s): expected 0 <= START < STOP <= "
             f"{frames}, got {first} and {last}"
         )
     return first, last
@@ -280,6 +308,35 @@ def template_from_clip(
     """
     first, last = clip_range(store, take, start, stop)
     words = store.words([store.take_id(take)]).take(0)
+    return template_of_frames(words, take, first, last, len(store.feature_set.features), name or take)
+
+
+def template_of_frames(words: U64, take: str, first: int, last: int, features: int, name: str) -> NamedTemplate:
+    """Make a template from the frames [first, last) of a take; invalid frames at the ends are cut off.
+
+    Parameters
+    ----------
+    words : uint64 array (T,)
+        The words of the take.
+    take : str
+        The name of the take, for the description and for messages.
+    first, last : int
+        The first frame of the example, and the one after its last.
+    features : int
+        The number of features.
+    name : str
+        The name of the template.
+
+    Returns
+    -------
+    NamedTemplate
+        The template, one column for each frame of the example.
+
+    Raises
+    ------
+    KinedexError
+        Frames in the middle are invalid, or all of them.
+    """
     valid = np.flatnonzero(words[first:last] != NO_WORD)
     if not len(valid):
         raise KinedexError(f"{take}: all frames from {first} to {last} are invalid")
@@ -289,6 +346,6 @@ def template_from_clip(
         raise KinedexError(
             f"{take}: frame {hole} is invalid, in the middle of {first} to {last}; choose an interval beside it"
         )
-    template = learn("soft", [clip], len(store.feature_set.features)).template
+    template = learn("soft", [clip], features).template
     begin = first + int(valid[0])
-    return NamedTemplate(name or take, template, f"frames {begin} to {begin + len(clip)} of {take}")
+    return NamedTemplate(name, template, f"frames {begin} to {begin + len(clip)} of {take}")
