@@ -1,4 +1,4 @@
-"""The measures of the thesis (5.8 to 5.12) with Python sets."""
+"""The measures of the thesis (Eq. 5.8 to 5.12) with Python sets."""
 
 from __future__ import annotations
 
