@@ -26,6 +26,9 @@ KINDS = {
 }
 """The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""
 
+MOST_VALUES = 100_000
+"""The most values that a YAML file may hold by way of aliases; one without aliases may be as long as it likes."""
+
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -205,6 +208,8 @@ def _parsed(text: str, path: Path) -> Located:
     located = Located(path, None, {})
     try:
         node = _composed(text)
+        if node is not None:
+            _refuse_bombs(node, path)
         data = None if node is None else _construct(node, (), located, yaml.SafeLoader(""))
     except yaml.MarkedYAMLError as fault:
         line = fault.problem_mark.line + 1 if fault.problem_mark else None
@@ -241,6 +246,34 @@ def _composed(text: str) -> yaml.Node | None:
         with suppress(yaml.YAMLError, ValueError):
             return yaml.compose(text, Loader=loader)
     return yaml.compose(text, Loader=_LOADERS[-1])
+
+
+def _refuse_bombs(root: yaml.Node, path: Path) -> None:
+    """Refuse a file whose aliases multiply: its size is added up over the nodes as written, without expanding any."""
+    sizes: dict[int, int] = {}
+    waiting: list[tuple[yaml.Node, bool]] = [(root, False)]
+    while waiting:
+        node, ready = waiting.pop()
+        parts = _parts(node)
+        if ready:
+            # An alias inside of what it names has no size yet; building it fails with a message of its own.
+            sizes[id(node)] = 1 + sum(sizes.get(id(part), 0) for part in parts)
+        elif id(node) not in sizes:
+            sizes[id(node)] = 0
+            waiting.append((node, True))
+            waiting.extend((part, False) for part in parts)
+    if sizes[id(root)] > max(MOST_VALUES, len(sizes)):
+        raise ConfigError(
+            path,
+            f"its aliases expand {len(sizes):,} values to {sizes[id(root)]:,}, and at most {MOST_VALUES:,} are read; "
+            "write the values out, or use fewer aliases of aliases",
+        )
+
+
+def _parts(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return list(node.value) if isinstance(node, yaml.SequenceNode) else []
 
 
 def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.SafeLoader) -> Any:

@@ -32,3 +32,31 @@ def test_what_is_no_yaml_is_refused_in_the_words_of_one_reader(text: str, monkey
     with pytest.raises(ConfigError) as slow:
         parse_yaml(text, "a.yaml")
     assert str(fast.value) == str(slow.value)
+
+
+def billion(levels: int, entry: str = "[{}]") -> str:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    for level in range(1, levels):
+        lines.append(f"a{level}: &a{level} {entry.format(', '.join([f'*a{level - 1}'] * 9))}")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("levels", [7, 9, 40, 2000])
+def test_aliases_that_multiply_are_refused_before_they_are_expanded(levels: int) -> None:
+    with pytest.raises(ConfigError, match=r"bomb.yaml: its aliases expand .* at most 100,000 are read"):
+        parse_yaml(billion(levels), "bomb.yaml")
+
+
+def test_merge_keys_that_multiply_are_refused_as_well() -> None:
+    lines = ["a0: &a0 {x: 1, y: 2}"]
+    for level in range(1, 30):
+        lines.append(f"a{level}: &a{level} {{<<: [*a{level - 1}, *a{level - 1}], z{level}: 1}}")
+    with pytest.raises(ConfigError, match="its aliases expand"):
+        parse_yaml("\n".join(lines), "bomb.yaml")
+
+
+def test_a_long_file_without_aliases_is_read_and_so_are_a_few_aliases() -> None:
+    long = "\n".join(f"k{i}: [{', '.join(['1'] * 50)}]" for i in range(2500))
+    assert len(parse_yaml(long, "long.yaml").data) == 2500
+    few = "a: &a [1, 2]\n" + "\n".join(f"k{i}: *a" for i in range(1000))
+    assert parse_yaml(few, "few.yaml").data["k999"] == [1, 2]
