@@ -24,8 +24,8 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64, TakeWords, bits
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.preparation import usual_features
 from kinedex.pipelines.evaluation.ground_truth import Manual, place_ground_truth
-from kinedex.pipelines.stages.annotate import usual_features
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.store.store import Store, open_store

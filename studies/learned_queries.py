@@ -24,9 +24,8 @@ from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.keyframes.background import mine
 from kinedex.pipelines.keyframes.learning import Lesson, Outcome, lessons
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.runs import Rounds, learn
-from kinedex.pipelines.stages.learn_keyframes import Params, setting_of
-from kinedex.pipelines.stages.leave_one_out import without
 from kinedex.pipelines.templates.learning import TrainingClips, training_clips
 from kinedex.storage.store.store import Store, open_store
 from studies.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
@@ -129,9 +128,9 @@ def measure(study: Study, variant: str) -> dict[str, Found]:
         params = None if variant == NO_QUERIES else params_of(variant, study.runs, seed)
         for actor in sorted(set(actor_of.values())):
             own = {name for name, other in actor_of.items() if other == actor}
-            rest = [part for one in clips if (part := without(one, own)).names]
+            rest = [part for one in clips if (part := one.without(own)).names]
             others = set(actor_of) - own
-            held = [part for one in clips if (part := without(one, others)).names]
+            held = [part for one in clips if (part := one.without(others)).names]
             _search(study, rest, joined(held, seed), params, found.setdefault(actor, Found()))
         manual = None if study.clips_only else with_ground_truth(study.store)
         if manual is not None:
@@ -139,18 +138,18 @@ def measure(study: Study, variant: str) -> dict[str, Found]:
     return found
 
 
-def params_of(variant: str, runs: int, seed: int) -> Params:
+def params_of(variant: str, runs: int, seed: int) -> KeyframeParameters:
     """The parameters of a variant."""
     own: dict[str, object] = {"runs": runs, "seed": 2012 + seed, **VARIANTS[variant]}
     if variant.endswith(THESIS):
-        return Params(**own)  # type: ignore[arg-type]
+        return KeyframeParameters(**own)  # type: ignore[arg-type]
     shipped = load_pipeline("keyframes").stage("learn_keyframes").params
-    assert isinstance(shipped, Params)
-    return Params(**{**shipped.model_dump(), **own})
+    assert isinstance(shipped, KeyframeParameters)
+    return KeyframeParameters(**{**shipped.model_dump(), **own})
 
 
 def _search(
-    study: Study, clips: Sequence[TrainingClips], searched: Searched, params: Params | None, found: Found
+    study: Study, clips: Sequence[TrainingClips], searched: Searched, params: KeyframeParameters | None, found: Found
 ) -> None:
     """Learn from clips, search takes, and add what is found there; without parameters there are no queries."""
     outcomes = [] if params is None else _learned(study, clips, params)
@@ -162,7 +161,7 @@ def _search(
             found.labels[label] = found.labels.get(label, Counts()) + counts
 
 
-def _learned(study: Study, clips: Sequence[TrainingClips], params: Params) -> list[Outcome]:
+def _learned(study: Study, clips: Sequence[TrainingClips], params: KeyframeParameters) -> list[Outcome]:
     setting = setting_of(params, study.store)
     rounds = Rounds(params.rounds().runs, params.group, params.patience, params.settled)
     wanted: list[Lesson] = lessons(clips, load_classes("own", [one.subclass for one in clips]))

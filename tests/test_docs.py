@@ -18,7 +18,10 @@ from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
-from kinedex.pipelines.stages import annotate, index, ingest, learn_templates
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.index import Index
+from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.store.schemas import RESULT_KINDS
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
@@ -53,11 +56,11 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     takes = {"x_bo_long_1.amc": 500, "x_al_hop_1.amc": 90, "x_al_hop_2.amc": 99, "x_bo_sway_1.amc": 88}
     source = write_archive(folder / "source", takes)
     patterns = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)", r"x_(?P<actor>[a-z]+)_long_\d"]
-    ingest.run(context(folder / "store"), ingest.Params(source=str(source), patterns=patterns))
-    index.run(context(folder / "store", "index"), index.Params())
+    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(source), patterns=patterns))
+    Index().run(context(folder / "store", "index"), Index.parameters())
     line = Line(folder / "store")
-    line.run(learn_templates)
-    line.run(annotate, tau=0.5)
+    line.run(LearnTemplates)
+    line.run(Annotate, tau=0.5)
     return open_store(folder / "store")
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.stages import index, ingest
+from kinedex.pipelines.stages.index import Index
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 
@@ -20,8 +21,8 @@ STATEMENTS = re.findall(r'kinedex sql build/demo-store "([^"]+)"', README)
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     folder = tmp_path_factory.mktemp("readme")
     source = write_archive(folder / "source", {"x_1.amc": 60, "x_2.amc": 90})
-    ingest.run(context(folder / "store"), ingest.Params(source=str(source)))
-    index.run(context(folder / "store", "index"), index.Params())
+    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(source)))
+    Index().run(context(folder / "store", "index"), Index.parameters())
     return open_store(folder / "store")
 
 

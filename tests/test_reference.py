@@ -9,7 +9,7 @@ import pytest
 
 from kinedex.catalog.configs import KINDS, config_names
 from kinedex.pipelines.commands.reference import PARTS, reference
-from kinedex.pipelines.engine.config import STAGES, stage_module
+from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")
 
@@ -18,9 +18,9 @@ def test_the_reference_is_up_to_date() -> None:
     assert reference() == PAGE, "python -m kinedex.pipelines.commands.reference"
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", BUILT_IN)
 def test_every_parameter_of_a_stage_says_what_it_is(stage: str) -> None:
-    fields = stage_module(stage).Params.model_fields
+    fields = load_stage(stage).parameters.model_fields
     assert f"\n### {stage}\n" in PAGE
     assert not [name for name, field in fields.items() if not field.description]
 

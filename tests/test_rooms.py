@@ -47,3 +47,11 @@ def test_no_room_is_imported_by_its_bare_name(path: Path) -> None:
         or (isinstance(node, ast.Import) and any(alias.name.split(".")[0] in ROOMS for alias in node.names))
     }
     assert not bare
+
+
+def test_stages_are_imported_by_nobody() -> None:
+    for path in FILES:
+        source = path.read_text(encoding="utf-8")
+        assert "kinedex.pipelines.stages" not in source or (path.name == "stage.py" and path.parent.name == "engine"), (
+            path
+        )

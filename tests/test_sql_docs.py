@@ -13,7 +13,10 @@ from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
 from kinedex.catalog.sql.reference import renewed
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.pipelines.annotation.annotators import make_annotator
-from kinedex.pipelines.stages import annotate, index, ingest, learn_templates
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.index import Index
+from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
@@ -37,11 +40,11 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     }
     source = write_archive(folder / "source", takes)
     patterns = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)", r"x_(?P<actor>[a-z]+)_long_\d"]
-    ingest.run(context(folder / "store"), ingest.Params(source=str(source), patterns=patterns))
-    index.run(context(folder / "store", "index"), index.Params())
+    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(source), patterns=patterns))
+    Index().run(context(folder / "store", "index"), Index.parameters())
     line = Line(folder / "store")
-    line.run(learn_templates)
-    line.run(annotate, tau=0.5)
+    line.run(LearnTemplates)
+    line.run(Annotate, tau=0.5)
     return open_store(folder / "store")
 
 

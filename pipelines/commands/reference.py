@@ -18,9 +18,10 @@ from typer.core import TyperArgument
 from kinedex.catalog.configs import KINDS, config_names, config_path, load_yaml
 from kinedex.pipelines.commands.cli import PANELS
 from kinedex.pipelines.commands.shell import app
-from kinedex.pipelines.engine.config import OPTIONAL, STAGES, load_pipeline, stage_module
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 from kinedex.pipelines.evaluation.scheme import Method, Split
-from kinedex.pipelines.stages.evaluate_ranking import Fold
+from kinedex.pipelines.ranking.ranking_evaluation import Fold
 from kinedex.pipelines.templates.recipes import Combination
 
 INTRODUCTION = """\
@@ -83,7 +84,7 @@ def reference() -> str:
     """The whole page as Markdown."""
     parts = ["## Commands\n", _exit_codes(), *_commands()]
     parts += ["## Stages\n", "A bound that a value must keep to stands behind its type.\n"]
-    parts += [_stage(name) for name in STAGES]
+    parts += [_stage(name) for name in BUILT_IN]
     parts += [f"### Inside of parameters: {name}\n\n{_summary(model)}\n\n{_fields(model)}" for name, model in MODELS]
     parts += ["## Pipelines\n", *(_pipeline(name) for name in config_names("pipelines"))]
     parts += ["## Configuration files\n", *(_kind(kind) for kind in KINDS)]
@@ -154,17 +155,16 @@ def _shown(option: Any) -> str:
 
 
 def _stage(name: str) -> str:
-    module = stage_module(name)
-    first = (module.__doc__ or "").splitlines()[0].split(": ", 1)[1]
+    stage = load_stage(name)
     roles = [
-        f"`{role}` (a stage `{usual}`{', can be missing' if (name, role) in OPTIONAL else ''})"
-        for role, usual in STAGES[name].items()
+        f"`{role}` (a stage `{needed.stage}`{', can be missing' if needed.optional else ''})"
+        for role, needed in stage.inputs.items()
     ]
     inputs = f"Inputs: {', '.join(roles)}.\n\n" if roles else ""
-    return f"### {name}\n\n{first[0].upper()}{first[1:]}\n\n{inputs}{_fields(module.Params)}"
+    return f"### {name}\n\n{_summary(type(stage))}\n\n{inputs}{_fields(stage.parameters)}"
 
 
-def _summary(model: type[BaseModel]) -> str:
+def _summary(model: type) -> str:
     return (model.__doc__ or "").strip().splitlines()[0]
 
 

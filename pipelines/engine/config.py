@@ -2,50 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
-
-STAGES: dict[str, dict[str, str]] = {
-    "ingest": {},
-    "index": {"takes": "ingest"},
-    "learn_templates": {"takes": "ingest"},
-    "learn_keyframes": {},
-    "rank": {"takes": "ingest", "templates": "learn_templates"},
-    "evaluate_ranking": {"templates": "learn_templates"},
-    "vary_stiffness": {"templates": "learn_templates"},
-    "report_retrieval": {"ranking": "rank", "evaluation": "evaluate_ranking", "stiffness": "vary_stiffness"},
-    "annotate": {"takes": "ingest", "templates": "learn_templates", "keyframes": "learn_keyframes"},
-    "evaluate": {"annotations": "annotate"},
-    "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
-    "compare_methods": {"templates": "learn_templates", "keyframes": "learn_keyframes"},
-    "report": {
-        "templates": "learn_templates",
-        "annotations": "annotate",
-        "evaluation": "evaluate",
-        "leave_one_out": "leave_one_out",
-        "index": "index",
-    },
-}
-"""The stages there are; each names the roles that other stages play for it, and the stage that usually does."""
-
-OPTIONAL = {
-    ("report", "leave_one_out"),
-    ("report", "index"),
-    ("report", "evaluation"),
-    ("compare_methods", "keyframes"),
-    ("annotate", "keyframes"),
-}
-"""Roles that a stage can do without."""
+from kinedex.pipelines.engine.stage import STAGES, Stage, load_stage
 
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
@@ -66,24 +33,18 @@ class _PipelineFile(BaseModel):
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One stage of a pipeline, ready to run: its instance name, what it uses, its inputs by role, its parameters."""
+class PipelineStage:
+    """One stage of a pipeline: its name there, its kind, the stages that play its roles, and its parameters."""
 
     name: str
-    uses: str
+    kind: Stage[BaseModel]
     inputs: dict[str, str]
     params: BaseModel
 
     @property
-    def module(self) -> ModuleType:
-        """The module of the stage."""
-        return stage_module(self.uses)
-
-    @property
-    def run(self) -> Callable[..., dict[str, object]]:
-        """The function that does the work."""
-        function: Callable[..., dict[str, object]] = self.module.run
-        return function
+    def uses(self) -> str:
+        """The name of the kind of stage."""
+        return self.kind.name
 
 
 @dataclass(frozen=True)
@@ -93,19 +54,14 @@ class Pipeline:
     name: str
     path: Path
     description: str
-    stages: tuple[Stage, ...] = field(default_factory=tuple)
+    stages: tuple[PipelineStage, ...] = field(default_factory=tuple)
 
-    def stage(self, name: str) -> Stage:
+    def stage(self, name: str) -> PipelineStage:
         """A stage by its name; a KinedexError names the nearest."""
         for stage in self.stages:
             if stage.name == name:
                 return stage
         raise KinedexError(f"{self.path}: no stage '{name}'{did_you_mean(name, [s.name for s in self.stages])}")
-
-
-def stage_module(uses: str) -> ModuleType:
-    """Import the module of a stage, `pipelines.stages.<name>`."""
-    return importlib.import_module(f"kinedex.pipelines.stages.{uses}")
 
 
 def load_pipeline(name_or_path: str | Path, assignments: Mapping[str, str] | None = None) -> Pipeline:
@@ -152,7 +108,7 @@ def _assign(
         return
     if stage not in entries:
         raise KinedexError(f"--set {name}: {located.path} has no stage '{stage}'{did_you_mean(stage, entries)}")
-    known = stage_module(_uses(located, entries, stage)).Params.model_fields
+    known = load_stage(_uses(located, entries, stage)).parameters.model_fields
     if key not in known:
         raise KinedexError(f"--set {name}: stage '{stage}' has no parameter '{key}'{did_you_mean(key, known)}")
     literal = known[key].annotation in (str, str | None)
@@ -161,7 +117,7 @@ def _assign(
 
 def _parameters_called(located: Located, entries: dict[str, _StageEntry], name: str) -> str:
     """What to say where parameters of stages are called like a setting that is not there; empty where none is."""
-    stages = [stage for stage in entries if name in stage_module(_uses(located, entries, stage)).Params.model_fields]
+    stages = [stage for stage in entries if name in load_stage(_uses(located, entries, stage)).parameters.model_fields]
     if not stages:
         return ""
     which = "a parameter of a stage" if len(stages) == 1 else "parameters of stages"
@@ -190,18 +146,18 @@ def _stage(
     settings: dict[str, Any],
     overrides: dict[str, dict[str, Any]],
     name: str,
-) -> Stage:
+) -> PipelineStage:
     uses = _uses(located, entries, name)
     key = ("stages", name, "params")
     params = {option: _fill(located, settings, value, (*key, option)) for option, value in entries[name].params.items()}
     params.update(overrides.get(name, {}))
-    model: type[BaseModel] = stage_module(uses).Params
+    kind = load_stage(uses)
     try:
-        filled = located.model(model, *key, data=params)
+        filled = located.model(kind.parameters, *key, data=params)
     except ConfigError as fault:
         _blame_the_user(fault, ".".join(key), name, overrides.get(name, {}))
         raise
-    return Stage(name, uses, _inputs(located, entries, name, uses), filled)
+    return PipelineStage(name, kind, _inputs(located, entries, name, kind), filled)
 
 
 def _blame_the_user(fault: ConfigError, params: str, stage: str, given: Mapping[str, Any]) -> None:
@@ -228,15 +184,16 @@ def _fill(located: Located, settings: dict[str, Any], value: Any, key: tuple[str
     return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
 
 
-def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, uses: str) -> dict[str, str]:
+def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, kind: Stage[BaseModel]) -> dict[str, str]:
     """Which stage plays which role: as the file says, else the only stage that can."""
     given = entries[name].inputs
     for role in given:
-        if role not in STAGES[uses]:
-            hint = did_you_mean(role, STAGES[uses])
-            raise located.error(f"'{uses}' has no input '{role}'{hint}", "stages", name, "inputs", role)
+        if role not in kind.inputs:
+            hint = did_you_mean(role, kind.inputs)
+            raise located.error(f"'{kind.name}' has no input '{role}'{hint}", "stages", name, "inputs", role)
     result = {}
-    for role, usual in STAGES[uses].items():
+    for role, needed in kind.inputs.items():
+        usual = needed.stage
         if role in given:
             if given[role] not in entries:
                 hint = did_you_mean(given[role], entries)
@@ -259,17 +216,17 @@ def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, uses: 
             raise located.error(
                 f"input '{role}' could be any of {', '.join(candidates)}; say which under `inputs`", "stages", name
             )
-        elif (uses, role) not in OPTIONAL:
-            raise located.error(f"'{uses}' needs a stage '{usual}' for its input '{role}'", "stages", name)
+        elif not needed.optional:
+            raise located.error(f"'{kind.name}' needs a stage '{usual}' for its input '{role}'", "stages", name)
     return result
 
 
-def _ordered(stages: list[Stage]) -> tuple[Stage, ...]:
+def _ordered(stages: list[PipelineStage]) -> tuple[PipelineStage, ...]:
     """Stages in an order in which every input comes first; the file's own order where it does not matter.
 
     There always is one: inputs are of given kinds, and no kind of stage needs itself, however indirectly.
     """
-    result: list[Stage] = []
+    result: list[PipelineStage] = []
     waiting = list(stages)
     while waiting:
         done = {stage.name for stage in result}

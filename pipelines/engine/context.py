@@ -1,30 +1,71 @@
-"""What a stage is given to work with: the store, the executor, a terminal, and its place in the pipeline."""
+"""The context of a stage: the store, the executor, the display, and the stage's place in its pipeline."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self, TypeVar
 
 from pydantic import BaseModel
+from rich.console import RenderableType
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
-from kinedex.pipelines.console.terminal import Progress, Terminal
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
+Parameters = TypeVar("Parameters", bound=BaseModel)
+
 SHIPPED_FEATURES = "body40"
 
 
-def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:
-    """The features that a stage speaks of: those given, else those of a store, else the shipped ones.
+class ProgressBar(Protocol):
+    """A progress bar, used in a `with` statement."""
 
-    A store that was made with the shipped set is held against today's text of it, so that a set that has changed since
-    is noticed; of a set of the user's own the store knows all that is needed.
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def advance(self, n: int = 1) -> None:
+        """Move the bar by n."""
+
+
+class Display(Protocol):
+    """A place where a run shows what it does, such as a terminal."""
+
+    def say(self, text: str) -> None:
+        """Show one line below the heading of a stage."""
+
+    def heading(self, text: str) -> None:
+        """Show one line that begins a stage."""
+
+    def show(self, table: RenderableType) -> None:
+        """Show a table, or anything else that rich can render."""
+
+    def progress(self, description: str, total: int | None = None) -> ProgressBar:
+        """Return a progress bar."""
+
+
+def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:
+    """Return the features that a stage works with: those given, else those of a store, else the shipped ones.
+
+    A store that was made with the shipped set is compared with the set as it is shipped now, so that a changed set is
+    noticed; a set of the user's own is taken from the store.
+
+    Parameters
+    ----------
+    store : Store or None
+        The store, where it exists.
+    given : str or None
+        A shipped name, or a path to a .yaml file.
 
     Raises
     ------
-    ConfigError: a file of features is wrong.
+    ConfigError
+        A feature file is not valid.
     """
     if given is None and store is not None and store.feature_set.name != SHIPPED_FEATURES:
         return store.feature_set
@@ -33,14 +74,34 @@ def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet
 
 @dataclass(frozen=True)
 class StageContext:
-    """One stage of one run of one pipeline.
+    """One stage in one run of a pipeline.
 
-    stage: the instance's name; uses: the kind of stage. run: the run's id, a column of every results row.
-    inputs: role → the stage instance that plays it, for instance {"templates": "learn_templates"}.
-    params: the validated parameters of every stage of the pipeline, by instance name, for stages that repeat another
-    one's work.
-    code: a hash of the sources that the stage runs, for stages that keep what they did before; empty where not known.
-    anew: all is done again, whatever was done before (`--force`).
+    Attributes
+    ----------
+    store_path : Path
+        The directory of the store.
+    feature_set : FeatureSet
+        The features of the store, or those that it will have.
+    pipeline : str
+        The name of the pipeline.
+    stage : str
+        The name of the stage in the pipeline.
+    run : str
+        The id of the run; a column of every row of results.
+    executor : Executor
+        Spreads tasks over workers.
+    terminal : Display
+        Shows messages, tables and progress.
+    uses : str
+        The kind of stage.
+    inputs : dict of str to str
+        The stage that plays each role, such as {"templates": "learn_templates"}.
+    params : dict of str to BaseModel
+        The validated parameters of every stage of the pipeline, by its name there.
+    code : str
+        A hash of the code that the stage runs, for stages that reuse earlier work; empty where it is not known.
+    anew : bool
+        All is to be done again, whatever was done before (`--force`).
     """
 
     store_path: Path
@@ -49,41 +110,47 @@ class StageContext:
     stage: str
     run: str
     executor: Executor
-    terminal: Terminal
+    terminal: Display
     uses: str = ""
     inputs: dict[str, str] = field(default_factory=dict)
     params: dict[str, BaseModel] = field(default_factory=dict)
     code: str = ""
     anew: bool = False
 
+    def params_of(self, role: str, kind: type[Parameters]) -> Parameters:
+        """Return the parameters of the stage that plays a role."""
+        params = self.params[self.inputs[role]]
+        assert isinstance(params, kind)
+        return params
+
     @property
     def report_dir(self) -> Path:
-        """The folder of this pipeline's reports inside the store; made when asked for."""
+        """The folder of this pipeline's reports inside the store; it is made when it is asked for."""
         folder = self.store_path / "results" / "reports" / self.pipeline
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     def report_file(self, name: str) -> Path:
-        """Where a file of this stage's reports goes; a second stage of one kind puts its own name in front."""
+        """Return the path of a report; a second stage of one kind prefixes its own name."""
         own = self.uses and self.stage != self.uses
         return self.report_dir / (f"{self.stage}.{name}" if own else name)
 
     def key(self, stage: str | None = None) -> str:
-        """The name under which a stage instance of this pipeline is recorded: "<pipeline>/<stage>"."""
+        """Return the key of a stage's record in the store, "<pipeline>/<stage>"."""
         return f"{self.pipeline}/{stage or self.stage}"
 
     def open(self) -> Store:
-        """A read-only snapshot of the store as it stands now."""
+        """Return a read-only snapshot of the store as it is now."""
         return open_store(self.store_path)
 
     def writer(self) -> StoreWriter:
-        """The store's writer, a context manager that holds its lock."""
+        """Return the store's writer, a context manager that holds its lock."""
         return StoreWriter.open(self.store_path, self.feature_set)
 
-    def progress(self, description: str, total: int | None = None) -> Progress:
-        """A progress bar on the terminal; `advance(n)` moves it."""
+    def progress(self, description: str, total: int | None = None) -> ProgressBar:
+        """Return a progress bar, to be used in a `with` statement."""
         return self.terminal.progress(description, total)
 
     def say(self, text: str) -> None:
-        """Print one line, below the stage's heading."""
+        """Show one line below the heading of the stage."""
         self.terminal.say(text)

@@ -11,8 +11,9 @@ from functools import cache
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.pipelines.engine.config import Pipeline, Stage
+from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.stage import TAKES, Stage
 from kinedex.storage.store.manifest import StageRecord
 from kinedex.storage.store.store import Store, open_store
 
@@ -24,17 +25,6 @@ FORCED = "--force"
 
 NEVER = "has not run yet"
 
-TAKES = "takes"
-"""The role of the stage that brings the takes in."""
-
-# What a stage is run by, but what its results do not depend on.
-_CARRIERS = {
-    "kinedex.pipelines.engine.context",
-    "kinedex.pipelines.console.terminal",
-    "kinedex.pipelines.engine.executors",
-    "kinedex.pipelines.engine.worker_processes",
-}
-
 
 @dataclass(frozen=True)
 class Step:
@@ -44,7 +34,7 @@ class Step:
     these are not all of the store's.
     """
 
-    stage: Stage
+    stage: PipelineStage
     parts: dict[str, str]
     record: StageRecord | None
     reason: str | None
@@ -74,7 +64,7 @@ class Planner:
         self._running: set[str] = set()
         self._done: set[str] = set()
 
-    def step(self, stage: Stage) -> Step:
+    def step(self, stage: PipelineStage) -> Step:
         """What is to be done about the next stage; stages are asked for in the pipeline's order."""
         store = _open(self.store_path)
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
@@ -102,7 +92,7 @@ class Planner:
         self._fingerprints[step.stage.name] = done.fingerprint
         return done
 
-    def _upstream(self, stage: Stage, reading: Reading | None) -> str | None:
+    def _upstream(self, stage: PipelineStage, reading: Reading | None) -> str | None:
         """Why a stage runs that nothing has changed for but a stage before it; None where none matters."""
         for role, name in stage.inputs.items():
             if name in self._running and (reading is None or role != TAKES):
@@ -111,13 +101,12 @@ class Planner:
                 return f"{name} runs, which may change the takes that it reads"
         return None
 
-    def _parts(self, stage: Stage, store: Store | None, reading: Reading | None) -> dict[str, str]:
+    def _parts(self, stage: PipelineStage, store: Store | None, reading: Reading | None) -> dict[str, str]:
         """What a stage's fingerprint is made of."""
-        external = getattr(stage.module, "external_digest", None)
         parts = {
-            "code": code_digest(f"kinedex.pipelines.stages.{stage.uses}"),
+            "code": code_digest(type(stage.kind).__module__),
             "parameters": _hash(stage.params.model_dump(mode="json")),
-            "files": external(stage.params, store) if external else "",
+            "files": stage.kind.external_digest(stage.params, store),
             **({"takes": _takes(store)} if reading is None else {"reading": reading.digest}),
         }
         inputs = {name for role, name in stage.inputs.items() if reading is None or role != TAKES}
@@ -144,24 +133,22 @@ def _open(path: Path) -> Store | None:
         return None
 
 
-def _reading(stage: Stage, store: Store | None) -> Reading | None:
+def _reading(stage: PipelineStage, store: Store | None) -> Reading | None:
     """What a stage reads of the store's takes; None where it does not say so, so that all of them count."""
-    reads = getattr(stage.module, "reads", None)
-    if reads is None:
+    if type(stage.kind).reading is Stage.reading:
         return None
     try:
-        reading: Reading = reads(stage.params, store) if store else Reading("", "")
+        return stage.kind.reading(stage.params, store) if store else Reading("", "")
     except KinedexError:
         # the stage runs, and says what is wrong: by then the takes may be others
         return Reading("cannot be read", "")
-    return reading
 
 
 def _takes(store: Store | None) -> str:
     return store.manifest.content_digest() if store else ""
 
 
-def _elsewhere(store: Store, pipeline: str, stage: Stage) -> bool:
+def _elsewhere(store: Store, pipeline: str, stage: PipelineStage) -> bool:
     """Whether a stage of this kind has run in another pipeline."""
     others = (record for key, record in store.manifest.stages.items() if key.partition("/")[0] != pipeline)
     return any(record.summary.get("uses") == stage.uses for record in others)
@@ -186,10 +173,9 @@ def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
     )
 
 
-def _gone(stage: Stage, store: Store, record: StageRecord) -> str | None:
+def _gone(stage: PipelineStage, store: Store, record: StageRecord) -> str | None:
     """What a stage left and is no longer there: files that its summary names, or what the stage itself misses."""
-    stands = getattr(stage.module, "stands", None)
-    if stands is not None and not stands(store):
+    if not stage.kind.is_current(store):
         return "what it made is gone or stale"
     missing = [name for name in record.summary.get("files", ()) if not (store.path / name).is_file()]
     return f"{missing[0]} is gone" if missing else None
@@ -206,7 +192,7 @@ def code_digest(module: str) -> str:
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        if name in seen or name in _CARRIERS:
+        if name in seen:
             continue
         source = _source(name)
         if source is not None:

@@ -135,7 +135,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
             with context.writer() as writer:
                 writer.forget_stage(context.key())
                 writer.commit()
-        summary = stage.run(context, stage.params)
+        summary = stage.kind.run(context, stage.params)
         seconds = time.perf_counter() - begin
         _record(context, planner.done(step), summary, seconds)
     except KinedexError as fault:

@@ -14,7 +14,6 @@ from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.evaluation.scheme import Split
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out
-from kinedex.pipelines.stages.leave_one_out import without
 from kinedex.pipelines.templates.learning import TrainingClips
 
 PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
@@ -146,7 +145,7 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> 
             f"split '{split.name}': takes to annotate are learned from as well: {few(both)}; make `train` and `test` "
             "exclude each other, or use `leave_out` or `folds`"
         )
-    clips = tuple(rest for one in material.clips if (rest := without(one, left_out)).names)
+    clips = tuple(rest for one in material.clips if (rest := one.without(left_out)).names)
     said = []
     gone = sorted({one.subclass for one in material.clips} - {one.subclass for one in clips})
     if gone:

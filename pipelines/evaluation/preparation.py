@@ -10,16 +10,17 @@ from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.annotation.decoding import background
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.annotation.annotators import make_annotator, targets_unknown
+from kinedex.pipelines.annotation.parameters import AnnotationParameters
+from kinedex.pipelines.annotation.preparation import calibrated, queries_of, refined, without_effect
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.grid import Cell, cell_key
 from kinedex.pipelines.evaluation.queries import QueryLearner
 from kinedex.pipelines.evaluation.scheme import Method
 from kinedex.pipelines.evaluation.test_takes import Fold
-from kinedex.pipelines.stages import annotate
-from kinedex.pipelines.stages import learn_templates as learning
 from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates
 from kinedex.pipelines.templates.recipes import feature_weights
+from kinedex.pipelines.templates.training import TemplateParameters, completed
 from kinedex.storage.store.store import Store
 
 
@@ -29,7 +30,7 @@ class Known:
 
     store: Store
     classes: Classes
-    learned_with: learning.Params
+    learned_with: TemplateParameters
     templates: dict[tuple[str, tuple[str, ...], Kind], SubclassTemplate]
     learned_queries: QueryLearner | None
 
@@ -57,24 +58,24 @@ def said_of(methods: Sequence[Method], known: Known) -> list[str]:
         unknown = targets_unknown(_queries(known.store, method), known.classes)
         if unknown:
             remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
-        remarks += [f"{method.name}: {remark}" for remark in annotate.without_effect(_params(method))]
+        remarks += [f"{method.name}: {remark}" for remark in without_effect(_params(method))]
     return remarks
 
 
 def _queries(store: Store, method: Method) -> list[KeyframeQuery]:
-    return annotate.queries_of(store, _params(method))
+    return queries_of(store, _params(method))
 
 
-def _params(method: Method) -> annotate.Params:
+def _params(method: Method) -> AnnotationParameters:
     """The parameters of the stage `annotate` that mean the same method."""
-    return annotate.Params.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
+    return AnnotationParameters.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
 
 
 def make_cell(context: StageContext, known: Known, fold: Fold, method: Method) -> Cell:
     """A method in a fold, with all that annotates its takes."""
     own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
     feature_set = known.store.feature_set
-    templates = learning.completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
+    templates = completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
     if method.learned_queries:
         assert known.learned_queries is not None
         queries: Sequence[KeyframeQuery] = known.learned_queries.queries(fold)
@@ -85,7 +86,7 @@ def make_cell(context: StageContext, known: Known, fold: Fold, method: Method) -
         usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
     params = _params(method)
     annotator = make_annotator(feature_set, templates, known.classes, method.delta, params.common_tau, queries, usual)
-    calibration = annotate.calibrated(context, known.store, params, known.classes, fold.clips)
-    annotator = annotate.refined(annotator, params, known.store.rate_hz, calibration.taus)
+    calibration = calibrated(context, known.store, params, known.classes, fold.clips)
+    annotator = refined(annotator, params, known.store.rate_hz, calibration.taus)
     remarks = (*annotator.remarks, *calibration.remarks)
     return Cell(cell_key(fold, annotator, known.store), fold, method, annotator, remarks)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pydantic import BaseModel
-
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.keyframes.learning import Lesson, Outcome, every_query, lessons
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.run_storage import KeptRuns
 from kinedex.pipelines.keyframes.runs import Course, known_runs, learn
-from kinedex.pipelines.stages import learn_keyframes
 
 
 class QueryLearner:
@@ -24,8 +22,7 @@ class QueryLearner:
     params: of the stage `learn_keyframes`; its filters of takes are not used, a fold has its own clips.
     """
 
-    def __init__(self, context: StageContext, params: BaseModel) -> None:
-        assert isinstance(params, learn_keyframes.Params)
+    def __init__(self, context: StageContext, params: KeyframeParameters) -> None:
         if params.background is not None:
             raise KinedexError(
                 "queries learned in folds know no background takes, which could be takes to annotate; leave "
@@ -39,7 +36,7 @@ class QueryLearner:
         """Learn the queries of all folds; what is finished is kept in the store from time to time."""
         context, params = self._context, self._params
         store = context.open()
-        setting, rounds = learn_keyframes.setting_of(params, store), params.rounds()
+        setting, rounds = setting_of(params, store), params.rounds()
         wanted = [self._lessons(fold) for fold in folds]
         kept = KeptRuns(context, [lesson for own in wanted for lesson in own])
         others = known_runs(store.result("keyframe_runs", pipeline=context.pipeline))

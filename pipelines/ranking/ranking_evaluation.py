@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+from pydantic import BaseModel, ConfigDict
 from rich import box
 from rich.table import Table
 
@@ -23,6 +24,15 @@ from kinedex.pipelines.ranking.ranking import Hit
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
 from kinedex.storage.store.schemas import result_schema
 from kinedex.storage.store.store import Store
+
+
+class Fold(BaseModel):
+    """The clips that templates are learned from, and those that are ranked: SQL filters over the columns of takes."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    learn: str
+    rank: str
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""One stage a file; each reads a store and commits what it made."""
+"""One stage a file; each reads a store and commits what it made. No stage imports another."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import polars as pl
 import pyarrow as pa
@@ -17,10 +17,12 @@ from kinedex.ops.evaluation.metrics import pooled
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, measures, metrics_rows
 from kinedex.pipelines.evaluation.folds import Material, make_folds
 from kinedex.pipelines.evaluation.grid import Cell, Found, cells_table, known_cells, remarks_of, run_cells
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
+from kinedex.pipelines.evaluation.label_files import NONE, GroundTruthParameters, ground_truth, ground_truth_digest
 from kinedex.pipelines.evaluation.method_scores import Judgement, counts_of, fates, judge
 from kinedex.pipelines.evaluation.preparation import Known, make_cell, said_of, with_templates
 from kinedex.pipelines.evaluation.queries import QueryLearner
@@ -28,16 +30,16 @@ from kinedex.pipelines.evaluation.scheme import METRICS, Method, Metric, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study, Threshold, content, shown_parts
 from kinedex.pipelines.evaluation.tables import markdown, overview
 from kinedex.pipelines.evaluation.test_takes import Fold
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.report.methods import methods_page
 from kinedex.pipelines.report.motions import embed
 from kinedex.pipelines.report.output import write_page
-from kinedex.pipelines.stages import evaluate as evaluating
-from kinedex.pipelines.stages import learn_templates as learning
+from kinedex.pipelines.templates.training import TemplateParameters, clips_to_learn_from, takes_to_learn_from
 from kinedex.storage.store.manifest import now
 from kinedex.storage.store.store import Store
 
 
-class Params(evaluating.Params):
+class Params(GroundTruthParameters):
     """What the stage `compare_methods` takes; templates are learned as `learn_templates` says, but for its takes."""
 
     model_config = ConfigDict(extra="forbid")
@@ -96,48 +98,55 @@ def _setting(method: Method) -> dict[str, object]:
     return fields | {"learned": method.learned_queries}
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """What the stage depends on outside the store: ground truth, class file and query files."""
-    files = [config_path("queries", name) for name in params.query_files]
-    if params.classes != OWN:
-        files.append(config_path("classes", params.classes))
-    return files_digest(files) + evaluating.external_digest(params, store)
+class CompareMethods(Stage[Params]):
+    """Several ways to annotate, on splits of the archive, side by side in one report."""
 
+    name = "compare_methods"
+    parameters = Params
+    inputs: ClassVar = {"templates": Input("learn_templates"), "keyframes": Input("learn_keyframes", optional=True)}
+    outputs = ("method_cells", "keyframe_runs", "metrics")
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Compute the cells that are missing, judge all methods, and write the report."""
-    store = context.open()
-    same = [method.name for method in params.methods if method not in params.distinct]
-    params = params.model_copy(update={"methods": params.distinct})
-    known = _known(context, params, store)
-    folds = {split.name: _folds(params, split, known) for split in params.splits}
-    known = with_templates(context, params.methods, known, [fold for some in folds.values() for fold in some])
-    remarks = [f"the same as a method before it, left out: {few(same)}"] if same else []
-    remarks += said_of(params.methods, known)
-    variants = [*params.methods, *_swept(params)]
-    cells = {
-        (fold.split, fold.name, method.name): make_cell(context, known, fold, method)
-        for some in folds.values()
-        for fold in some
-        for method in variants
-    }
-    found = _run(context, list(cells.values()))
-    splits = [_result(params, split, folds[split.name], cells, found, known.classes) for split in params.splits]
-    study = _study(context, params, store, known.classes, splits, remarks)
-    files = _write(context, params, study)
-    context.terminal.show(overview(study))
-    for remark in [*remarks, *_remarks(study)]:
-        context.say(remark)
-    context.say(f"report: {(context.store_path / files[0]).resolve()}")
-    leading = study.splits[0].judgements[study.splits[0].leading].pooled
-    return {
-        "splits": len(splits),
-        "methods": len(params.methods),
-        "cells": len({cell.key for cell in cells.values()}),
-        "leading": study.splits[0].leading,
-        **measures(leading),
-        "files": files,
-    }
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the class file, the query files and the ground truth."""
+        files = [config_path("queries", name) for name in params.query_files]
+        if params.classes != OWN:
+            files.append(config_path("classes", params.classes))
+        return files_digest(files) + ground_truth_digest(params, store)
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Compute the cells that are missing, judge all methods, and write the report."""
+        store = context.open()
+        same = [method.name for method in params.methods if method not in params.distinct]
+        params = params.model_copy(update={"methods": params.distinct})
+        known = _known(context, params, store)
+        folds = {split.name: _folds(params, split, known) for split in params.splits}
+        known = with_templates(context, params.methods, known, [fold for some in folds.values() for fold in some])
+        remarks = [f"the same as a method before it, left out: {few(same)}"] if same else []
+        remarks += said_of(params.methods, known)
+        variants = [*params.methods, *_swept(params)]
+        cells = {
+            (fold.split, fold.name, method.name): make_cell(context, known, fold, method)
+            for some in folds.values()
+            for fold in some
+            for method in variants
+        }
+        found = _run(context, list(cells.values()))
+        splits = [_result(params, split, folds[split.name], cells, found, known.classes) for split in params.splits]
+        study = _study(context, params, store, known.classes, splits, remarks)
+        files = _write(context, params, study)
+        context.terminal.show(overview(study))
+        for remark in [*remarks, *_remarks(study)]:
+            context.say(remark)
+        context.say(f"report: {(context.store_path / files[0]).resolve()}")
+        leading = study.splits[0].judgements[study.splits[0].leading].pooled
+        return {
+            "splits": len(splits),
+            "methods": len(params.methods),
+            "cells": len({cell.key for cell in cells.values()}),
+            "leading": study.splits[0].leading,
+            **measures(leading),
+            "files": files,
+        }
 
 
 def _remarks(study: Study) -> list[str]:
@@ -151,8 +160,7 @@ def _remarks(study: Study) -> list[str]:
 
 
 def _known(context: StageContext, params: Params, store: Store) -> Known:
-    learned_with = context.params[context.inputs["templates"]]
-    assert isinstance(learned_with, learning.Params)
+    learned_with = context.params_of("templates", TemplateParameters)
     labelled = set(store.takes()["class"].drop_nulls().unique())
     trained = {
         name for split in params.splits for name in store.takes(split.train)["class"].drop_nulls().unique().to_list()
@@ -164,22 +172,22 @@ def _known(context: StageContext, params: Params, store: Store) -> Known:
         if "keyframes" not in context.inputs:
             names = few([method.name for method in params.methods if method.learned_queries])
             raise KinedexError(f"queries of {names} are to be learned, so the pipeline needs a stage 'learn_keyframes'")
-        learner = QueryLearner(context, context.params[context.inputs["keyframes"]])
+        learner = QueryLearner(context, context.params_of("keyframes", KeyframeParameters))
     return Known(store, classes, learned_with, {}, learner)
 
 
 def _folds(params: Params, split: Split, known: Known) -> list[Fold]:
     training_with = known.learned_with.model_copy(update={"where": split.train})
-    training = learning.takes_to_learn_from(known.store, training_with)
-    clips = learning.clips_to_learn_from(known.store, training_with, training)
+    training = takes_to_learn_from(known.store, training_with)
+    clips = clips_to_learn_from(known.store, training_with, training)
     tested = known.store.takes(split.test)
 
     def place(takes: pl.DataFrame) -> GroundTruth:
-        if params.ground_truth == evaluating.NONE:
+        if params.ground_truth == NONE:
             raise KinedexError(
                 f"split '{split.name}' has takes of its own, whose ground_truth must be given, not 'none'"
             )
-        return evaluating.ground_truth(known.store, params, takes, known.classes)
+        return ground_truth(known.store, params, takes, known.classes)
 
     material = Material(training, tuple(clips), tested, known.classes, place, params.divide_by)
     if params.divide_by not in tested.columns:

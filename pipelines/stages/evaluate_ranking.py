@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,8 +12,10 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import (
+    Fold,
     Judged,
     clip_costs,
     judge_clips,
@@ -29,15 +32,6 @@ from kinedex.storage.formats.labels.ground_truth import ground_truth_files
 from kinedex.storage.store.store import Store
 
 NONE = "none"
-
-
-class Fold(BaseModel):
-    """Which clips are learned from and which are ranked, as SQL filters over the columns of takes."""
-
-    model_config = ConfigDict(extra="forbid")
-    name: str
-    learn: str
-    rank: str
 
 
 class Params(BaseModel):
@@ -61,31 +55,40 @@ class Params(BaseModel):
     tau: float = Field(0.1, gt=0, le=1, description="recall is told at this threshold")
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """What the stage depends on outside the store: the text of the ground truth."""
-    if params.ground_truth == NONE or store is None:
-        return ""
-    try:
-        return files_digest(ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique())))
-    except KinedexError:
-        return "none to be read"
+class EvaluateRanking(Stage[Params]):
+    """Average precision of every class, in takes with ground truth and among clips left out."""
 
+    name = "evaluate_ranking"
+    parameters = Params
+    inputs: ClassVar = {"templates": Input("learn_templates")}
+    outputs = ("retrieval",)
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Judge the rankings, print a table of each kind, store them."""
-    store = context.open()
-    summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
-    judged: list[Judged] = []
-    for what, found in (("takes", _takes(context, store, params)), ("clips", _clips(context, store, params))):
-        if found:
-            title = {"takes": "hits in takes against ground truth", "clips": "clips that were not learned from"}[what]
-            context.terminal.show(retrieval_table(found, title, params.tau))
-            summary |= {f"{what}_map": mean_average_precision(found), f"{what}_recall": recall_at_tau(found)}
-            judged += found
-    with context.writer() as writer:
-        writer.put_results("retrieval", retrieval_rows(judged, context.run), stage=context.key(), run=context.run)
-        writer.commit()
-    return summary
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the ground truth."""
+        if params.ground_truth == NONE or store is None:
+            return ""
+        try:
+            return files_digest(ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique())))
+        except KinedexError:
+            return "none to be read"
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Judge the rankings, print a table of each kind, store them."""
+        store = context.open()
+        summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
+        judged: list[Judged] = []
+        for what, found in (("takes", _takes(context, store, params)), ("clips", _clips(context, store, params))):
+            if found:
+                title = {"takes": "hits in takes against ground truth", "clips": "clips that were not learned from"}[
+                    what
+                ]
+                context.terminal.show(retrieval_table(found, title, params.tau))
+                summary |= {f"{what}_map": mean_average_precision(found), f"{what}_recall": recall_at_tau(found)}
+                judged += found
+        with context.writer() as writer:
+            writer.put_results("retrieval", retrieval_rows(judged, context.run), stage=context.key(), run=context.run)
+            writer.commit()
+        return summary
 
 
 def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.storage import index
 from kinedex.storage.store.store import Store
 
@@ -20,28 +23,34 @@ class Params(BaseModel):
     )
 
 
-def stands(store: Store) -> bool:
-    """Whether the index that the store needs is there."""
-    return index.current(store.path, store.manifest) is not None
+class Index(Stage[Params]):
+    """Word runs, feature runs and vocabulary of all takes, as a published DuckDB file."""
 
+    name = "index"
+    parameters = Params
+    inputs: ClassVar = {"takes": Input("ingest")}
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Build the index of the store's takes, unless it stands already."""
-    store = context.open()
-    before = index.current(store.path, store.manifest)
-    generation = index.build(store, params.threads, params.memory_mb)
-    says = index.read_generation(generation)
-    assert says is not None
-    built = 0 if generation == before else says.built_frames
-    context.say(
-        f"{says.rows['word_runs']:,} word runs of {says.rows['vocabulary']:,} words, "
-        f"{says.rows['feature_runs']:,} feature runs in {generation.name}, "
-        f"for which {built:,} of {says.frames:,} frames were indexed anew"
-    )
-    return {
-        "generation": generation.name,
-        "bytes": says.bytes,
-        "shards": len(says.shards),
-        "built_frames": built,
-        **says.rows,
-    }
+    def is_current(self, store: Store) -> bool:
+        """Return whether the index that the store needs exists."""
+        return index.current(store.path, store.manifest) is not None
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Build the index of the store's takes, unless it stands already."""
+        store = context.open()
+        before = index.current(store.path, store.manifest)
+        generation = index.build(store, params.threads, params.memory_mb)
+        says = index.read_generation(generation)
+        assert says is not None
+        built = 0 if generation == before else says.built_frames
+        context.say(
+            f"{says.rows['word_runs']:,} word runs of {says.rows['vocabulary']:,} words, "
+            f"{says.rows['feature_runs']:,} feature runs in {generation.name}, "
+            f"for which {built:,} of {says.frames:,} frames were indexed anew"
+        )
+        return {
+            "generation": generation.name,
+            "bytes": says.bytes,
+            "shards": len(says.shards),
+            "built_frames": built,
+            **says.rows,
+        }

@@ -19,6 +19,7 @@ from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import WorkerDied
+from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest
 from kinedex.pipelines.ingestion.failures import Failure, failure, killer, log_table, told
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
@@ -104,76 +105,84 @@ class Params(BaseModel):
         return Given(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """What the stage depends on outside the store: source files by path, size and time, mappings, and features."""
-    feature_set = feature_set_for(store, params.features)
-    mappings = load_mappings(params.skeleton, feature_set.joints)
-    forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
-    return digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])
+class Ingest(Stage[Params]):
+    """Motion files become takes and frames with words; what cannot be read is logged."""
 
+    name = "ingest"
+    parameters = Params
+    outputs = ("ingest_log", "skeleton_files")
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Bring a source up to date in the store, batch by batch, each committed whole."""
-    found = scan(params.source)
-    if not found.motions:
-        raise KinedexError(
-            f"no motion files ({', '.join(MOTIONS)}) below {params.source}; is this the "
-            "right folder?"
-            + "".join(f" {line}." for line in found.unread_lines())
-            + "".join(f" {refused.fault}." for refused in found.refused[:3])
-        )
-    mappings = load_mappings(params.skeleton, context.feature_set.joints)
-    with context.writer() as writer:
-        plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
-        if plan.renamed and not params.prune:
-            raise _named_otherwise(plan)
-        context.say(
-            f"{counted(len(found.motions), 'motion file')} below {params.source}: "
-            f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
-            + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
-        )
-        for line in found.unread_lines():
-            context.say(line)
-        if plan.gone:
-            what = "dropped" if params.prune else "kept; `prune: true` drops them"
-            context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
-        if plan.renamed:
-            context.say(
-                f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were"
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the source files by path, size and time, of the mappings, and of the features."""
+        feature_set = feature_set_for(store, params.features)
+        mappings = load_mappings(params.skeleton, feature_set.joints)
+        forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
+        return digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Bring a source up to date in the store, batch by batch, each committed whole."""
+        found = scan(params.source)
+        if not found.motions:
+            raise KinedexError(
+                f"no motion files ({', '.join(MOTIONS)}) below {params.source}; is this the "
+                "right folder?"
+                + "".join(f" {line}." for line in found.unread_lines())
+                + "".join(f" {refused.fault}." for refused in found.refused[:3])
             )
-        failures = list(plan.failures)
-        frames = 0
-        if not (params.strict and failures):
-            frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
-        writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
-        writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
-        if params.strict and failures:
+        mappings = load_mappings(params.skeleton, context.feature_set.joints)
+        with context.writer() as writer:
+            plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
+            if plan.renamed and not params.prune:
+                raise _named_otherwise(plan)
+            context.say(
+                f"{counted(len(found.motions), 'motion file')} below {params.source}: "
+                f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
+                + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
+            )
+            for line in found.unread_lines():
+                context.say(line)
+            if plan.gone:
+                what = "dropped" if params.prune else "kept; `prune: true` drops them"
+                context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
+            if plan.renamed:
+                context.say(
+                    f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were"
+                )
+            failures = list(plan.failures)
+            frames = 0
+            if not (params.strict and failures):
+                frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
+            writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
+            writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
+            if params.strict and failures:
+                writer.commit()
+                raise KinedexError(
+                    f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)"
+                )
+            read = len(plan.tasks) - (len(failures) - len(plan.failures))
+            if not plan.unchanged + read:
+                writer.commit()
+                _tell(context, failures)
+                count = len(found.motions)
+                none = f"none of the {count} files came in" if count > 1 else "the only file did not come in"
+                raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
+            dropped = [*plan.gone, *(take for take, _, _ in plan.renamed)] if params.prune else []
+            if dropped:
+                writer.drop_takes(dropped)
+            writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=takes_schema()))
             writer.commit()
-            raise KinedexError(f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)")
-        read = len(plan.tasks) - (len(failures) - len(plan.failures))
-        if not plan.unchanged + read:
-            writer.commit()
-            _tell(context, failures)
-            count = len(found.motions)
-            none = f"none of the {count} files came in" if count > 1 else "the only file did not come in"
-            raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
-        dropped = [*plan.gone, *(take for take, _, _ in plan.renamed)] if params.prune else []
-        if dropped:
-            writer.drop_takes(dropped)
-        writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=takes_schema()))
-        writer.commit()
-        _compact(context, writer)
-        total = len(writer.manifest.live_takes)
-    _tell(context, failures)
-    return {
-        "takes": total,
-        "read": read,
-        "unchanged": plan.unchanged,
-        "frames_read": frames,
-        "left_out": len(failures),
-        "not_read": len(found.unread),
-        "dropped": len(dropped),
-    }
+            _compact(context, writer)
+            total = len(writer.manifest.live_takes)
+        _tell(context, failures)
+        return {
+            "takes": total,
+            "read": read,
+            "unchanged": plan.unchanged,
+            "frames_read": frames,
+            "left_out": len(failures),
+            "not_read": len(found.unread),
+            "dropped": len(dropped),
+        }
 
 
 def _named_otherwise(plan: Changes) -> NewStoreError:

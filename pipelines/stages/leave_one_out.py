@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import polars as pl
 import pyarrow as pa
@@ -15,8 +16,11 @@ from kinedex.ops.annotation.decoding import background
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_takes
+from kinedex.pipelines.annotation.parameters import AnnotationParameters
+from kinedex.pipelines.annotation.preparation import annotated_classes, calibrated, queries_of, refined
 from kinedex.pipelines.annotation.tables import annotated_takes, annotations_table
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import (
     SCOPES,
     Evaluation,
@@ -28,9 +32,7 @@ from kinedex.pipelines.evaluation.annotation_scores import (
     write_metrics,
 )
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.pipelines.stages import annotate
-from kinedex.pipelines.stages import evaluate as evaluating
-from kinedex.pipelines.stages import learn_templates as learning
+from kinedex.pipelines.evaluation.label_files import GroundTruthParameters, ground_truth, not_labelled
 from kinedex.pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
@@ -38,6 +40,7 @@ from kinedex.pipelines.templates.learning import (
     read_templates,
 )
 from kinedex.pipelines.templates.recipes import feature_weights
+from kinedex.pipelines.templates.training import TemplateParameters, clips_to_learn_from, completed, takes_to_learn_from
 from kinedex.storage.store.store import Store
 
 
@@ -66,53 +69,65 @@ class Setting:
     """What all folds share: the store, the classes, the queries, and how to annotate."""
 
     store: Store
-    params: annotate.Params
+    params: AnnotationParameters
     classes: Classes
     queries: Sequence[KeyframeQuery]
 
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Annotate and evaluate every fold, store the pooled metrics, and print them."""
-    report = context.report_file("leave_one_out.json")
-    report.unlink(missing_ok=True)
-    name = f"leave one {params.column} out"
-    folds = _evaluate_folds(context, params, name)
-    evaluation = pool_folds(name, folds)
-    rows = metrics_rows(evaluation, context.run) if folds else pa.table({})
-    with context.writer() as writer:
-        writer.put_results("metrics", rows, stage=context.key(), run=context.run)
-        writer.commit()
-    if not folds:
-        context.say(f"nothing to evaluate: {name} has no fold")
-        return {"folds": 0}
-    annotated = evaluating.annotate_params(context).model_dump(mode="json")
-    write_metrics(report, evaluation, context.run, pipeline=context.pipeline, column=params.column, annotate=annotated)
-    context.terminal.show(metrics_table(evaluation, name, SCOPES[:2]))
-    context.say(f"metrics, by class and take as well: {report}")
-    files = [report.relative_to(context.store_path).as_posix()]
-    return {"folds": len(folds), "files": files, **measures(evaluation.pooled)}
+class LeaveOneOut(Stage[Params]):
+    """The same annotation and evaluation for each actor, with templates of the others only."""
+
+    name = "leave_one_out"
+    parameters = Params
+    inputs: ClassVar = {
+        "templates": Input("learn_templates"),
+        "annotations": Input("annotate"),
+        "evaluation": Input("evaluate"),
+    }
+    outputs = ("metrics",)
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Annotate and evaluate every fold, store the pooled metrics, and print them."""
+        report = context.report_file("leave_one_out.json")
+        report.unlink(missing_ok=True)
+        name = f"leave one {params.column} out"
+        folds = _evaluate_folds(context, params, name)
+        evaluation = pool_folds(name, folds)
+        rows = metrics_rows(evaluation, context.run) if folds else pa.table({})
+        with context.writer() as writer:
+            writer.put_results("metrics", rows, stage=context.key(), run=context.run)
+            writer.commit()
+        if not folds:
+            context.say(f"nothing to evaluate: {name} has no fold")
+            return {"folds": 0}
+        annotated = context.params[context.inputs["annotations"]].model_dump(mode="json")
+        write_metrics(
+            report, evaluation, context.run, pipeline=context.pipeline, column=params.column, annotate=annotated
+        )
+        context.terminal.show(metrics_table(evaluation, name, SCOPES[:2]))
+        context.say(f"metrics, by class and take as well: {report}")
+        files = [report.relative_to(context.store_path).as_posix()]
+        return {"folds": len(folds), "files": files, **measures(evaluation.pooled)}
 
 
 def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tuple[str, Evaluation]]:
-    evaluated = context.params[context.inputs["evaluation"]]
-    learned = context.params[context.inputs["templates"]]
-    assert isinstance(evaluated, evaluating.Params)
-    assert isinstance(learned, learning.Params)
-    annotated = evaluating.annotate_params(context)
+    evaluated = context.params_of("evaluation", GroundTruthParameters)
+    learned = context.params_of("templates", TemplateParameters)
+    annotated = context.params_of("annotations", AnnotationParameters)
     store = context.open()
     takes = annotated_takes(store, context.key(context.inputs["annotations"]))
-    if evaluating.not_labelled(evaluated, takes["source_root"].unique()):
+    if not_labelled(evaluated, takes["source_root"].unique()):
         return []
     if params.column not in takes.columns:
         raise KinedexError(f"takes have no column '{params.column}'{did_you_mean(params.column, takes.columns)}")
-    classes = evaluating.classes_of(context, store)
-    truth = evaluating.ground_truth(store, evaluated, takes, classes)
-    training = learning.takes_to_learn_from(store, learned)
-    clips = learning.clips_to_learn_from(store, learned, training)
+    classes = annotated_classes(context, store, context.inputs["annotations"])
+    truth = ground_truth(store, evaluated, takes, classes)
+    training = takes_to_learn_from(store, learned)
+    clips = clips_to_learn_from(store, learned, training)
     folds = _folds(context, params.column, takes, truth, training, clips)
     plain = read_templates(store, context.key(context.inputs["templates"]), annotated.templates)
     templates = _templates(context, folds, plain, annotated, learned)
-    setting = Setting(store, annotated, classes, annotate.queries_of(store, annotated))
+    setting = Setting(store, annotated, classes, queries_of(store, annotated))
     annotation = store.manifest.stages[context.key(context.inputs["annotations"])]
     if "keyframes" in annotation.summary["inputs"]:
         context.say("learned keyframe queries know the clips that are left out, so the folds do without them")
@@ -120,7 +135,7 @@ def _evaluate_folds(context: StageContext, params: Params, name: str) -> list[tu
     with context.progress("folds", len(folds)) as progress:
         for fold in folds:
             known = [templates[one.subclass, one.names] for one in fold.clips]
-            own = learning.completed(known, learned, store.feature_set, [annotated.templates], where_possible=True)
+            own = completed(known, learned, store.feature_set, [annotated.templates], where_possible=True)
             results.append((fold.value, _evaluate_fold(context, setting, fold, own, name)))
             progress.advance()
     return results
@@ -142,7 +157,7 @@ def _folds(
     folds = []
     for value in sorted(with_truth[column].drop_nulls().unique().to_list()):
         left_out = set(training.filter(pl.col(column) == value)["name"].to_list())
-        remaining = tuple(rest for one in clips if (rest := without(one, left_out)).names)
+        remaining = tuple(rest for one in clips if (rest := one.without(left_out)).names)
         if not left_out:
             context.say(f"{value}: no training clip is of {column} {value}, so the fold equals the plain result")
         if clips and not remaining:
@@ -158,20 +173,12 @@ def _folds(
     return folds
 
 
-def without(clips: TrainingClips, names: set[str]) -> TrainingClips:
-    """The clips of a subclass except those of these names."""
-    kept = [index for index, name in enumerate(clips.names) if name not in names]
-    return TrainingClips(
-        clips.subclass, tuple(clips.names[index] for index in kept), tuple(clips.words[index] for index in kept)
-    )
-
-
 def _templates(
     context: StageContext,
     folds: Sequence[Fold],
     plain: Sequence[SubclassTemplate],
-    params: annotate.Params,
-    learned_with: learning.Params,
+    params: AnnotationParameters,
+    learned_with: TemplateParameters,
 ) -> dict[tuple[str, tuple[str, ...]], SubclassTemplate]:
     """Learn each template that any fold needs once; those of all clips are known already. Key: subclass, clips."""
     known = {(one.subclass, one.clips): one for one in plain}
@@ -196,8 +203,8 @@ def _evaluate_fold(
     annotator = make_annotator(
         store.feature_set, templates, setting.classes, params.delta, params.common_tau, setting.queries, usual
     )
-    calibration = annotate.calibrated(context, store, params, setting.classes, fold.clips)
-    annotator = annotate.refined(annotator, params, store.rate_hz, calibration.taus)
+    calibration = calibrated(context, store, params, setting.classes, fold.clips)
+    annotator = refined(annotator, params, store.rate_hz, calibration.taus)
     batches = annotate_takes(context.store_path, annotator, fold.takes, context.executor, keep_curves=False)
     for remark in (*annotator.remarks, *calibration.remarks):
         context.say(f"{fold.value}: {remark}")

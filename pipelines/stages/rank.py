@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 from rich import box
@@ -16,6 +17,7 @@ from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, rank_takes, ranking_table
 from kinedex.pipelines.ranking.stiffness import mean_stiffness
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
@@ -38,41 +40,48 @@ class Params(BaseModel):
     queries: list[str] = Field([], description="keyframe queries that preselect frames: files, by names or paths")
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """What the stage depends on outside the store: the text of its query files."""
-    return files_digest([config_path("queries", name) for name in params.queries])
+class Rank(Stage[Params]):
+    """The best hits of every template in an archive, in all frames or within the hits of keyframe queries."""
 
+    name = "rank"
+    parameters = Params
+    inputs: ClassVar = {"takes": Input("ingest"), "templates": Input("learn_templates")}
+    outputs = ("ranked_hits",)
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Rank, store the hits, and print a row for each class (thesis, Table 3.2)."""
-    store = context.open()
-    learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-    queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
-    searched, remarks = ranked_templates(
-        [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
-    )
-    for remark in remarks:
-        context.say(remark)
-    rankings = _rank(context, store, searched, params)
-    table = ranking_table(rankings, store.rate_hz, context.run)
-    lists = _lists(store, searched, params.where)
-    context.terminal.show(_shown(searched, rankings, lists))
-    with context.writer() as writer:
-        writer.put_results("ranked_hits", table, stage=context.key(), run=context.run)
-        writer.commit()
-    return {
-        "templates": len(searched),
-        "hits": table.num_rows,
-        "tau": params.tau,
-        "delta": params.delta,
-        "frames": rankings[0].frames,
-        "skipped": {one.name: None if one.skipped is None else round(one.skipped, 4) for one in rankings},
-        "kept": {one.name: round(one.kept, 4) for one in rankings},
-        "reading": {one.name: round(one.reading, 4) for one in rankings},
-        "seconds": {one.name: round(one.ranking, 4) for one in rankings},
-        "columns": {one.name: len(one.template) for one in searched},
-        "lists": {name: asdict(found) for name, found in lists.items()},
-    }
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the query files."""
+        return files_digest([config_path("queries", name) for name in params.queries])
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Rank, store the hits, and print a row for each class (thesis, Table 3.2)."""
+        store = context.open()
+        learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+        queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
+        searched, remarks = ranked_templates(
+            [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
+        )
+        for remark in remarks:
+            context.say(remark)
+        rankings = _rank(context, store, searched, params)
+        table = ranking_table(rankings, store.rate_hz, context.run)
+        lists = _lists(store, searched, params.where)
+        context.terminal.show(_shown(searched, rankings, lists))
+        with context.writer() as writer:
+            writer.put_results("ranked_hits", table, stage=context.key(), run=context.run)
+            writer.commit()
+        return {
+            "templates": len(searched),
+            "hits": table.num_rows,
+            "tau": params.tau,
+            "delta": params.delta,
+            "frames": rankings[0].frames,
+            "skipped": {one.name: None if one.skipped is None else round(one.skipped, 4) for one in rankings},
+            "kept": {one.name: round(one.kept, 4) for one in rankings},
+            "reading": {one.name: round(one.reading, 4) for one in rankings},
+            "seconds": {one.name: round(one.ranking, 4) for one in rankings},
+            "columns": {one.name: len(one.template) for one in searched},
+            "lists": {name: asdict(found) for name, found in lists.items()},
+        }
 
 
 def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate], params: Params) -> list[Ranking]:

@@ -1,13 +1,14 @@
-"""The report stage: one HTML page from what the pipeline's stages stored."""
+"""Stage report: one HTML page from what the pipeline's stages stored."""
 
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.report.gather import gather
 from kinedex.pipelines.report.motions import embed
 from kinedex.pipelines.report.output import write_page
@@ -37,39 +38,50 @@ class Params(BaseModel):
     )
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """A hash of the page's own files, so that the report is made again where one of them changed."""
-    return pages_digest()
+class Report(Stage[Params]):
+    """One HTML page from what the pipeline's stages stored."""
 
-
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Write `report.html` into the pipeline's report folder.
-
-    Inputs: the stages whose templates, annotations, evaluation and leave_one_out are reported; a missing one is a
-    sentence on the page. Returns the files that must stay (the page, relative to the store), its size, and whose curves
-    it shows.
-
-    Raises
-    ------
-    KinedexError: `takes` or `curves_take` names a take that was not annotated.
-    """
-    store = context.open()
-    data = gather(
-        store,
-        context.pipeline,
-        created=datetime.now().astimezone(),
-        title=params.title,
-        inputs=context.inputs,
-        own_stage=context.stage,
-        curves_take=params.curves_take,
-    )
-    path = context.report_file("report.html")
-    motions = embed(store, shown_takes(data, params.takes, params.max_takes).shown, params.embed)
-    size = write_page(render(data, takes=params.takes, max_takes=params.max_takes, motions=motions), path)
-    context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {len(motions.motions)} takes)")
-    return {
-        "files": [path.relative_to(context.store_path).as_posix()],
-        "bytes": size,
-        "takes": len(data.takes),
-        "curves_take": data.curves_take,
+    name = "report"
+    parameters = Params
+    inputs: ClassVar = {
+        "templates": Input("learn_templates"),
+        "annotations": Input("annotate"),
+        "evaluation": Input("evaluate", optional=True),
+        "leave_one_out": Input("leave_one_out", optional=True),
+        "index": Input("index", optional=True),
     }
+
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the page's templates and styles."""
+        return pages_digest()
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Write `report.html` into the pipeline's report folder.
+
+        A missing input is stated in a sentence on the page.
+
+        Raises
+        ------
+        KinedexError
+            `takes` or `curves_take` names a take that was not annotated.
+        """
+        store = context.open()
+        data = gather(
+            store,
+            context.pipeline,
+            created=datetime.now().astimezone(),
+            title=params.title,
+            inputs=context.inputs,
+            own_stage=context.stage,
+            curves_take=params.curves_take,
+        )
+        path = context.report_file("report.html")
+        motions = embed(store, shown_takes(data, params.takes, params.max_takes).shown, params.embed)
+        size = write_page(render(data, takes=params.takes, max_takes=params.max_takes, motions=motions), path)
+        context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {len(motions.motions)} takes)")
+        return {
+            "files": [path.relative_to(context.store_path).as_posix()],
+            "bytes": size,
+            "takes": len(data.takes),
+            "curves_take": data.curves_take,
+        }

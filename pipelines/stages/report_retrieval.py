@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from importlib import resources
+from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.report.retrieval import retrieval_page
 from kinedex.pipelines.templates.learning import run_of
@@ -22,27 +24,37 @@ class Params(BaseModel):
     title: str = Field("How motions are ranked", description="title of the page")
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """A hash of the page's own files, so that the report is made again where one of them changed."""
-    pages = resources.files("kinedex.pipelines.report").joinpath("pages")
-    with resources.as_file(pages) as folder:
-        return files_digest([folder / "retrieval.html.j2", folder / "style.css"])
+class ReportRetrieval(Stage[Params]):
+    """One HTML page about ranking, from what the pipeline's stages stored."""
 
-
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Write `retrieval.html` into the pipeline's report folder; what a stage left out is a sentence on the page."""
-    store = context.open()
-    rows = {
-        role: store.result(kind, run=run_of(store, key)).to_pylist()
-        for role, kind, key in (
-            ("ranking", "ranked_hits", context.key(context.inputs["ranking"])),
-            ("evaluation", "retrieval", context.key(context.inputs["evaluation"])),
-            ("stiffness", "precision_recall", context.key(context.inputs["stiffness"])),
-        )
+    name = "report_retrieval"
+    parameters = Params
+    inputs: ClassVar = {
+        "ranking": Input("rank"),
+        "evaluation": Input("evaluate_ranking"),
+        "stiffness": Input("vary_stiffness"),
     }
-    summary = store.manifest.stages[context.key(context.inputs["ranking"])].summary
-    page = retrieval_page(params.title, summary, rows["ranking"], rows["evaluation"], rows["stiffness"])
-    path = context.report_file("retrieval.html")
-    size = write_page(page, path)
-    context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")
-    return {"files": [path.relative_to(context.store_path).as_posix()], "bytes": size}
+
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the page's templates and styles."""
+        pages = resources.files("kinedex.pipelines.report").joinpath("pages")
+        with resources.as_file(pages) as folder:
+            return files_digest([folder / "retrieval.html.j2", folder / "style.css"])
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Write `retrieval.html` into the pipeline's report folder; what is missing is a sentence on the page."""
+        store = context.open()
+        rows = {
+            role: store.result(kind, run=run_of(store, key)).to_pylist()
+            for role, kind, key in (
+                ("ranking", "ranked_hits", context.key(context.inputs["ranking"])),
+                ("evaluation", "retrieval", context.key(context.inputs["evaluation"])),
+                ("stiffness", "precision_recall", context.key(context.inputs["stiffness"])),
+            )
+        }
+        summary = store.manifest.stages[context.key(context.inputs["ranking"])].summary
+        page = retrieval_page(params.title, summary, rows["ranking"], rows["evaluation"], rows["stiffness"])
+        path = context.report_file("retrieval.html")
+        size = write_page(page, path)
+        context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")
+        return {"files": [path.relative_to(context.store_path).as_posix()], "bytes": size}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 from rich import box
@@ -17,6 +17,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranking_evaluation import mean_average_precision, names_filter, read_truth
 from kinedex.pipelines.ranking.stiffness import WRITTEN, Trial, run_trials, trial_rows
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
@@ -41,35 +42,44 @@ class Params(BaseModel):
     )
 
 
-def external_digest(params: Params, store: Store | None) -> str:
-    """What the stage depends on outside the store: the texts of its query files and of the ground truth."""
-    files = [config_path("queries", name) for name in params.queries]
-    if store is not None:
-        try:
-            files += ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique()))
-        except KinedexError:
-            return "none to be read"
-    return files_digest(files)
+class VaryStiffness(Stage[Params]):
+    """Precision and recall along each class's ranking, and what stiffness does to them."""
 
+    name = "vary_stiffness"
+    parameters = Params
+    inputs: ClassVar = {"templates": Input("learn_templates")}
+    outputs = ("precision_recall",)
 
-def run(context: StageContext, params: Params) -> dict[str, object]:
-    """Rank with every variant of the queries, print a row for each, store precision and recall along the rankings."""
-    store = context.open()
-    learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-    queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
-    searched, _ = ranked_templates(
-        [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
-    )
-    truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
-    takes = f"({params.where}) AND {names_filter(truth.takes)}"
-    trials = run_trials(
-        store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers
-    )  # fmt: skip
-    context.terminal.show(_shown(trials))
-    with context.writer() as writer:
-        writer.put_results("precision_recall", trial_rows(trials, context.run), stage=context.key(), run=context.run)
-        writer.commit()
-    return {"trials": len(trials), "tau": params.tau, "delta": params.delta, "queried": len(trials) > len(searched)}
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the query files and of the ground truth."""
+        files = [config_path("queries", name) for name in params.queries]
+        if store is not None:
+            try:
+                files += ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique()))
+            except KinedexError:
+                return "none to be read"
+        return files_digest(files)
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Rank with every variant of the queries, print a row for each, and store precision and recall."""
+        store = context.open()
+        learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+        queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
+        searched, _ = ranked_templates(
+            [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
+        )
+        truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
+        takes = f"({params.where}) AND {names_filter(truth.takes)}"
+        trials = run_trials(
+            store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers
+        )  # fmt: skip
+        context.terminal.show(_shown(trials))
+        with context.writer() as writer:
+            writer.put_results(
+                "precision_recall", trial_rows(trials, context.run), stage=context.key(), run=context.run
+            )
+            writer.commit()
+        return {"trials": len(trials), "tau": params.tau, "delta": params.delta, "queried": len(trials) > len(searched)}
 
 
 def _shown(trials: Sequence[Trial]) -> Table:

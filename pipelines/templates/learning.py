@@ -54,6 +54,13 @@ class TrainingClips:
         """Cells of the alignments of one round: all pairs of frames of all pairs of clips."""
         return sum(len(words) for words in self.words) ** 2
 
+    def without(self, names: set[str]) -> TrainingClips:
+        """Return the clips except those of these names, as plain clips of the subclass."""
+        kept = [index for index, name in enumerate(self.names) if name not in names]
+        return TrainingClips(
+            self.subclass, tuple(self.names[index] for index in kept), tuple(self.words[index] for index in kept)
+        )
+
     @property
     def origin(self) -> str:
         """Where the template comes from, in words."""

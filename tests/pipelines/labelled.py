@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -15,6 +14,7 @@ from rich.console import Console
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
+from kinedex.pipelines.engine.stage import Stage
 from kinedex.storage.store.manifest import StageRecord
 from kinedex.storage.store.parts import FramesWriter
 from kinedex.storage.store.writer import StoreWriter
@@ -95,11 +95,11 @@ class Line:
             params=dict(self.params),
         )
 
-    def run(self, module: ModuleType, **params: object) -> Mapping[str, object]:
-        stage = module.__name__.rsplit(".", 1)[-1]
-        self.params[stage] = module.Params(**params)
+    def run(self, kind: type[Stage[Any]], **params: object) -> Mapping[str, object]:
+        stage = kind.name
+        self.params[stage] = kind.parameters(**params)
         context = self.context(stage)
-        summary: dict[str, object] = module.run(context, self.params[stage])
+        summary = kind().run(context, self.params[stage])
         record = StageRecord(
             f"{self.PIPELINE}/{stage}", "", context.run, "now", 0.0, {**summary, "inputs": self.INPUTS[stage]}
         )

@@ -15,6 +15,7 @@ from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage import index
 from kinedex.storage.formats.motion.acclaim import read_amc, read_asf
 from kinedex.storage.index.generations import Generation, current, read_generation
@@ -27,7 +28,7 @@ TAKES = {"a/x_1.amc": 50, "a/x_2.amc": 33, "b/x_3.amc": 121}
 
 
 def bring_in(store: Path, source: Path, **params: object) -> dict[str, object]:
-    return ingest.run(context(store), ingest.Params(source=str(source), **params))  # type: ignore[arg-type]
+    return Ingest().run(context(store), Ingest.parameters(source=str(source), **params))  # type: ignore[arg-type]
 
 
 def indexed(store: Path) -> Generation | None:
@@ -216,7 +217,7 @@ def break_files(source: Path) -> None:
 def test_broken_files_are_logged_with_file_and_line_and_the_rest_comes_in(tmp_path: Path, executor: str) -> None:
     source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
     break_files(source)
-    summary = ingest.run(context(store, executor=executor), ingest.Params(source=str(source)))
+    summary = Ingest().run(context(store, executor=executor), Ingest.parameters(source=str(source)))
     assert (summary["takes"], summary["left_out"]) == (3, 5)
     opened = open_store(store)
     log = {row["source"]: row for row in opened.result("ingest_log").to_pylist()}
@@ -278,7 +279,7 @@ def test_a_source_without_motions_and_a_pattern_that_is_none_are_refused(tmp_pat
     with pytest.raises(KinedexError, match="no motion files"):
         bring_in(tmp_path / "store", tmp_path / "empty")
     with pytest.raises(ValueError, match="is no regular expression"):
-        ingest.Params(source="x", patterns=["(?P<actor"])
+        Ingest.parameters(source="x", patterns=["(?P<actor"])
     with pytest.raises(ConfigError, match="did you mean 'acclaim'"):
         bring_in(tmp_path / "store", write_archive(tmp_path / "source", TAKES), skeleton="aclaim")
 

@@ -19,6 +19,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
 from kinedex.pipelines.ingestion import file_batches as reading
 from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage import index
 from kinedex.storage.formats.motion.bodies import Body, read_body
 from kinedex.storage.store.compaction import FANOUT
@@ -49,7 +50,7 @@ def bring_in(store: Path, source: Path, executor: SerialExecutor | None = None, 
     place = context(store)
     if executor is not None:
         place = replace(place, executor=executor)
-    return ingest.run(place, ingest.Params(source=str(source), **params))
+    return Ingest().run(place, Ingest.parameters(source=str(source), **params))
 
 
 def log(store: Path) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.body_models import BODY
 from kinedex.storage.formats.motion.export import export_take
 from kinedex.storage.store.parts import joint_positions
@@ -32,7 +32,7 @@ def bring_in(store: Path, source: Path, executor: str = "serial", **params: obje
     """The stage's summary, and what it said on the terminal."""
     said = io.StringIO()
     stage = replace(context(store, executor=executor), terminal=Terminal(Console(file=said, width=400)))
-    return ingest.run(stage, ingest.Params(source=str(source), **params)), said.getvalue()  # type: ignore[arg-type]
+    return Ingest().run(stage, Ingest.parameters(source=str(source), **params)), said.getvalue()  # type: ignore[arg-type]
 
 
 def write_bvh(path: Path, frames: int, *, seed: int = 0, frame_time: str = "0.0333333") -> None:

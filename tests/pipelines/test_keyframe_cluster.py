@@ -10,8 +10,8 @@ import pytest
 from kinedex.catalog.classes import load_classes
 from kinedex.pipelines.engine.executors import DaskExecutor, Executor, SerialExecutor
 from kinedex.pipelines.keyframes.learning import Setting, lessons
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.runs import Course, Rounds, learn
-from kinedex.pipelines.stages.learn_keyframes import Params, setting_of
 from kinedex.pipelines.templates.learning import training_clips
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.engine.test_executors import Cluster
@@ -27,7 +27,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def learned(store: Store, executor: Executor, advance: object = None) -> list[Course]:
-    setting: Setting = setting_of(Params(generations=15, population=20, steady=1, alternatives=2), store)  # type: ignore[call-arg]
+    setting: Setting = setting_of(KeyframeParameters(generations=15, population=20, steady=1, alternatives=2), store)  # type: ignore[call-arg]
     clips = training_clips(store, store.takes("class IS NOT NULL"))
     wanted = lessons(clips, load_classes("own", [one.subclass for one in clips]))
     return learn(wanted, setting, ROUNDS, executor, advance=advance)  # type: ignore[arg-type]

@@ -11,6 +11,7 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
+from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.errors import KinedexError
@@ -21,12 +22,16 @@ from kinedex.pipelines.keyframes import learning
 from kinedex.pipelines.keyframes import runs as keyframe_runs
 from kinedex.pipelines.keyframes.background import mine
 from kinedex.pipelines.keyframes.learning import allowed_features, every_query, keyframe_queries
+from kinedex.pipelines.keyframes.learning import lessons as lessons_of
 from kinedex.pipelines.keyframes.margins import hit_ranges
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.keyframes.runs import known_runs, outcomes_of
 from kinedex.pipelines.search.preselection import template_window
 from kinedex.pipelines.search.search import preselect
-from kinedex.pipelines.stages import annotate, learn_keyframes, learn_templates
-from kinedex.pipelines.stages.learn_keyframes import Params
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.pipelines.templates.learning import training_clips
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
 
@@ -59,7 +64,7 @@ def store(tmp_path: Path) -> Path:
 
 def test_every_class_gets_queries_that_find_its_clips_and_no_others(store: Path) -> None:
     line = Learning(store)
-    summary = line.run(learn_keyframes, **QUICK, alternatives=2)
+    summary = line.run(LearnKeyframes, **QUICK, alternatives=2)
     assert (summary["subclasses"], summary["clips"], summary["recall"], summary["precision"]) == (4, 12, 1.0, 1.0)
     opened = open_store(store)
     clips = opened.takes("class IS NOT NULL").sort("take_id")
@@ -75,7 +80,7 @@ def test_every_class_gets_queries_that_find_its_clips_and_no_others(store: Path)
 
 def test_margins_cover_every_training_clip_whole(store: Path) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK)
+    line.run(LearnKeyframes, **QUICK)
     opened = open_store(store)
     for outcome in line.outcomes():
         (query,) = keyframe_queries(outcome, BODY)
@@ -92,9 +97,9 @@ def test_margins_cover_every_training_clip_whole(store: Path) -> None:
 @pytest.mark.parametrize("policy", ["learned", "formula", "wider"])
 def test_the_wider_margins_are_the_larger_of_both(store: Path, policy: str) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK, margins=policy)
+    line.run(LearnKeyframes, **QUICK, margins=policy)
     sizes = {one.subclass: (one.chosen[0].left, one.chosen[0].right) for one in line.outcomes()}
-    line.run(learn_keyframes, **QUICK, margins="wider")
+    line.run(LearnKeyframes, **QUICK, margins="wider")
     for one in line.outcomes():
         assert one.chosen[0].left >= sizes[one.subclass][0]
         assert one.chosen[0].right >= sizes[one.subclass][1]
@@ -102,7 +107,7 @@ def test_the_wider_margins_are_the_larger_of_both(store: Path, policy: str) -> N
 
 def test_learned_queries_are_written_as_people_write_them_and_read_back(store: Path) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK, alternatives=2)
+    line.run(LearnKeyframes, **QUICK, alternatives=2)
     queries = [query for outcome in line.outcomes() for query in keyframe_queries(outcome, BODY)]
     text = write_queries(queries, BODY)
     assert "keyframes:" in text
@@ -112,7 +117,7 @@ def test_learned_queries_are_written_as_people_write_them_and_read_back(store: P
 
 def test_the_same_is_learned_by_any_number_of_workers(store: Path) -> None:
     alone = Learning(store)
-    alone.run(learn_keyframes, **QUICK)
+    alone.run(LearnKeyframes, **QUICK)
     expected, runs = alone.outcomes(), alone.runs()
     write_store_again = store.parent / "again"
     opened = open_store(store)
@@ -122,7 +127,7 @@ def test_the_same_is_learned_by_any_number_of_workers(store: Path) -> None:
     ]
     write_store(write_store_again, [{k: v for k, v in take.items() if k != "take_id"} for take in takes])
     several = Learning(write_store_again, "processes")
-    several.run(learn_keyframes, **QUICK)
+    several.run(LearnKeyframes, **QUICK)
     several.executor.close()
     assert [one.consensus.query.key() for one in several.outcomes()] == [one.consensus.query.key() for one in expected]
     assert [(one.key, one.number) for one in several.runs()] == [(one.key, one.number) for one in runs]
@@ -141,19 +146,19 @@ def test_runs_that_were_finished_are_not_done_again(store: Path, monkeypatch: py
 
     monkeypatch.setattr(keyframe_runs, "do_runs", failing)
     with pytest.raises(KinedexError, match="out of power"):
-        line.run(learn_keyframes, **QUICK, settled=0, patience=5)
+        line.run(LearnKeyframes, **QUICK, settled=0, patience=5)
     assert len(line.runs()) == len(done)
     before = list(done)
     monkeypatch.setattr(keyframe_runs, "do_runs", lambda task: done.extend(
         (task.lesson.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
-    line.run(learn_keyframes, **QUICK, settled=0, patience=5)
+    line.run(LearnKeyframes, **QUICK, settled=0, patience=5)
     assert len(done) == len(set(done)) == 24
     assert done[: len(before)] == before
 
 
 def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path) -> None:
     line = Learning(store)
-    summary = line.run(learn_keyframes, **{**QUICK, "runs": 40}, patience=1, settled=0.01)
+    summary = line.run(LearnKeyframes, **{**QUICK, "runs": 40}, patience=1, settled=0.01)
     assert summary["settled"] == 4
     assert int(str(summary["runs"])) < 4 * 40
     said = line.said.getvalue().splitlines()
@@ -165,7 +170,7 @@ def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path) -> None:
 
 def test_the_outcome_is_that_of_the_best_round(store: Path) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK)
+    line.run(LearnKeyframes, **QUICK)
     first, *_ = line.outcomes()
     ranked = [
         replace(first, runs=runs, consensus=replace(first.consensus, rank=rank))
@@ -186,7 +191,7 @@ def test_a_wrong_value_that_is_set_is_told_as_such() -> None:
 
 def test_keyframes_keep_to_the_feature_sets_allowed(store: Path) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK, sets=["lower"])
+    line.run(LearnKeyframes, **QUICK, sets=["lower"])
     allowed = allowed_features(BODY, ["lower"])
     for outcome in line.outcomes():
         assert not (outcome.consensus.query.masks & ~np.uint64(allowed)).any()
@@ -197,34 +202,34 @@ def test_subclasses_of_one_class_are_no_negatives_of_each_other(store: Path, tmp
     classes = tmp_path / "classes.yaml"
     classes.write_text("moving: {subclasses: [walk, kick]}\nother: {subclasses: [wave, rest]}\n")
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK, classes=str(classes))
+    line.run(LearnKeyframes, **QUICK, classes=str(classes))
     opened = open_store(store)
-    clips = learn_keyframes.training_clips(opened, opened.takes("class IS NOT NULL"))
-    lessons = learn_keyframes.lessons(clips, learn_keyframes.load_classes(classes, POSES))
+    clips = training_clips(opened, opened.takes("class IS NOT NULL"))
+    lessons = lessons_of(clips, load_classes(classes, POSES))
     assert {one.subclass: len(one.negatives) for one in lessons} == dict.fromkeys(POSES, 6)
 
 
 def test_false_hits_in_the_background_become_negatives(store: Path) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK)
+    line.run(LearnKeyframes, **QUICK)
     outcome = next(one for one in line.outcomes() if one.subclass == "walk")
     opened = open_store(store)
-    lesson = learn_keyframes.lessons(
-        learn_keyframes.training_clips(opened, opened.takes("class IS NOT NULL")),
-        learn_keyframes.load_classes("own", POSES),
+    lesson = lessons_of(
+        training_clips(opened, opened.takes("class IS NOT NULL")),
+        load_classes("own", POSES),
     )[[*sorted(POSES)].index("walk")]
     words = TakeWords(np.array([5]), np.array([0, 60]), np.tile(POSES["walk"].repeat(5), 3))
     mined, total = mine(lesson, outcome, words, 40, 50)
     assert len(mined.background) == total >= 1
     one, found = mine(lesson, outcome, words, 40, 1)
     assert (len(one.background), found) == (1, total)
-    line.run(learn_keyframes, **QUICK, background="class IS NULL")
+    line.run(LearnKeyframes, **QUICK, background="class IS NULL")
     assert "false hits" in line.said.getvalue()
 
 
 def test_the_simpler_learners_learn_too(store: Path) -> None:
     for learner in ("random", "greedy"):
-        summary = Learning(store).run(learn_keyframes, **QUICK, learner=learner)
+        summary = Learning(store).run(LearnKeyframes, **QUICK, learner=learner)
         assert summary["recall"] == 1.0
         page = (store / str(summary["files"][0])).read_text()  # type: ignore[index]
         assert "generations." not in page.replace("had no generations.", "")
@@ -234,20 +239,20 @@ def test_the_simpler_learners_learn_too(store: Path) -> None:
 def test_what_cannot_be_learned_is_said(store: Path) -> None:
     line = Learning(store)
     with pytest.raises(KinedexError, match="those of walk only"):
-        line.run(learn_keyframes, **QUICK, where="class = 'walk'")
+        line.run(LearnKeyframes, **QUICK, where="class = 'walk'")
     with pytest.raises(KinedexError, match="selects none"):
-        line.run(learn_keyframes, **QUICK, background="actor = 'nobody'")
+        line.run(LearnKeyframes, **QUICK, background="actor = 'nobody'")
     with pytest.raises(KinedexError, match="selects 12 clips of the classes that are learned, such as al_kick_001"):
-        line.run(learn_keyframes, **QUICK, background="class IS NOT NULL")
+        line.run(LearnKeyframes, **QUICK, background="class IS NOT NULL")
     with pytest.raises(KinedexError, match="no feature set 'lowr'"):
-        line.run(learn_keyframes, **QUICK, sets=["lowr"])
+        line.run(LearnKeyframes, **QUICK, sets=["lowr"])
 
 
 @pytest.mark.parametrize("key", ["beta", "keyframes_mean", "keyframes_sd", "tempo", "gap_tolerance", "mutations"])
 @pytest.mark.parametrize("value", [float("inf"), float("nan")])
 def test_numbers_are_finite(key: str, value: float) -> None:
     with pytest.raises(ValidationError):
-        Params(**{key: [value, 1, 1] if key == "mutations" else value})
+        KeyframeParameters(**{key: [value, 1, 1] if key == "mutations" else value})
 
 
 def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
@@ -257,7 +262,7 @@ def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
         words[frame] = NO_WORD
         clips[place]["words"] = words
     line = Learning(write_store(tmp_path / "store", clips))
-    summary = line.run(learn_keyframes, **QUICK)
+    summary = line.run(LearnKeyframes, **QUICK)
     assert summary["clips"] == 5
     page = (line.store / str(summary["files"][0])).read_text()  # type: ignore[index]
     for text in (
@@ -271,7 +276,7 @@ def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
 
 
 def test_every_default_is_a_number_of_the_thesis() -> None:
-    params = Params()  # type: ignore[call-arg]
+    params = KeyframeParameters()  # type: ignore[call-arg]
     assert (params.population, params.parents, params.generations, params.beta, params.delta) == (50, 5, 100, 2.0, 0.0)
     assert params.evolution().offspring == 10
     assert 100 <= params.runs <= 500
@@ -309,10 +314,10 @@ def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) 
 
 
 def test_queries_of_several_pipelines_are_kept_apart(store: Path) -> None:
-    Learning(store).run(learn_keyframes, **QUICK)
+    Learning(store).run(LearnKeyframes, **QUICK)
     other = Learning(store)
     other.PIPELINE = "other"
-    other.run(learn_keyframes, **QUICK, alternatives=2, where="class IN ('walk', 'kick')")
+    other.run(LearnKeyframes, **QUICK, alternatives=2, where="class IN ('walk', 'kick')")
     runner = CliRunner()
     newest = runner.invoke(app, ["keyframes", "show", str(store), "--format", "csv"])
     assert sorted(line.split(",")[0] for line in newest.stdout.splitlines()[1:]) == ["kick", "kick 2", "walk", "walk 2"]
@@ -326,11 +331,11 @@ def test_queries_of_several_pipelines_are_kept_apart(store: Path) -> None:
 
 def test_own_queries_preselect_besides_learned_ones_of_the_same_name(store: Path, tmp_path: Path) -> None:
     line = Learning(store)
-    line.run(learn_templates, methods=["soft"])
-    line.run(learn_keyframes, **QUICK)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(LearnKeyframes, **QUICK)
 
     def searched(**params: object) -> dict[str, float]:
-        line.run(annotate, **params)
+        line.run(Annotate, **params)
         curves = open_store(store).result("distance_curves")
         return dict(zip(curves.column("subclass").to_pylist(), curves.column("preselected").to_pylist(), strict=True))
 
@@ -347,7 +352,7 @@ def test_own_queries_preselect_besides_learned_ones_of_the_same_name(store: Path
 
 def test_no_query_is_named_as_another_class(store: Path) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK, alternatives=2)
+    line.run(LearnKeyframes, **QUICK, alternatives=2)
     kick, walk = (next(one for one in line.outcomes() if one.subclass == name) for name in ("kick", "walk"))
     queries = every_query([kick, replace(walk, subclass="kick 2")], BODY)
     assert [query.name for query in queries] == ["kick", "kick 3", "kick 2", "kick 2 2"]
@@ -357,21 +362,21 @@ def test_no_query_is_named_as_another_class(store: Path) -> None:
 def test_runs_of_other_settings_and_beyond_those_asked_for_are_kept(store: Path) -> None:
     line = Learning(store)
     more = {**QUICK, "settled": 0, "patience": 5}
-    line.run(learn_keyframes, **more)
+    line.run(LearnKeyframes, **more)
     everything = {(one.key, one.number) for one in line.runs()}
     assert len(everything) == 24
-    summary = line.run(learn_keyframes, **{**more, "runs": 4})
+    summary = line.run(LearnKeyframes, **{**more, "runs": 4})
     assert summary["runs"] == 16
     assert {(one.key, one.number) for one in line.runs()} == everything
     assert "16 of them known" in line.said.getvalue()
-    line.run(learn_keyframes, **more, seed=1)
+    line.run(LearnKeyframes, **more, seed=1)
     assert "known" not in line.said.getvalue().rsplit("subclasses from", 1)[1]
     assert {(one.key, one.number) for one in line.runs()} > everything
     assert len(line.runs()) == 48
-    line.run(learn_keyframes, **more)
+    line.run(LearnKeyframes, **more)
     assert "24 of them known" in line.said.getvalue()
     # other clips: nothing could use these runs
-    line.run(learn_keyframes, **more, where="class IN ('walk', 'kick')")
+    line.run(LearnKeyframes, **more, where="class IN ('walk', 'kick')")
     assert len(line.runs()) == 12
 
 
@@ -381,16 +386,16 @@ def test_the_round_without_background_is_kept_too(store: Path, monkeypatch: pyte
     monkeypatch.setattr(keyframe_runs, "do_runs", lambda task: done.extend(
         (task.lesson.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK, background="class IS NULL")
+    line.run(LearnKeyframes, **QUICK, background="class IS NULL")
     assert len(done) == len(line.runs())
     first = len(done)
-    line.run(learn_keyframes, **QUICK, background="class IS NULL")
+    line.run(LearnKeyframes, **QUICK, background="class IS NULL")
     assert len(done) == first
 
 
 def test_runs_of_other_code_do_not_count(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     line = Learning(store)
-    line.run(learn_keyframes, **QUICK)
+    line.run(LearnKeyframes, **QUICK)
     monkeypatch.setattr(learning, "_code", lambda: "other")
-    line.run(learn_keyframes, **QUICK)
+    line.run(LearnKeyframes, **QUICK)
     assert "known" not in line.said.getvalue()

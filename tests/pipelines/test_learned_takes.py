@@ -17,7 +17,7 @@ from kinedex.pipelines.engine import plan
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.plan import make_plan
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.stages import learn_keyframes
+from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import human_amc, write_archive
@@ -195,10 +195,10 @@ def test_background_that_is_learned_from_counts(tmp_path: Path) -> None:
 
 
 def test_a_reading_is_of_names_classes_and_words_alone(tmp_path: Path) -> None:
-    params = learn_keyframes.Params(background="class IS NULL")
+    params = LearnKeyframes.parameters(background="class IS NULL")
 
     def digest(folder: str, *takes: dict[str, object]) -> str:
-        return learn_keyframes.reads(params, open_store(write_store(tmp_path / folder, list(takes)))).digest
+        return LearnKeyframes().reading(params, open_store(write_store(tmp_path / folder, list(takes)))).digest
 
     one, other = clip("walk", "al", 1), clip("kick", "al", 2)
     plain = digest("plain", one, other)

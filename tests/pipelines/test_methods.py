@@ -25,7 +25,10 @@ from kinedex.pipelines.evaluation.study import SplitResult, Study
 from kinedex.pipelines.evaluation.tables import overview
 from kinedex.pipelines.evaluation.test_takes import Exam, Fold
 from kinedex.pipelines.keyframes import runs as keyframe_runs
-from kinedex.pipelines.stages import compare_methods, evaluate, learn_keyframes, learn_templates
+from kinedex.pipelines.stages.compare_methods import CompareMethods
+from kinedex.pipelines.stages.evaluate import Evaluate
+from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, motion, write_store
 from tests.pipelines.study import Reading
@@ -48,7 +51,7 @@ class Comparing(Line):
     }
 
     def compare(self, methods: list[dict], splits: list[dict], **params: object) -> dict:
-        self.run(compare_methods, methods=methods, splits=splits, **params)
+        self.run(CompareMethods, methods=methods, splits=splits, **params)
         return json.loads(self.file("json"))
 
     def file(self, ending: str) -> str:
@@ -77,8 +80,8 @@ def line(tmp_path: Path) -> Comparing:
     long = [long_take("eve_1", "eve", "walk", "rest", "kick"), long_take("eve_2", "eve", "wave", "walk")]
     store = write_store(tmp_path / "store", [*clips, *long], tmp_path)
     line = Comparing(store)
-    line.run(learn_templates)
-    line.params["learn_keyframes"] = learn_keyframes.Params(generations=5, population=10, runs=2, group=2)
+    line.run(LearnTemplates)
+    line.params["learn_keyframes"] = LearnKeyframes.parameters(generations=5, population=10, runs=2, group=2)
     return line
 
 
@@ -379,7 +382,7 @@ def test_thresholds_are_calibrated_on_the_clips_of_the_fold(line: Comparing) -> 
 
 
 def test_actors_of_clips_that_the_stage_does_not_learn_from_are_known(line: Comparing) -> None:
-    line.run(learn_templates, where="class IS NOT NULL AND actor = 'ann'")
+    line.run(LearnTemplates, where="class IS NOT NULL AND actor = 'ann'")
     method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
     with pytest.raises(KinedexError, match="all training clips are of bob"):
         line.compare([method], [{"name": "eve", "train": "class IS NOT NULL AND actor = 'bob'"}])
@@ -451,10 +454,10 @@ def test_the_same_method_at_another_threshold_is_on_the_same_curve() -> None:
 def test_the_shipped_pipeline_compares_methods() -> None:
     pipeline = load_pipeline("hdm05", {"source": "/data"})
     stage = pipeline.stage("compare_methods")
-    assert isinstance(stage.params, compare_methods.Params)
+    assert isinstance(stage.params, CompareMethods.parameters)
     assert [method.name for method in stage.params.distinct][-1] == "best, learned queries"
     assert stage.inputs == {"templates": "learn_templates", "keyframes": "learn_keyframes"}
-    assert stage.params.ground_truth == evaluate.Params().ground_truth
+    assert stage.params.ground_truth == Evaluate.parameters().ground_truth
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
@@ -23,7 +23,7 @@ SOURCES = ["hdm05", "cmu/01", "cmu/02", "cmu/03"]
 def store(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
     path = tmp_path_factory.mktemp("real") / "store"
     for source in SOURCES:
-        summary = ingest.run(context(path), ingest.Params(source=str(shared / "data" / source)))
+        summary = Ingest().run(context(path), Ingest.parameters(source=str(shared / "data" / source)))
         assert summary["left_out"] == 0
     return open_store(path)
 

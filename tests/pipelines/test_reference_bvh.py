@@ -12,7 +12,7 @@ import pytest
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
-from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.bodies import Body, read_acclaim, read_bvh
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
@@ -78,7 +78,7 @@ def bandai(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Store:
         for path in sorted((shared / "data" / "bandai" / "dataset-2").glob(f"*_{kind}_*.bvh"))[:4]:
             shutil.copy(path, source)
     store = tmp_path_factory.mktemp("store") / "store"
-    summary = ingest.run(context(store), ingest.Params(source=str(source)))
+    summary = Ingest().run(context(store), Ingest.parameters(source=str(source)))
     assert (summary["takes"], summary["left_out"]) == (20, 0)
     return open_store(store)
 
@@ -133,5 +133,5 @@ def test_who_turns_while_walking_turns(bandai: Store) -> None:
 
 @pytest.mark.slow
 def test_the_whole_archive_comes_in(shared: Path, tmp_path: Path) -> None:
-    summary = ingest.run(context(tmp_path / "store"), ingest.Params(source=str(shared / "data" / "bandai")))
+    summary = Ingest().run(context(tmp_path / "store"), Ingest.parameters(source=str(shared / "data" / "bandai")))
     assert (summary["takes"], summary["left_out"]) == (658, 0)

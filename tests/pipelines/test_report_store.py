@@ -19,7 +19,7 @@ from kinedex.pipelines.report.data import (
 )
 from kinedex.pipelines.report.gather import gather
 from kinedex.pipelines.report.render import render
-from kinedex.pipelines.stages import report as stage
+from kinedex.pipelines.stages.report import Report
 from kinedex.storage.store.manifest import StageRecord
 from kinedex.storage.store.schemas import frames_schema, result_schema, takes_schema
 from kinedex.storage.store.store import open_store
@@ -168,7 +168,7 @@ def test_an_empty_store_has_a_report_too(tmp_path: Path) -> None:
 
 
 def test_the_stage_writes_the_page_beside_the_results(store: Path) -> None:
-    summary = stage.run(context(store, INPUTS), stage.Params(title="A study"))
+    summary = Report().run(context(store, INPUTS), Report.parameters(title="A study"))
     path = store / "results" / "reports" / "study" / "report.html"
     assert summary["files"] == ["results/reports/study/report.html"]
     assert summary["bytes"] == path.stat().st_size
@@ -179,6 +179,6 @@ def test_the_stage_writes_the_page_beside_the_results(store: Path) -> None:
 
 
 def test_a_changed_page_template_changes_what_the_stage_depends_on() -> None:
-    digest = stage.external_digest(stage.Params(), None)
-    assert digest == stage.external_digest(stage.Params(title="other"), None)
+    digest = Report().external_digest(Report.parameters(), None)
+    assert digest == Report().external_digest(Report.parameters(title="other"), None)
     assert re.fullmatch(r"[0-9a-f]{16}", digest)

@@ -16,7 +16,7 @@ from kinedex.catalog.template_files import read_templates
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.stages import learn_templates
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.recipes import Combination
 from tests.pipelines.labelled import BODY, POSES, Line, clip, motion, write_store
 
@@ -33,7 +33,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     holes[[0, 1, 12]] = NO_WORD
     broken = {"name": "dan_take", "actor": "dan", "class": None, "words": holes}
     line = Line(write_store(tmp_path_factory.mktemp("templates") / "store", [*CLIPS, broken]))
-    line.run(learn_templates, combine={"both": {"parts": ["walk", "kick"], "gap": 3}})
+    line.run(LearnTemplates, combine={"both": {"parts": ["walk", "kick"], "gap": 3}})
     return line.store
 
 
@@ -127,7 +127,7 @@ def test_a_folder_that_is_not_there_is_named_and_no_other_file(store: Path, tmp_
 
 def test_feature_weights_are_shown(tmp_path: Path):
     line = Line(write_store(tmp_path / "store", CLIPS))
-    line.run(learn_templates, weights={"rhand_forwards": 0, "lhand_forwards": 2.5})
+    line.run(LearnTemplates, weights={"rhand_forwards": 0, "lhand_forwards": 2.5})
     assert "feature weights: rhand_forwards 0, lhand_forwards 2.5; all others 1" in run("show", line.store, "kick")
 
 

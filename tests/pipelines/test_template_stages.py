@@ -15,7 +15,11 @@ import pytest
 
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_takes
-from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from kinedex.pipelines.stages import annotate
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.evaluate import Evaluate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.pipelines.stages.leave_one_out import LeaveOneOut
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import TRUTH, Line, labelled_line, long_take, write_store
 
@@ -26,7 +30,7 @@ def line(tmp_path: Path) -> Line:
 
 
 def test_every_subclass_gets_a_soft_and_a_hard_template_with_its_clips(line: Line):
-    summary = line.run(learn_templates)
+    summary = line.run(LearnTemplates)
     assert (summary["subclasses"], summary["templates"], summary["clips"]) == (3, 6, 9)
     rows = open_store(line.store).result("templates").to_pylist()
     assert [(row["subclass"], row["kind"]) for row in rows[:2]] == [("kick", "soft"), ("kick", "hard")]
@@ -37,27 +41,27 @@ def test_every_subclass_gets_a_soft_and_a_hard_template_with_its_clips(line: Lin
 
 
 def test_templates_do_not_depend_on_the_executor(line: Line, monkeypatch: pytest.MonkeyPatch):
-    line.run(learn_templates)
+    line.run(LearnTemplates)
     alone = open_store(line.store).result("templates").drop_columns(["run"])
     monkeypatch.setattr("kinedex.pipelines.templates.learning._TASK_CELLS", 1)
     spread = Line(line.store, "processes")
-    spread.run(learn_templates)
+    spread.run(LearnTemplates)
     spread.executor.close()
     assert open_store(line.store).result("templates").drop_columns(["run"]).equals(alone)
 
 
 def test_a_single_clip_is_used_and_said_and_no_clip_at_all_is_explained(line: Line):
-    line.run(learn_templates, where="name LIKE '%003'", methods=["soft"])
+    line.run(LearnTemplates, where="name LIKE '%003'", methods=["soft"])
     assert "kick, walk, wave: one clip only, which then is the template" in line.said.getvalue()
     with pytest.raises(KinedexError, match=r"`actor = 'eve'` selects none of the 11 takes, 9 of which have a class"):
-        line.run(learn_templates, where="actor = 'eve'")
+        line.run(LearnTemplates, where="actor = 'eve'")
     with pytest.raises(KinedexError, match=r"2 takes to learn from that have no class, such as bob_take01"):
-        line.run(learn_templates, where="true")
+        line.run(LearnTemplates, where="true")
 
 
 def test_takes_are_annotated_and_agree_with_the_ground_truth(line: Line):
-    line.run(learn_templates)
-    assert line.run(annotate)["takes"] == 2
+    line.run(LearnTemplates)
+    assert line.run(Annotate)["takes"] == 2
     store = open_store(line.store)
     found = store.result("annotations").to_pylist()
     assert [(row["take"], row["class"]) for row in found if row["cost"] < 0.01] == [
@@ -70,7 +74,7 @@ def test_takes_are_annotated_and_agree_with_the_ground_truth(line: Line):
     curves = store.result("distance_curves").to_pylist()
     assert len(curves) == 2 * 3
     assert [len(row["costs"]) for row in curves if row["take"] == "cat_take01"] == [60] * 3
-    summary = line.run(evaluate)
+    summary = line.run(Evaluate)
     assert summary["f2"] == 1
     written = json.loads((line.store / "results/reports/test/metrics.json").read_text())
     assert written["pooled"]["f1"] == pytest.approx(summary["f1"])
@@ -81,8 +85,8 @@ def test_takes_are_annotated_and_agree_with_the_ground_truth(line: Line):
 
 
 def test_exactly_the_takes_that_were_annotated_are_evaluated(line: Line):
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate, where="name = 'cat_take01'", tau=0.0001)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate, where="name = 'cat_take01'", tau=0.0001)
     assert open_store(line.store).result("annotated_takes").to_pylist() == [
         {
             "run": "run-annotate",
@@ -93,30 +97,30 @@ def test_exactly_the_takes_that_were_annotated_are_evaluated(line: Line):
             "fingerprint": None,
         }
     ]
-    line.params["annotate"] = annotate.Params(where="class IS NULL")  # as a filter whose answer has changed since
-    assert line.run(evaluate)["evaluated_takes"] == 1
-    assert line.run(leave_one_out)["folds"] == 1
+    line.params["annotate"] = Annotate.parameters(where="class IS NULL")  # as a filter whose answer has changed since
+    assert line.run(Evaluate)["evaluated_takes"] == 1
+    assert line.run(LeaveOneOut)["folds"] == 1
     written = json.loads((line.store / "results/reports/test/leave_one_out.json").read_text())
     assert list(written["takes"]) == ["cat_take01"]
 
 
 def test_takes_that_changed_since_they_were_annotated_are_not_evaluated(line: Line, tmp_path: Path):
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate)
     write_store(line.store, [long_take("cat_take01", "cat", "walk")], tmp_path / "archive")
-    for stage in (evaluate, leave_one_out):
-        line.params["evaluate"] = evaluate.Params()
+    for stage in (Evaluate, LeaveOneOut):
+        line.params["evaluate"] = Evaluate.parameters()
         with pytest.raises(
             KinedexError, match=r"replaced or dropped since: cat_take01; run it again: `--force annotate`"
         ):
             line.run(stage)
-    line.run(annotate, where="name = 'bob_take01'")
-    assert line.run(evaluate)["evaluated_takes"] == 1
+    line.run(Annotate, where="name = 'bob_take01'")
+    assert line.run(Evaluate)["evaluated_takes"] == 1
 
 
 def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch: pytest.MonkeyPatch):
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate, where="true")
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate, where="true")
     whole = open_store(line.store).result("distance_curves").sort_by([("take", "ascending"), ("subclass", "ascending")])
     monkeypatch.setattr("kinedex.pipelines.annotation.batches.BATCH_FRAMES", 1)
     alive: list[weakref.ref[np.ndarray]] = []
@@ -129,7 +133,7 @@ def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch:
             yield batch
 
     monkeypatch.setattr(annotate, "annotate_takes", watched)
-    line.run(annotate, where="true")
+    line.run(Annotate, where="true")
     assert len(most) == 11
     assert max(most) <= 3
     store = open_store(line.store)
@@ -137,23 +141,23 @@ def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch:
     assert pq.ParquetFile(line.store / part.path).num_row_groups == 11
     split = store.result("distance_curves").sort_by([("take", "ascending"), ("subclass", "ascending")])
     assert split.equals(whole)
-    line.run(annotate, where="true", store_curves=False)
+    line.run(Annotate, where="true", store_curves=False)
     assert open_store(line.store).result("distance_curves").num_rows == 0
     assert open_store(line.store).result("annotations").equals(store.result("annotations"))
 
 
 def test_hard_templates_and_classes_of_a_file_are_a_matter_of_parameters(line: Line, tmp_path: Path):
     (tmp_path / "mine.yaml").write_text("legs: [walk, kick]\n")
-    line.run(learn_templates, methods=["hard"])
-    line.run(annotate, templates="hard", classes=str(tmp_path / "mine.yaml"), store_curves=False)
+    line.run(LearnTemplates, methods=["hard"])
+    line.run(Annotate, templates="hard", classes=str(tmp_path / "mine.yaml"), store_curves=False)
     store = open_store(line.store)
     assert set(store.result("annotations").column("class").to_pylist()) == {"legs"}
     assert set(store.result("annotations").column("subclass").to_pylist()) == {"walk", "kick"}
     assert store.result("distance_curves").num_rows == 0
     assert "in no class and not annotated: wave" in line.said.getvalue()
     with pytest.raises(SourceError, match=r"ground_truth.csv:4: 'wave' is neither a class nor a subclass"):
-        line.run(evaluate)
-    line.run(evaluate, unknown_labels="ignore")
+        line.run(Evaluate)
+    line.run(Evaluate, unknown_labels="ignore")
     assert "labels of no class, left out: wave" in line.said.getvalue()
 
 
@@ -164,10 +168,10 @@ def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metric
         for number, words in enumerate(opposites)
     ]
     write_store(line.store, blur)
-    line.run(learn_templates, methods=["soft"])
-    summary = line.run(annotate)
-    line.run(evaluate)
-    line.run(leave_one_out)
+    line.run(LearnTemplates, methods=["soft"])
+    summary = line.run(Annotate)
+    line.run(Evaluate)
+    line.run(LeaveOneOut)
     remark = "templates of wildcards alone, which would fit anything, left out: blur"
     assert summary["remarks"] == [remark]
     assert line.said.getvalue().count(remark) == 3  # once for all, once for each of two actors
@@ -176,87 +180,89 @@ def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metric
 
 
 def test_what_cannot_be_annotated_is_explained(line: Line, tmp_path: Path):
-    line.run(learn_templates, methods=["hard"])
+    line.run(LearnTemplates, methods=["hard"])
     with pytest.raises(KinedexError, match=r"learned no soft templates \(it has: hard\)"):
-        line.run(annotate)
+        line.run(Annotate)
     with pytest.raises(KinedexError, match=r"`actor = 'eve'` selects none of 11 takes, 2 of which have no class"):
-        line.run(annotate, where="actor = 'eve'", templates="hard")
+        line.run(Annotate, where="actor = 'eve'", templates="hard")
     (tmp_path / "mine.yaml").write_text("legs: [wolk]\n")
     with pytest.raises(ConfigError, match=r"mine.yaml:1: .*'wolk'; did you mean 'walk'"):
-        line.run(annotate, templates="hard", classes=str(tmp_path / "mine.yaml"))
+        line.run(Annotate, templates="hard", classes=str(tmp_path / "mine.yaml"))
 
 
 def test_keyframe_queries_preselect_and_their_file_belongs_to_the_fingerprint(line: Line, tmp_path: Path):
     queries = tmp_path / "mine.json"
     queries.write_text("queries:\n  my kick:\n    class: kick\n    keyframes:\n      - {upper: '****111*******'}\n")
-    params = annotate.Params(queries=[str(queries)])
-    before = annotate.external_digest(params, None)
+    params = Annotate.parameters(queries=[str(queries)])
+    before = Annotate().external_digest(params, None)
     queries.write_text(queries.read_text() + "\n# other words\n")
-    assert annotate.external_digest(params, None) != before
-    assert annotate.external_digest(annotate.Params(), None) == annotate.external_digest(annotate.Params(tau=0.2), None)
+    assert Annotate().external_digest(params, None) != before
+    assert Annotate().external_digest(Annotate.parameters(), None) == Annotate().external_digest(
+        Annotate.parameters(tau=0.2), None
+    )
 
 
 def test_a_takes_own_class_can_be_the_ground_truth_and_there_can_be_none(line: Line):
-    line.run(learn_templates)
-    line.run(annotate, where="class IS NOT NULL")
-    assert line.run(evaluate, ground_truth="class")["f2"] == 1
-    assert line.run(evaluate, ground_truth="none") == {"evaluated_takes": 0}
+    line.run(LearnTemplates)
+    line.run(Annotate, where="class IS NOT NULL")
+    assert line.run(Evaluate, ground_truth="class")["f2"] == 1
+    assert line.run(Evaluate, ground_truth="none") == {"evaluated_takes": 0}
     assert open_store(line.store).result("metrics").num_rows == 0
     assert not (line.store / "results/reports/test/metrics.json").exists()
-    assert line.run(leave_one_out) == {"folds": 0}
+    assert line.run(LeaveOneOut) == {"folds": 0}
 
 
 def test_nothing_is_evaluated_where_nobody_has_labels_but_a_pattern_that_was_given_must_find_some(
     line: Line, tmp_path: Path
 ):
     (tmp_path / "archive" / "ground_truth.csv").unlink()
-    line.run(learn_templates)
-    line.run(annotate)
-    assert line.run(evaluate) == {"evaluated_takes": 0}
+    line.run(LearnTemplates)
+    line.run(Annotate)
+    assert line.run(Evaluate) == {"evaluated_takes": 0}
     said = line.said.getvalue()
     assert "no ground truth, nothing to evaluate: the source has no file '**/ground_truth.csv'" in said
-    assert line.run(leave_one_out) == {"folds": 0}
-    assert line.run(evaluate, source=str(tmp_path / "archive")) == {"evaluated_takes": 0}
+    assert line.run(LeaveOneOut) == {"folds": 0}
+    assert line.run(Evaluate, source=str(tmp_path / "archive")) == {"evaluated_takes": 0}
     with pytest.raises(KinedexError, match=r"no file '\*\*/ground_truth.csv' below .*archive"):
-        line.run(evaluate, ground_truth="**/ground_truth.csv")
+        line.run(Evaluate, ground_truth="**/ground_truth.csv")
     with pytest.raises(KinedexError, match=r"the source folder .*gone is no longer there"):
-        line.run(evaluate, source=str(tmp_path / "gone"))
+        line.run(Evaluate, source=str(tmp_path / "gone"))
 
 
 def test_ground_truth_that_changes_makes_the_evaluation_run_again(line: Line, tmp_path: Path):
     truth = tmp_path / "archive" / "ground_truth.csv"
     ways = [
-        evaluate.Params(),  # below the source folders of the store's takes
-        evaluate.Params(source=str(tmp_path / "archive")),
-        evaluate.Params(ground_truth=str(truth)),
+        Evaluate.parameters(),  # below the source folders of the store's takes
+        Evaluate.parameters(source=str(tmp_path / "archive")),
+        Evaluate.parameters(ground_truth=str(truth)),
     ]
     store = open_store(line.store)
-    before = [evaluate.external_digest(params, store) for params in ways]
-    assert before == [evaluate.external_digest(params, store) for params in ways]
+    before = [Evaluate().external_digest(params, store) for params in ways]
+    assert before == [Evaluate().external_digest(params, store) for params in ways]
     truth.write_text(TRUTH + "bob_take01,walk,96,120\n")
-    assert all(evaluate.external_digest(params, store) != old for params, old in zip(ways, before, strict=True))
+    assert all(Evaluate().external_digest(params, store) != old for params, old in zip(ways, before, strict=True))
     truth.unlink()
     nobodys, read = "nobody's labels", "none to be read"
-    assert [evaluate.external_digest(params, store) for params in ways] == [nobodys, nobodys, read]
-    assert evaluate.external_digest(ways[0], None) == nobodys
-    assert evaluate.external_digest(evaluate.Params(ground_truth="class"), store) == ""
+    assert [Evaluate().external_digest(params, store) for params in ways] == [nobodys, nobodys, read]
+    assert Evaluate().external_digest(ways[0], None) == nobodys
+    assert Evaluate().external_digest(Evaluate.parameters(ground_truth="class"), store) == ""
 
 
 def test_a_second_evaluation_of_one_pipeline_has_a_file_of_its_own(line: Line):
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate)
-    line.run(evaluate)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate)
+    line.run(Evaluate)
     context = replace(line.context("evaluate"), stage="by_class", run="run-2")
-    summary = evaluate.run(context, evaluate.Params(unknown_labels="miss"))
+    summary = Evaluate().run(context, Evaluate.parameters(unknown_labels="miss"))
     assert summary["files"] == ["results/reports/test/by_class.metrics.json"]
     assert (line.store / "results/reports/test/metrics.json").exists()
 
 
 def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: Line):
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate)
-    plain = line.run(evaluate)
-    summary = line.run(leave_one_out)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate)
+    plain = line.run(Evaluate)
+    summary = line.run(LeaveOneOut)
     assert summary["folds"] == 2
     said = line.said.getvalue()
     assert "cat: no training clip is of actor cat, so the fold equals the plain result" in said
@@ -270,13 +276,13 @@ def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: 
 
 
 def test_left_out_values_that_leave_nothing_to_learn_from_are_said(line: Line):
-    line.run(learn_templates, where="class IS NOT NULL AND actor = 'bob'", methods=["soft"])
-    line.run(annotate)
-    line.run(evaluate)
-    assert line.run(leave_one_out)["folds"] == 1
+    line.run(LearnTemplates, where="class IS NOT NULL AND actor = 'bob'", methods=["soft"])
+    line.run(Annotate)
+    line.run(Evaluate)
+    assert line.run(LeaveOneOut)["folds"] == 1
     assert "bob: all training clips are of actor bob; there is no fold without them" in line.said.getvalue()
     with pytest.raises(KinedexError, match="takes have no column 'actr'; did you mean 'actor'"):
-        line.run(leave_one_out, column="actr")
+        line.run(LeaveOneOut, column="actr")
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +300,7 @@ def hdm05(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Line:
         )
     store = write_store(tmp_path_factory.mktemp("hdm05") / "store", takes, shared / "data" / "hdm05")
     line = Line(store)
-    line.run(learn_templates, methods=["soft"])
+    line.run(LearnTemplates, methods=["soft"])
     return line
 
 
@@ -303,8 +309,8 @@ def hdm05(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Line:
 def test_an_actor_whom_no_template_has_seen_is_annotated_as_well_as_by_the_reference(
     hdm05: Line, tau: float, f1: float, f2: float
 ):
-    hdm05.run(annotate, tau=tau)
-    summary = hdm05.run(evaluate)
+    hdm05.run(Annotate, tau=tau)
+    summary = hdm05.run(Evaluate)
     assert float(str(summary["f1"])) >= f1
     assert float(str(summary["f2"])) >= f2
 
@@ -312,9 +318,9 @@ def test_an_actor_whom_no_template_has_seen_is_annotated_as_well_as_by_the_refer
 @pytest.mark.shared
 def test_the_authors_queries_leave_a_seventh_of_the_frames_and_better_annotations(hdm05: Line, shared: Path):
     queries = str(shared / "reference" / "keyframe_queries.json")
-    summary = hdm05.run(annotate, queries=queries, classes="hdm05-11")
+    summary = hdm05.run(Annotate, queries=queries, classes="hdm05-11")
     assert 0.12 <= float(str(summary["searched"])) <= 0.16
-    scores = hdm05.run(evaluate)
+    scores = hdm05.run(Evaluate)
     assert float(str(scores["f1"])) >= 0.84
     assert float(str(scores["f2"])) >= 0.91
     assert np.isfinite(float(str(scores["f1"])))

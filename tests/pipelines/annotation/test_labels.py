@@ -13,7 +13,9 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.labels import annotate_stage, labels_of, source_frame
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.evaluation.ground_truth import analysis_frame
-from kinedex.pipelines.stages import annotate, evaluate, learn_templates
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.evaluate import Evaluate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import Line, clip, long_take, write_store
 
@@ -24,8 +26,8 @@ def line(tmp_path: Path) -> Line:
     takes = [long_take("cat_1", "cat", "walk", "kick", "walk"), long_take("cat_2", "cat", "rest", "kick", "rest")]
     (tmp_path / "archive").mkdir()
     line = Line(write_store(tmp_path / "store", [*clips, *takes], tmp_path / "archive"))
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate)
     return line
 
 
@@ -42,7 +44,7 @@ def test_exported_annotations_are_ground_truth_that_they_equal(line: Line, tmp_p
     segments = open_store(line.store).result("annotations")
     assert f"{segments.num_rows} segments of 2 takes, annotated by test/annotate: 2 files in" in result.stdout
     assert sorted(path.name for path in (tmp_path / "archive" / "sub").iterdir()) == [f"cat_1.{form}", f"cat_2.{form}"]
-    summary = line.run(evaluate, ground_truth=f"**/*.{form}")
+    summary = line.run(Evaluate, ground_truth=f"**/*.{form}")
     assert summary["f1"] == summary["f2"] == 1
     truth = open_store(line.store).result("ground_truth")
     columns = ["take", "class", "start", "stop"]
@@ -68,14 +70,14 @@ def test_a_store_without_annotations_says_the_whole_command_that_makes_some(tmp_
 
 @pytest.mark.parametrize("form", ["csv", "json", "eaf", "vtt", "txt"])
 def test_a_take_that_was_exported_without_a_segment_is_evaluated(line: Line, tmp_path: Path, form: str):
-    line.run(annotate, min_seconds=99)
+    line.run(Annotate, min_seconds=99)
     target = tmp_path / "archive" / (f"both.{form}" if form in ("csv", "json") else "each")
     exported = CliRunner().invoke(app, ["labels", "export", str(line.store), "--format", form, "-o", str(target)])
     assert exported.exit_code == 0, exported.stderr
     shown = CliRunner().invoke(app, ["labels", "read", str(min((tmp_path / "archive").rglob(f"*.{form}")))])
     assert "cat_1" in shown.stdout
-    line.run(annotate)
-    summary = line.run(evaluate, ground_truth=f"**/*.{form}")
+    line.run(Annotate)
+    summary = line.run(Evaluate, ground_truth=f"**/*.{form}")
     assert (summary["evaluated_takes"], summary["p1"], summary["r1"]) == (2, 0, None)
     assert "in which nothing is to be found: cat_1, cat_2" in line.said.getvalue()
 
@@ -85,7 +87,7 @@ def test_the_same_labels_in_two_files_count_once(line: Line, tmp_path: Path):
         given = ["labels", "export", str(line.store), "-o", str(tmp_path / "archive" / f"gt.{form}")]
         assert CliRunner().invoke(app, given).exit_code == 0
     segments = open_store(line.store).result("annotations").num_rows
-    summary = line.run(evaluate, ground_truth="gt.[cj]*")
+    summary = line.run(Evaluate, ground_truth="gt.[cj]*")
     assert (summary["segments"], summary["f1"]) == (segments, 1)
     archive = tmp_path / "archive"
     said = line.said.getvalue()

@@ -10,11 +10,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from kinedex.catalog.classes import Classes, load_classes
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.reuse import setting_digest
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.stages import annotate, learn_templates
+from kinedex.pipelines.stages import annotate
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.store.compaction import FANOUT
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
@@ -39,8 +42,8 @@ class KnownLine(Line):
 
 def annotated(folder: Path, *takes: dict[str, object], executor: str = "serial", **params: object) -> KnownLine:
     line = KnownLine(write_store(folder, [*CLIPS, *takes]), executor)
-    line.run(learn_templates, methods=["soft"])
-    line.run(annotate, **params)
+    line.run(LearnTemplates, methods=["soft"])
+    line.run(Annotate, **params)
     return line
 
 
@@ -56,7 +59,7 @@ def test_new_takes_alone_are_annotated_and_all_is_as_if_annotated_at_once(tmp_pa
     whole = open_store(annotated(tmp_path / "whole", *OLD, *NEW, method=method).store)
     line = annotated(tmp_path / "grown", *OLD, method=method, executor=executor)
     write_store(line.store, NEW)
-    assert line.run(annotate, method=method)["kept_takes"] == 2
+    assert line.run(Annotate, method=method)["kept_takes"] == 2
     assert "; 2 takes kept as they were, 2 annotated" in line.said.getvalue()
     grown = open_store(line.store)
     for kind in ("annotations", "distance_curves"):
@@ -67,7 +70,7 @@ def test_new_takes_alone_are_annotated_and_all_is_as_if_annotated_at_once(tmp_pa
     assert (
         grown.result("annotations").column("take").to_pylist() == whole.result("annotations").column("take").to_pylist()
     )
-    assert line.run(annotate, method=method)["kept_takes"] == 4
+    assert line.run(Annotate, method=method)["kept_takes"] == 4
     assert results(open_store(line.store), "annotations").equals(results(whole, "annotations"))
     line.executor.close()
 
@@ -83,7 +86,7 @@ def test_curves_of_takes_that_are_kept_stay_in_their_files(tmp_path: Path):
     (first,) = curve_files(open_store(line.store))
     times = (line.store / first).stat()
     write_store(line.store, NEW)
-    line.run(annotate)
+    line.run(Annotate)
     store = open_store(line.store)
     assert list(curve_files(store).values()) == [{"cat_1", "cat_3"}, {"cat_0", "cat_2"}]
     assert first in curve_files(store)
@@ -92,16 +95,16 @@ def test_curves_of_takes_that_are_kept_stay_in_their_files(tmp_path: Path):
     collect(line.store, keep=1)
     assert verify(open_store(line.store)) == []
     assert results(open_store(line.store), "distance_curves").num_rows == 2 * 4
-    line.run(annotate)
+    line.run(Annotate)
     assert curve_files(open_store(line.store)) == curve_files(store)
 
 
 def test_of_takes_that_changed_or_are_not_asked_for_the_curves_go(tmp_path: Path):
     line = annotated(tmp_path / "store", *OLD)
     write_store(line.store, NEW)
-    line.run(annotate)
+    line.run(Annotate)
     write_store(line.store, [long_take("cat_1", "cat", "kick", "rest")])  # the same name, other words
-    line.run(annotate, where="class IS NULL AND name != 'cat_2'")
+    line.run(Annotate, where="class IS NULL AND name != 'cat_2'")
     store = open_store(line.store)
     assert list(curve_files(store).values()) == [{"cat_0", "cat_1", "cat_3"}]
     assert store.result("distance_curves").num_rows == 2 * 3
@@ -110,7 +113,7 @@ def test_of_takes_that_changed_or_are_not_asked_for_the_curves_go(tmp_path: Path
     collect(line.store, keep=1)
     assert verify(open_store(line.store)) == []
     assert len(list((line.store / "results/distance_curves").iterdir())) == 1
-    line.run(annotate, tau=0.1)
+    line.run(Annotate, tau=0.1)
     assert not set(curve_files(open_store(line.store))) & set(curve_files(store))
 
 
@@ -121,7 +124,7 @@ def test_small_files_of_curves_are_put_together_before_there_are_many(tmp_path: 
     for name in names:
         write_store(line.store, [long_take(name, "cat", "walk", "kick")])
         before = set(curve_files(open_store(line.store)))
-        line.run(annotate)
+        line.run(Annotate)
         after = curve_files(open_store(line.store))
         assert len(after) <= 2 * FANOUT
         written += sum(len(takes) for path, takes in after.items() if path not in before)
@@ -140,7 +143,7 @@ def test_an_annotation_that_fails_leaves_the_old_curves_and_no_file(tmp_path: Pa
 
     monkeypatch.setattr(annotate, "annotate_takes", failing)
     with pytest.raises(KinedexError, match="out of power"):
-        line.run(annotate)
+        line.run(Annotate)
     after = open_store(line.store)
     assert after.manifest.results == before.manifest.results
     assert verify(after) == []
@@ -149,7 +152,7 @@ def test_an_annotation_that_fails_leaves_the_old_curves_and_no_file(tmp_path: Pa
 def test_what_has_changed_is_annotated_again(tmp_path: Path):
     line = annotated(tmp_path / "store", *OLD)
     write_store(line.store, [long_take("cat_1", "cat", "kick", "rest")])  # the same name, other words
-    assert line.run(annotate)["kept_takes"] == 1
+    assert line.run(Annotate)["kept_takes"] == 1
     changes: list[dict[str, object]] = [
         {"tau": 0.1},
         {"tau": 0.1, "tau_by_class": {"walk": 0.05}},
@@ -159,37 +162,37 @@ def test_what_has_changed_is_annotated_again(tmp_path: Path):
         {"store_curves": False},
     ]
     for params in changes:
-        assert line.run(annotate, **params)["kept_takes"] == 0
-    assert line.run(annotate, store_curves=False)["kept_takes"] == 2
+        assert line.run(Annotate, **params)["kept_takes"] == 0
+    assert line.run(Annotate, store_curves=False)["kept_takes"] == 2
     assert open_store(line.store).result("distance_curves").num_rows == 0
     line.code = "other sources"
-    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    assert line.run(Annotate, store_curves=False)["kept_takes"] == 0
     line.code = ""  # nobody knows
-    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    assert line.run(Annotate, store_curves=False)["kept_takes"] == 0
     line.code = "sources"
-    line.run(annotate, store_curves=False)
+    line.run(Annotate, store_curves=False)
     line.anew = True  # as with --force
-    assert line.run(annotate, store_curves=False)["kept_takes"] == 0
+    assert line.run(Annotate, store_curves=False)["kept_takes"] == 0
     line.anew = False
-    assert line.run(annotate, store_curves=False)["kept_takes"] == 2
-    line.run(annotate)
-    line.run(learn_templates, methods=["soft"], where="class IS NOT NULL AND actor = 'ann'")
-    assert line.run(annotate)["kept_takes"] == 2  # the clips of both are the same, and so are the templates
+    assert line.run(Annotate, store_curves=False)["kept_takes"] == 2
+    line.run(Annotate)
+    line.run(LearnTemplates, methods=["soft"], where="class IS NOT NULL AND actor = 'ann'")
+    assert line.run(Annotate)["kept_takes"] == 2  # the clips of both are the same, and so are the templates
     write_store(line.store, [clip("walk", "ann", 1, frames_a_pose=9)])
-    line.run(learn_templates, methods=["soft"])
-    assert line.run(annotate)["kept_takes"] == 0
+    line.run(LearnTemplates, methods=["soft"])
+    assert line.run(Annotate)["kept_takes"] == 0
 
 
 def test_thresholds_do_not_matter_to_rows_of_templates(tmp_path: Path):
     line = annotated(tmp_path / "store", *OLD, method="best")
     for params in ({"tau": 0.1}, {"tau_by_class": {"walk": 0.05}}, {"tau": "calibrated"}):
-        assert line.run(annotate, method="best", **params)["kept_takes"] == 2
-    assert line.run(annotate, method="best", min_seconds=0.2)["kept_takes"] == 0
+        assert line.run(Annotate, method="best", **params)["kept_takes"] == 2
+    assert line.run(Annotate, method="best", min_seconds=0.2)["kept_takes"] == 0
 
 
 def test_takes_that_are_asked_for_no_longer_go(tmp_path: Path):
     line = annotated(tmp_path / "store", *OLD, *NEW)
-    assert line.run(annotate, where="name < 'cat_2' AND class IS NULL")["kept_takes"] == 2
+    assert line.run(Annotate, where="name < 'cat_2' AND class IS NULL")["kept_takes"] == 2
     store = open_store(line.store)
     for kind in ("annotations", "distance_curves", "annotated_takes"):
         assert set(store.result(kind).column("take").to_pylist()) == {"cat_0", "cat_1"}
@@ -215,8 +218,8 @@ def test_every_part_of_an_annotator_decides_its_hash():
     assert setting_digest(one, False, "a") != setting_digest(one, True, "a") != setting_digest(one, True, "b")
 
 
-def _classes() -> annotate.Classes:
-    return annotate.load_classes("own", ["kick", "walk"])
+def _classes() -> Classes:
+    return load_classes("own", ["kick", "walk"])
 
 
 def test_classes_have_thresholds_of_their_own_and_segments_a_least_length(tmp_path: Path):
@@ -225,7 +228,7 @@ def test_classes_have_thresholds_of_their_own_and_segments_a_least_length(tmp_pa
     line = annotated(tmp_path / "store", take, tau=0.1)
 
     def found(**params: object) -> set[str]:
-        line.run(annotate, **params)
+        line.run(Annotate, **params)
         return set(open_store(line.store).result("annotations").column("class").to_pylist())
 
     assert found(tau=0.1) == {"walk", "kick"}
@@ -234,4 +237,4 @@ def test_classes_have_thresholds_of_their_own_and_segments_a_least_length(tmp_pa
     assert found(tau=0.1, min_seconds=len(motion("walk")) / 30 + 0.01) == {"kick"}
     assert found(method="best", min_seconds=len(motion("walk")) / 30 + 0.01) == {"kick"}
     with pytest.raises(KinedexError, match="tau_by_class: no class is named 'walks'; did you mean 'walk'"):
-        line.run(annotate, tau_by_class={"walks": 0.1})
+        line.run(Annotate, tau_by_class={"walks": 0.1})

@@ -14,7 +14,10 @@ from kinedex.pipelines.annotation import batches as annotating
 from kinedex.pipelines.annotation import threshold_calibration as calibrating
 from kinedex.pipelines.annotation.threshold_calibration import Calibration, calibrate
 from kinedex.pipelines.engine.executors import make_executor
-from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.evaluate import Evaluate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.pipelines.stages.leave_one_out import LeaveOneOut
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.storage.store.store import open_store
 from tests.oracles.dtw import accumulated
@@ -153,22 +156,22 @@ def test_the_stage_calibrates_on_what_its_templates_were_learned_from(tmp_path: 
     (tmp_path / "classes.yaml").write_text("kick: [kick]\nwalk: [walk]\nwave: [wave]\n")
     for executor in ("serial", "processes"):
         line = Line(write_store(tmp_path / executor, [*some, take], tmp_path / "archive"), executor)
-        line.run(learn_templates, methods=["soft"], where="class IS NOT NULL AND actor <> 'cat'")
-        summary = line.run(annotate, tau="calibrated")
+        line.run(LearnTemplates, methods=["soft"], where="class IS NOT NULL AND actor <> 'cat'")
+        summary = line.run(Annotate, tau="calibrated")
         assert set(summary["tau_by_class"]) == {"kick", "walk"}  # type: ignore[call-overload]
         assert summary["calibration_f"] == {"kick": 1.0, "walk": 1.0}
-        given = line.run(annotate, tau="calibrated", tau_by_class={"walk": 0.5})["tau_by_class"]
+        given = line.run(Annotate, tau="calibrated", tau_by_class={"walk": 0.5})["tau_by_class"]
         assert given == {**summary["tau_by_class"], "walk": 0.5}  # type: ignore[dict-item]
-        best = line.run(annotate, tau="calibrated", method="best", tau_by_class={"walk": 0.5})
+        best = line.run(Annotate, tau="calibrated", method="best", tau_by_class={"walk": 0.5})
         assert best["tau_by_class"] == {}
         remark = "`tau: calibrated` and `tau_by_class` have no effect with `method: best`, in which τ does not matter"
         assert best["remarks"] == [remark]
         assert remark in line.said.getvalue()
-        with_classes = line.run(annotate, tau="calibrated", classes=str(tmp_path / "classes.yaml"))
+        with_classes = line.run(Annotate, tau="calibrated", classes=str(tmp_path / "classes.yaml"))
         assert set(with_classes["tau_by_class"]) == {"kick", "walk"}  # type: ignore[call-overload]
         assert with_classes["remarks"] == []
-        line.run(annotate, tau="calibrated")
+        line.run(Annotate, tau="calibrated")
         assert set(open_store(line.store).result("annotations").column("class").to_pylist()) == {"walk", "kick"}
-        line.run(evaluate)
-        assert line.run(leave_one_out)["folds"] == 1
+        line.run(Evaluate)
+        assert line.run(LeaveOneOut)["folds"] == 1
         line.executor.close()

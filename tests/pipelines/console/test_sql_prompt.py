@@ -8,7 +8,8 @@ import pytest
 from rich.console import Console
 
 from kinedex.pipelines.console.sql_prompt import completer, run_prompt
-from kinedex.pipelines.stages import index, ingest
+from kinedex.pipelines.stages.index import Index
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 
@@ -17,8 +18,8 @@ from tests.pipelines.archives import context, write_archive
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     folder = tmp_path_factory.mktemp("prompt")
     source = write_archive(folder / "source", {"x_1.amc": 40})
-    ingest.run(context(folder / "store"), ingest.Params(source=str(source)))
-    index.run(context(folder / "store", "index"), index.Params())
+    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(source)))
+    Index().run(context(folder / "store", "index"), Index.parameters())
     return open_store(folder / "store")
 
 

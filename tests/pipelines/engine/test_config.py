@@ -8,7 +8,8 @@ import pytest
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml
 from kinedex.ops.errors import ConfigError, KinedexError
-from kinedex.pipelines.engine.config import STAGES, load_pipeline, stage_module
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 
 GOOD = """
 name: small
@@ -128,11 +129,11 @@ def test_every_shipped_pipeline_loads(name: str) -> None:
     assert load_pipeline(name, {key: "/data" for key, value in settings.items() if value is None}).stages
 
 
-@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_every_stage_documents_each_of_its_parameters(name: str) -> None:
-    module = stage_module(name)
-    assert module.run.__doc__
-    for key, field in module.Params.model_fields.items():
+    stage = load_stage(name)
+    assert type(stage).__doc__
+    for key, field in stage.parameters.model_fields.items():
         assert field.description, f"{name}.{key}"
 
 

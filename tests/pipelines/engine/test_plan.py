@@ -16,7 +16,9 @@ from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import SerialExecutor
 from kinedex.pipelines.engine.plan import imports_of, make_plan
 from kinedex.pipelines.engine.runner import StageFailed, run_pipeline
-from kinedex.pipelines.stages import index, ingest
+from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.index import Index
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import human_amc, write_archive
@@ -101,7 +103,7 @@ def test_a_stage_that_fails_does_not_count_as_done_and_says_how_to_go_on(
     def fail(*_: object) -> dict[str, object]:
         raise fault
 
-    monkeypatch.setattr(index, "run", fail)
+    monkeypatch.setattr(Index, "run", fail)
     with pytest.raises(StageFailed) as caught:
         run(store, source, force=frozenset({"index"}))
     assert "stage index" in str(caught.value)
@@ -116,7 +118,7 @@ def fails_with(archive: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, faul
     def fail(*_: object) -> dict[str, object]:
         raise fault
 
-    monkeypatch.setattr(index, "run", fail)
+    monkeypatch.setattr(Index, "run", fail)
     with pytest.raises(StageFailed) as caught:
         run(*archive, force=frozenset({"index"}))
     return str(caught.value)
@@ -176,7 +178,7 @@ def test_a_run_that_is_killed_in_a_stage_leaves_no_record_of_it(
     def kill(*_: object) -> dict[str, object]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ingest, "run", kill)
+    monkeypatch.setattr(Ingest, "run", kill)
     with pytest.raises(KeyboardInterrupt):
         run(store, source, force=frozenset({"ingest"}))
     monkeypatch.undo()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import KinedexError, NewStoreError
-from kinedex.pipelines.stages import ingest
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, write_archive
@@ -18,7 +18,7 @@ def test_of_many_takes_of_one_name_two_are_named_and_each_name_is_said_once(tmp_
     paths = {f"{folder}/x_{number}.amc": 5 for folder in "abcd" for number in (1, 2)}
     source, store = write_archive(tmp_path / "source", {**paths, "x_3.amc": 5}), tmp_path / "store"
     place = context(store)
-    assert ingest.run(place, ingest.Params(source=str(source)))["left_out"] == 8
+    assert Ingest().run(place, Ingest.parameters(source=str(source)))["left_out"] == 8
     log = {row["source"]: row["message"] for row in open_store(store).result("ingest_log").to_pylist()}
     assert len(log) == 8
     assert log["b/x_1.amc"] == (

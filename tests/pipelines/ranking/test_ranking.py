@@ -30,7 +30,8 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial
 from kinedex.pipelines.ranking.store_ranking import rank_store, similar
 from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
-from kinedex.pipelines.stages import rank as rank_stage
+from kinedex.pipelines.stages.evaluate_ranking import EvaluateRanking
+from kinedex.pipelines.stages.rank import Rank
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import write_archive
@@ -293,12 +294,12 @@ def test_options_that_exclude_each_other_are_named_and_an_output_file_is_written
 
 def test_a_threshold_too_small_to_count_in_is_refused_by_the_stage():
     with pytest.raises(ValueError, match=r"0\.000001"):
-        rank_stage.Params(tau=1e-300)
+        Rank.parameters(tau=1e-300)
 
 
 def test_a_misspelt_column_is_answered_by_the_right_one(store: Store):
     with pytest.raises(KinedexError, match="no column 'actr'; did you mean 'actor'"):
-        evaluate_ranking._folds(store, evaluate_ranking.Params(clips="true", leave_out="actr"))
+        evaluate_ranking._folds(store, EvaluateRanking.parameters(clips="true", leave_out="actr"))
 
 
 def test_all_rows_of_the_stiffness_table_are_about_the_same_classes():

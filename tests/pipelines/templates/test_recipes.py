@@ -11,7 +11,11 @@ from kinedex.catalog.template_files import NamedTemplate, write_yaml
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, Learned, Template, quantise
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.stages import annotate, evaluate, learn_templates, leave_one_out
+from kinedex.pipelines.stages import learn_templates
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.evaluate import Evaluate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
+from kinedex.pipelines.stages.leave_one_out import LeaveOneOut
 from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
@@ -25,11 +29,11 @@ def line(tmp_path: Path) -> Line:
 def test_a_large_subclass_is_divided_among_the_workers_without_a_difference(
     line: Line, monkeypatch: pytest.MonkeyPatch
 ):
-    line.run(learn_templates)
+    line.run(LearnTemplates)
     alone = open_store(line.store).result("templates").drop_columns(["run"])
     monkeypatch.setattr("kinedex.pipelines.templates.learning._SPLIT_CELLS", 1)
     spread = Line(line.store, "processes")
-    spread.run(learn_templates)
+    spread.run(LearnTemplates)
     spread.executor.close()
     assert open_store(line.store).result("templates").drop_columns(["run"]).equals(alone)
 
@@ -40,7 +44,7 @@ def templates_by_name(line: Line, kind: str = "soft") -> dict[str, dict[str, obj
 
 
 def test_clips_in_the_mirror_teach_another_class_or_the_same(line: Line):
-    line.run(learn_templates, mirror={"kick": "kick_other", "wave": "wave"})
+    line.run(LearnTemplates, mirror={"kick": "kick_other", "wave": "wave"})
     rows = templates_by_name(line)
     assert set(rows) == {"kick", "kick_other", "walk", "wave"}
     values = {name: np.array(row["values"]).reshape(-1, 40) for name, row in rows.items()}
@@ -50,67 +54,67 @@ def test_clips_in_the_mirror_teach_another_class_or_the_same(line: Line):
     assert rows["wave"]["origin"] == "learned, 3 of 6 clips are those of wave in the mirror"
     assert rows["walk"]["origin"] == "learned"
     with pytest.raises(KinedexError, match="mirror: there are no clips of 'kik'; did you mean 'kick'"):
-        line.run(learn_templates, mirror={"kik": "x"})
+        line.run(LearnTemplates, mirror={"kik": "x"})
     with pytest.raises(KinedexError, match="'x' is said to be the mirror image of both 'kick' and 'wave'"):
-        line.run(learn_templates, mirror={"kick": "x", "wave": "x"})
+        line.run(LearnTemplates, mirror={"kick": "x", "wave": "x"})
 
 
 def test_motions_that_follow_each_other_are_one_template(line: Line):
-    line.run(learn_templates, combine={"walk_then_kick": {"parts": ["walk", "kick"], "gap": 5}})
+    line.run(LearnTemplates, combine={"walk_then_kick": {"parts": ["walk", "kick"], "gap": 5}})
     rows = templates_by_name(line)
     row = rows["walk_then_kick"]
     assert row["columns"] == rows["walk"]["columns"] + 5 + rows["kick"]["columns"]
     assert row["origin"] == "walk, then kick with 5 columns of anything between"
     assert row["clips"] == rows["walk"]["clips"] + rows["kick"]["clips"]
-    line.run(annotate, where="name = 'cat_take01'")
+    line.run(Annotate, where="name = 'cat_take01'")
     found = open_store(line.store).result("annotations").to_pylist()
     assert ("walk_then_kick", 20 // 4) in {(row["class"], row["start"]) for row in found}
-    line.run(evaluate, unknown_labels="ignore")
-    line.run(leave_one_out)
+    line.run(Evaluate, unknown_labels="ignore")
+    line.run(LeaveOneOut)
     with pytest.raises(KinedexError, match="'x' needs a template of 'wolk'; did you mean 'walk'"):
-        line.run(learn_templates, combine={"x": {"parts": ["wolk", "kick"]}})
+        line.run(LearnTemplates, combine={"x": {"parts": ["wolk", "kick"]}})
     with pytest.raises(KinedexError, match="'kick' has a template already"):
-        line.run(learn_templates, combine={"kick": {"parts": ["walk", "kick"]}})
+        line.run(LearnTemplates, combine={"kick": {"parts": ["walk", "kick"]}})
 
 
 def test_a_template_of_a_file_takes_the_place_of_a_learned_one(line: Line, tmp_path: Path):
-    line.run(learn_templates)
+    line.run(LearnTemplates)
     by_hand = {one.subclass: one for one in read_templates(open_store(line.store), "test/learn_templates", "soft")}
     file = tmp_path / "mine.yaml"
     file.write_text(write_yaml([NamedTemplate("kick", by_hand["kick"].learned.template)], BODY))
-    params = learn_templates.Params(template_files=[str(file)])
-    before = learn_templates.external_digest(params, open_store(line.store))
-    line.run(learn_templates, template_files=[str(file)])
+    params = LearnTemplates.parameters(template_files=[str(file)])
+    before = LearnTemplates().external_digest(params, open_store(line.store))
+    line.run(LearnTemplates, template_files=[str(file)])
     rows = templates_by_name(line)
     assert rows["kick"]["values"] == by_hand["kick"].learned.template.values.ravel().tolist()
     assert (rows["kick"]["origin"], rows["kick"]["clips"], rows["kick"]["costs"]) == ("from mine.yaml", [], [])
     assert set(templates_by_name(line, "hard")) == {"kick", "walk", "wave"}
     assert "templates from files, so their clips are not learned from: kick" in line.said.getvalue()
-    line.run(annotate)
-    assert line.run(evaluate)["f2"] == 1
-    assert line.run(leave_one_out)["folds"] == 2
-    summary = line.run(learn_templates, where="false", template_files=[str(file)], methods=["soft"])
+    line.run(Annotate)
+    assert line.run(Evaluate)["f2"] == 1
+    assert line.run(LeaveOneOut)["folds"] == 2
+    summary = line.run(LearnTemplates, where="false", template_files=[str(file)], methods=["soft"])
     assert (summary["templates"], summary["clips"]) == (1, 0)
     file.write_text(file.read_text() + "walk:\n  rows: {F1: '01'}\n")
-    assert learn_templates.external_digest(params, None) != before
+    assert LearnTemplates().external_digest(params, None) != before
     with pytest.raises(KinedexError, match=r"'kick' stands in .* and in"):
-        line.run(learn_templates, template_files=[str(file), str(file)])
+        line.run(LearnTemplates, template_files=[str(file), str(file)])
 
 
 def test_features_can_be_weighted_by_name(line: Line):
-    line.run(learn_templates, weights={"F1": 0, "rhand_fast": 3}, methods=["soft"])
+    line.run(LearnTemplates, weights={"F1": 0, "rhand_fast": 3}, methods=["soft"])
     counts = templates_by_name(line)["kick"]["feature_weights"]
     assert isinstance(counts, list)
     assert (counts[0], counts[12], counts[1]) == (0, 3, 1)
     (one, *_) = read_templates(open_store(line.store), "test/learn_templates", "soft")
     assert not np.any(quantise(one.learned.template, 0.05).mask & np.uint64(1))
-    line.run(annotate)
-    line.run(evaluate)
-    line.run(leave_one_out)
+    line.run(Annotate)
+    line.run(Evaluate)
+    line.run(LeaveOneOut)
     for weights, said in [({"F41": 1}, "no feature F41"), ({"F1": 1, "rhand_forwards": 2}, "are the same feature"),
                           ({name.name: 0 for name in BODY.features}, "at least one feature must count")]:  # fmt: skip
         with pytest.raises(KinedexError, match=said):
-            line.run(learn_templates, weights=weights)
+            line.run(LearnTemplates, weights=weights)
 
 
 def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(line: Line):
@@ -122,7 +126,7 @@ def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(li
         good | {"name": "dan_kick_hole", "words": np.concatenate([words[:9], hole, words[9:]])},
     ]
     write_store(line.store, clips)
-    line.run(learn_templates, methods=["soft"])
+    line.run(LearnTemplates, methods=["soft"])
     row = templates_by_name(line)["kick"]
     assert row["clips"] == ["ann_kick_001", "ann_kick_002", "bob_kick_003", "dan_kick_ends"]
     assert row["remarks"] == [
@@ -131,7 +135,7 @@ def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(li
     ]
     assert "warning: kick: clips with invalid frames in the middle, left out: dan_kick_hole" in line.said.getvalue()
     with pytest.raises(KinedexError, match=r"subclass kick is left without a clip .*\(dan_kick_hole\)"):
-        line.run(learn_templates, where="name = 'dan_kick_hole'")
+        line.run(LearnTemplates, where="name = 'dan_kick_hole'")
 
 
 def test_a_clip_of_another_motion_is_told_from_the_others(line: Line):
@@ -139,7 +143,7 @@ def test_a_clip_of_another_motion_is_told_from_the_others(line: Line):
     odd.append(clip("wave", "dan", 9) | {"name": "dan_kick_wrong", "class": "kick"})
     odd.append(clip("kick", "dan", 8, 30) | {"name": "dan_kick_slow"})
     write_store(line.store, odd)
-    summary = line.run(learn_templates, methods=["soft"])
+    summary = line.run(LearnTemplates, methods=["soft"])
     remarks = " | ".join(templates_by_name(line)["kick"]["remarks"])  # type: ignore[arg-type]
     assert "far from all others" in remarks
     assert "dan_kick_wrong (cost" in remarks

@@ -1,0 +1,135 @@
+"""The contract of a stage: its name, its parameters, the stages it builds on, what it reads, and what it makes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Generic, TypeVar
+
+from pydantic import BaseModel
+
+from kinedex.catalog.plugins import Plugins
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading
+from kinedex.storage.store.store import Store
+
+Parameters = TypeVar("Parameters", bound=BaseModel)
+
+TAKES = "takes"
+"""The role of the stage that brings the takes in."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """A role that another stage of the pipeline plays for a stage.
+
+    Attributes
+    ----------
+    stage : str
+        The kind of stage that can play it.
+    optional : bool
+        The stage can do without it.
+    """
+
+    stage: str
+    optional: bool = False
+
+
+class Stage(ABC, Generic[Parameters]):
+    """One kind of stage; subclasses have no state.
+
+    A stage is skipped where the store holds a record with its fingerprint. The fingerprint consists of the code that
+    `run` reaches, the parameters, `external_digest`, the fingerprints of the inputs, and the store's takes: those of
+    `reading`, or all of them.
+
+    Attributes
+    ----------
+    name : str
+        The name in pipeline files.
+    parameters : type
+        A pydantic model; each field has a description.
+    inputs : mapping of str to Input
+        The roles that other stages play.
+    outputs : tuple of str
+        The kinds of results that `run` stores.
+    """
+
+    name: ClassVar[str]
+    parameters: type[Parameters]
+    inputs: ClassVar[Mapping[str, Input]] = {}
+    outputs: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def run(self, context: StageContext, params: Parameters) -> dict[str, object]:
+        """Do the work and commit it.
+
+        Parameters
+        ----------
+        context : StageContext
+            The store, the executor, and the place of the stage in its pipeline.
+        params : Parameters
+            The validated parameters.
+
+        Returns
+        -------
+        dict
+            What the record of the stage keeps, as JSON values. `files` are paths within the store that must stay,
+            `left_out` is the number of source files that were not read.
+
+        Raises
+        ------
+        KinedexError
+            The stage cannot finish; what it committed before stays.
+        """
+
+    def reading(self, params: Parameters, store: Store) -> Reading | None:
+        """Return a digest of the takes that the stage reads; None means that it depends on all takes of the store."""
+        return None
+
+    def external_digest(self, params: Parameters, store: Store | None) -> str:
+        """Return a hash of all that the stage reads outside the store; `store` is None before it is made."""
+        return ""
+
+    def is_current(self, store: Store) -> bool:
+        """Return whether what the stage made is still in place, apart from results and `files`."""
+        return True
+
+
+BUILT_IN = {
+    "ingest": "kinedex.pipelines.stages.ingest:Ingest",
+    "index": "kinedex.pipelines.stages.index:Index",
+    "learn_templates": "kinedex.pipelines.stages.learn_templates:LearnTemplates",
+    "learn_keyframes": "kinedex.pipelines.stages.learn_keyframes:LearnKeyframes",
+    "rank": "kinedex.pipelines.stages.rank:Rank",
+    "evaluate_ranking": "kinedex.pipelines.stages.evaluate_ranking:EvaluateRanking",
+    "vary_stiffness": "kinedex.pipelines.stages.vary_stiffness:VaryStiffness",
+    "report_retrieval": "kinedex.pipelines.stages.report_retrieval:ReportRetrieval",
+    "annotate": "kinedex.pipelines.stages.annotate:Annotate",
+    "evaluate": "kinedex.pipelines.stages.evaluate:Evaluate",
+    "leave_one_out": "kinedex.pipelines.stages.leave_one_out:LeaveOneOut",
+    "compare_methods": "kinedex.pipelines.stages.compare_methods:CompareMethods",
+    "report": "kinedex.pipelines.stages.report:Report",
+}
+"""The built-in stages, in the form of entry points."""
+
+STAGES: Plugins[type[Stage[BaseModel]]] = Plugins("kinedex.stages", "stage", BUILT_IN)
+"""All stages by name: built in, and of plugins."""
+
+
+def load_stage(name: str) -> Stage[BaseModel]:
+    """Import a stage.
+
+    Raises
+    ------
+    KinedexError
+        No stage has this name, or it is of a plugin that cannot be used.
+    """
+    found = STAGES.load(name)
+    if not (isinstance(found, type) and issubclass(found, Stage) and getattr(found, "name", None) == name):
+        raise KinedexError(
+            f"the stage '{name}' of {STAGES.distribution(name)} must be a subclass of "
+            f"kinedex.pipelines.engine.stage.Stage whose `name` is '{name}', and is {found!r}"
+        )
+    return found()

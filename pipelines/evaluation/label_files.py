@@ -1,0 +1,95 @@
+"""The label files of takes, as parameters select them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, Field
+
+from kinedex.catalog.classes import Classes
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.evaluation.ground_truth import (
+    GroundTruth,
+    UnknownLabels,
+    ground_truth_of_classes,
+    place_ground_truth,
+)
+from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
+from kinedex.storage.store.store import Store
+
+NONE, OWN_CLASS = "none", "class"
+
+
+class GroundTruthParameters(BaseModel):
+    """The parameters that select ground truth."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: str = Field(
+        "**/ground_truth.csv",
+        description="label files, read as their ending says: .csv (take, class, start, stop in source frames), .json, "
+        ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
+        "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
+        "no file, nothing is evaluated, and that is said",
+    )
+    source: str | None = Field(
+        None, description="the folder that ground_truth is relative to; by default the takes' source folders"
+    )
+    unknown_labels: UnknownLabels = Field(
+        "error",
+        description="a label that is neither a class nor a subclass: 'error'; 'miss' counts it as not found; 'ignore' "
+        "leaves it out, and says so",
+    )
+
+
+def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> str:
+    """Return a hash of the label files.
+
+    Where they cannot be found it is a constant, so that the stage runs and reports the fault.
+    """
+    if params.ground_truth in (NONE, OWN_CLASS):
+        return ""
+    known: set[str] = set(store.takes()["source_root"]) if store else set()
+    roots = sorted(root for root in known if Path(root).is_dir())
+    try:
+        if not_labelled(params, roots):
+            return "nobody's labels"
+        return files_digest(truth_files(params, roots))
+    except KinedexError:
+        return "none to be read"
+
+
+def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
+    """Whether takes have no ground truth: it is said so, or none is given and no file is called as it usually is.
+
+    Parameters
+    ----------
+    roots: the source folders of the takes.
+    """
+    if params.ground_truth == NONE:
+        return True
+    if "ground_truth" in params.model_fields_set or params.ground_truth == OWN_CLASS:
+        return False
+    return not any_ground_truth(params.ground_truth, _roots(params, roots))
+
+
+def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFrame, classes: Classes) -> GroundTruth:
+    """Find and place the ground truth of these takes."""
+    if params.ground_truth == OWN_CLASS:
+        return ground_truth_of_classes(takes, classes)
+    files = truth_files(params, takes["source_root"].unique())
+    return place_ground_truth(
+        list(map(read_ground_truth, files)), takes, store.takes()["name"], classes, params.unknown_labels
+    )
+
+
+def truth_files(params: GroundTruthParameters, roots: Iterable[str]) -> list[Path]:
+    """The label files, below `source` or else below the source folders of takes."""
+    return ground_truth_files(params.ground_truth, _roots(params, roots))
+
+
+def _roots(params: GroundTruthParameters, roots: Iterable[str]) -> Sequence[str]:
+    return [params.source] if params.source else sorted(roots)
