@@ -34,10 +34,9 @@ def test_what_is_no_yaml_is_refused_in_the_words_of_one_reader(text: str, monkey
     assert str(fast.value) == str(slow.value)
 
 
-def billion(levels: int, entry: str = "[{}]") -> str:
+def billion(levels: int) -> str:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
-    for level in range(1, levels):
-        lines.append(f"a{level}: &a{level} {entry.format(', '.join([f'*a{level - 1}'] * 9))}")
+    lines += [f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 9)}]" for level in range(1, levels)]
     return "\n".join(lines)
 
 
@@ -49,8 +48,7 @@ def test_aliases_that_multiply_are_refused_before_they_are_expanded(levels: int)
 
 def test_merge_keys_that_multiply_are_refused_as_well() -> None:
     lines = ["a0: &a0 {x: 1, y: 2}"]
-    for level in range(1, 30):
-        lines.append(f"a{level}: &a{level} {{<<: [*a{level - 1}, *a{level - 1}], z{level}: 1}}")
+    lines += [f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}], z{k}: 1}}" for k in range(1, 30)]
     with pytest.raises(ConfigError, match="its aliases expand"):
         parse_yaml("\n".join(lines), "bomb.yaml")
 
