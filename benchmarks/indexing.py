@@ -15,10 +15,10 @@ from benchmarks.archive import BUILD
 from benchmarks.harness import Figure, seconds
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.words import TakeWords
-from kinedex.storage import index
-from kinedex.storage.sql.duck import connect, quote
-from kinedex.storage.store.parts import FramesWriter
-from kinedex.storage.store.schemas import takes_schema
+from kinedex.storage.duck import connect, quote
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -57,7 +57,7 @@ def _tile(words: TakeWords, copies: int) -> TakeWords:
 
 def _build_anew(store: Store) -> Path:
     shutil.rmtree(store.path / "index", ignore_errors=True)
-    return index.build(store, threads=1)
+    return build_index(store, threads=1)
 
 
 def _peak_mb(store: Store) -> float:
@@ -71,7 +71,7 @@ def _peak_mb(store: Store) -> float:
 
 def _ten_more(store: Store, whole: float) -> Figure:
     """Ten more takes in an index of many; every run begins with the index of the version before."""
-    index.build(store)
+    build_index(store)
     more = BUILD / "index-ten-more"
 
     def fresh() -> Store:
@@ -87,7 +87,7 @@ def _ten_more(store: Store, whole: float) -> Figure:
         for generation in (more / "index").glob("gen-*"):
             if generation.name not in kept:
                 shutil.rmtree(generation)
-        index.build(opened, threads=1)
+        build_index(opened, threads=1)
 
     return Figure("ten takes more in that index", 10.0, "takes", seconds(build, 5), "building it whole", whole)
 
@@ -151,5 +151,5 @@ def own_peak_mb() -> float:
 
 
 if __name__ == "__main__":
-    index.build(open_store(sys.argv[1]), threads=1)
+    build_index(open_store(sys.argv[1]), threads=1)
     print(own_peak_mb())

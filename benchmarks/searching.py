@@ -36,7 +36,7 @@ from kinedex.ops.search.segments import Segments
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.search.inverted_lists import RunLists, lists_of_words
 from kinedex.pipelines.search.resident_slices import ResidentWords, resident_words
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from tests.oracles import runs as naive_runs
 
@@ -234,7 +234,7 @@ def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
     if not (path / "manifest").is_dir():
         _add(path, case.resident.feature_set, case.words, "take")
     store = open_store(path)
-    index.build(store)
+    build_index(store)
     order = np.argsort(case.runs)
     found = []
     for which, at in (("median", order[len(order) // 2]), ("largest", order[-1])):

@@ -17,7 +17,7 @@ from benchmarks.indexing import HOURS, twenty_hours
 from kinedex.catalog.queries.query_files import read_queries
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.search.resident_slices import resident_store, resident_words
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 
 PROCESSES = 2
@@ -26,7 +26,7 @@ PROCESSES = 2
 def figures(store: Store) -> list[Figure]:
     """The memory of two processes that search the same twenty hours."""
     large = twenty_hours(store)
-    index.build(large)
+    build_index(large)
     mapped, own = (_together(large.path, how) for how in ("mapped", "own"))
     return [
         Figure(

@@ -22,7 +22,7 @@ from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.storage.store.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import RESULT_KINDS
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive
 from tests.pipelines.labelled import Line

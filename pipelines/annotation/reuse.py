@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import split_takes
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.store.kept_results import Lasting, lasting
-from kinedex.storage.store.manifest import ResultPart
 from kinedex.storage.store.store import Store
 
 PIECE_BYTES = 16_000_000

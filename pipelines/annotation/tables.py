@@ -13,7 +13,7 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.templates.learning import run_of
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 

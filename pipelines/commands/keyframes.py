@@ -99,7 +99,7 @@ def export(
     """Write learned queries as a query file with named features, to read, to edit, and to search with."""
     from kinedex.catalog.queries.query_writer import write_queries
     from kinedex.pipelines.keyframes.learning import keyframe_queries
-    from kinedex.storage.store.disk import writing
+    from kinedex.storage.disk import write_errors
     from kinedex.storage.store.store import open_store
 
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
@@ -113,7 +113,7 @@ def export(
     if output is None:
         print(text, end="")
         return
-    with writing(output):
+    with write_errors(output):
         output.write_text(text, encoding="utf-8")
     make_console().print(f"{len(queries)} queries written to {output}", markup=False)
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.tables import Shown
-from kinedex.storage.sql.duck import statements
+from kinedex.storage.sql.queries import split_statements
 from kinedex.storage.store.store import Store
 
 HELP = """.tables          the views there are, and the macros
@@ -65,7 +65,7 @@ def run_prompt(store: Store, console: Console, read: Callable[[str], str] = inpu
                 return
             _answer(console, partial(_dot, store, console, words))
             continue
-        whole, typed = statements(f"{typed}\n{line}" if typed else line)
+        whole, typed = split_statements(f"{typed}\n{line}" if typed else line)
         for statement in whole:
             if not _answer(console, partial(_select, store, console, statement)):
                 break

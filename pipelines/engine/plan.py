@@ -14,7 +14,7 @@ from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import TAKES, Stage
-from kinedex.storage.store.manifest import StageRecord
+from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.store import Store, open_store
 
 ROOT = Path(__file__).resolve().parents[2]

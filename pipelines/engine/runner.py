@@ -16,7 +16,7 @@ from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
-from kinedex.storage.store.manifest import StageRecord, now, versions
+from kinedex.storage.snapshot.manifest import StageRecord, now, versions
 from kinedex.storage.store.store import open_store
 
 

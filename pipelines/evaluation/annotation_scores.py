@@ -16,8 +16,8 @@ from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.storage.store.disk import writing
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.disk import write_errors
+from kinedex.storage.snapshot.schemas import result_schema
 
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
 SCOPES = ("pooled", "fold", "class", "take")
@@ -109,7 +109,7 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
         if rows:
             content[key] = rows
     temporary = path.with_name(f".tmp-{path.name}")
-    with writing(path):
+    with write_errors(path):
         temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         temporary.replace(path)
 

@@ -22,7 +22,7 @@ from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.engine.plan import code_digest
 from kinedex.pipelines.evaluation.scheme import Method
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 
 SAVE_SECONDS = 20.0

@@ -15,7 +15,7 @@ from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
 from kinedex.storage.formats.labels.ground_truth import LabelFile, ManualSegment
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 
 Saying = tuple[str, str, int, int]
 """A take, a class, and the source frames [start, stop) that it is in."""

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.motion.sources import Refused, SourceFile, readable
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 
 MOST_TOLD = 10
 

@@ -20,8 +20,8 @@ from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.storage.formats.motion.acclaim import read_text
 from kinedex.storage.formats.motion.bodies import READ_WHOLE, Body, Given, read_body
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
-from kinedex.storage.store.manifest import Part
-from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.snapshot.manifest import Part
+from kinedex.storage.snapshot.parts import FramesWriter
 
 
 @dataclass(frozen=True)

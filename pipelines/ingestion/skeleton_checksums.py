@@ -5,7 +5,7 @@ from __future__ import annotations
 import pyarrow as pa
 
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 
 _SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the store
 

@@ -14,7 +14,7 @@ from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import LearningRun
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import AgreeTask, Chosen, Lesson, Outcome, RunTask, Setting, agree, do_runs
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 
 SAVE_SECONDS = 20.0
 """How long runs may be finished without being stored."""

@@ -24,7 +24,7 @@ from kinedex.ops.words import TakeWords
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.preselection import template_ranges
 from kinedex.pipelines.search.search import preselect_stored
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 200_000

@@ -14,7 +14,7 @@ from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import Judged, judge_hits
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 EVERYWHERE = "all frames"

@@ -29,9 +29,9 @@ from kinedex.pipelines.report.data import (
 )
 from kinedex.pipelines.report.reproduce import command
 from kinedex.pipelines.report.take_selection import median_take
-from kinedex.storage.store.manifest import ResultPart, StageRecord
-from kinedex.storage.store.parts import part_file
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
+from kinedex.storage.snapshot.parts import part_file
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")

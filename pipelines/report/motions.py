@@ -17,7 +17,7 @@ from markupsafe import Markup
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
 from kinedex.storage.formats.motion.export import TREE
-from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 MOST_BYTES = 12_000_000

@@ -23,7 +23,8 @@ from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.search.preselection import ranges_of_takes
 from kinedex.ops.search.segments import Segments, from_axis
 from kinedex.ops.words import I64, TakeWords
-from kinedex.storage import index
+from kinedex.storage.index.generations import current_generation, missing_index, read_generation
+from kinedex.storage.index.slice_files import ShardSlices, open_slices
 from kinedex.storage.store.store import Store
 
 PIECE_BLOCKS = 32_768
@@ -188,7 +189,7 @@ def resident_store(store: Store) -> SharedWords:
     """
     shared = indexed_words(store)
     if shared is None:
-        raise index.missing(store.path, store.manifest)
+        raise missing_index(store.path, store.manifest)
     return shared
 
 
@@ -199,17 +200,17 @@ _opened: WeakKeyDictionary[Store, SharedWords] = WeakKeyDictionary()
 def indexed_words(store: Store) -> SharedWords | None:
     """The same; None where the index is missing or stale."""
     if store not in _opened:
-        while (generation := index.current(store.path, store.manifest)) is not None:
-            says = index.read_generation(generation)
+        while (generation := current_generation(store.path, store.manifest)) is not None:
+            says = read_generation(generation)
             # a build puts a newer generation in its place, or somebody removes the index: look again
             with suppress(FileNotFoundError):
                 if says is not None:
-                    _opened[store] = _shared(store, index.open_slices(generation, says))
+                    _opened[store] = _shared(store, open_slices(generation, says))
                     break
     return _opened.get(store)
 
 
-def _shared(store: Store, found: Sequence[index.ShardSlices]) -> SharedWords:
+def _shared(store: Store, found: Sequence[ShardSlices]) -> SharedWords:
     take_ids = np.sort(np.concatenate([np.empty(0, np.int64), *(shard.take_ids[shard.live] for shard in found)]))
     shards = tuple(
         Shard(shard.slices, np.where(shard.live, np.searchsorted(take_ids, shard.take_ids), -1)) for shard in found

@@ -19,7 +19,7 @@ from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.words import I64, TakeWords
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.resident_slices import indexed_words, resident_store, resident_words
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -117,7 +117,7 @@ def search_store(
 
     Returns
     -------
-    The hits, one row per range, as `storage.store.schemas.result_schema("hits")` has them: in the order of the
+    The hits, one row per range, as `storage.snapshot.schemas.result_schema("hits")` has them: in the order of the
     queries, then
     by take name and start.
 

@@ -35,7 +35,7 @@ from kinedex.pipelines.report.methods import methods_page
 from kinedex.pipelines.report.motions import embed
 from kinedex.pipelines.report.output import write_page
 from kinedex.pipelines.templates.training import TemplateParameters, clips_to_learn_from, takes_to_learn_from
-from kinedex.storage.store.manifest import now
+from kinedex.storage.snapshot.manifest import now
 from kinedex.storage.store.store import Store
 
 

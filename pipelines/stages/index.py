@@ -8,7 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import current_generation, read_generation
 from kinedex.storage.store.store import Store
 
 
@@ -32,14 +33,14 @@ class Index(Stage[Params]):
 
     def is_current(self, store: Store) -> bool:
         """Return whether the index that the store needs exists."""
-        return index.current(store.path, store.manifest) is not None
+        return current_generation(store.path, store.manifest) is not None
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
         """Build the index of the store's takes, unless it stands already."""
         store = context.open()
-        before = index.current(store.path, store.manifest)
-        generation = index.build(store, params.threads, params.memory_mb)
-        says = index.read_generation(generation)
+        before = current_generation(store.path, store.manifest)
+        generation = build_index(store, params.threads, params.memory_mb)
+        says = read_generation(generation)
         assert says is not None
         built = 0 if generation == before else says.built_frames
         context.say(

@@ -28,8 +28,8 @@ from kinedex.storage.formats.motion.bodies import Given
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
 from kinedex.storage.formats.motion.sources import MOTIONS, scan
+from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.compaction import compact
-from kinedex.storage.store.schemas import takes_schema
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 

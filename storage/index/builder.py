@@ -1,4 +1,4 @@
-"""Building the index aside and publishing it: a copy of the generation before, made anew where parts have changed."""
+"""Build of the index: a copy of the generation before in which the changed shards are replaced, published by rename."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import slice_words
+from kinedex.storage import duck
+from kinedex.storage.disk import sync_file, sync_folder, write_errors
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import (
     BUILDING,
     FILE,
     INDEX_VERSION,
     KEPT,
-    SAYS,
+    RECORD,
     Generation,
     Shard,
-    current,
+    current_generation,
     file_digest,
     generations,
     is_of,
@@ -35,66 +37,68 @@ from kinedex.storage.index.generations import (
     read_generation,
     slices_name,
 )
-from kinedex.storage.index.plan import SHARD_FRAMES, Plan, plan, shard_parts
-from kinedex.storage.index.slices import write_slices
-from kinedex.storage.sql import duck
-from kinedex.storage.store.disk import sync_folder, writing
-from kinedex.storage.store.frames import read_words
-from kinedex.storage.store.lock import Lock
-from kinedex.storage.store.manifest import Part, now
-
-if TYPE_CHECKING:
-    from kinedex.storage.store.store import Store
+from kinedex.storage.index.shard_plan import SHARD_FRAMES, ShardPlan, plan_shards, shard_parts
+from kinedex.storage.index.slice_files import write_slices
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.frames import read_words
+from kinedex.storage.snapshot.manifest import Part, now
+from kinedex.storage.snapshot.snapshot import Snapshot
 
 MOST_WASTE = 2.0
-"""A file that has grown to more than this many times the size that it would have anew is written anew."""
+"""The index file is written anew once it has grown to more than this many times the size of a new one."""
 
 SPARE_BYTES = 4_000_000
-"""Bytes that a small file may waste all the same."""
+"""Bytes that a small file may waste without being written anew."""
 
 _AHEAD = 4
-"""Most shards that are made while one is being stored, whatever the number of cores: each is some 100 MB."""
+"""Most shards that are made while one is being stored, on any number of cores: each takes some 100 MB."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def build(
-    store: Store, threads: int | None = None, memory_mb: int | None = None, shard_frames: int = SHARD_FRAMES
+def build_index(
+    store: Snapshot, threads: int | None = None, memory_mb: int | None = None, shard_frames: int = SHARD_FRAMES
 ) -> Path:
-    """Build and publish the index of a store's live takes, unless it stands already; the newest `KEPT` stay.
+    """Build and publish the index of a store's live takes, unless it exists already; the newest `KEPT` stay.
 
-    What the generation before has of the same takes is copied, not made again.
+    Shards of the generation before whose takes are the same are copied, not made again.
 
     Parameters
     ----------
-    store: the version to index.
-    threads: how many to use, for making shards and for storing them; None takes one for every core.
-    memory_mb: what DuckDB may use; None leaves it to DuckDB.
-    shard_frames: frames from which a shard is full.
+    store : Snapshot
+        The version to index.
+    threads : int, optional
+        Number of threads that make shards, and that store them; one for every core by default.
+    memory_mb : int, optional
+        Most memory that DuckDB uses, in MB; DuckDB decides without it.
+    shard_frames : int, optional
+        Number of frames from which a shard is full.
 
     Returns
     -------
-    The generation's folder. Readers that have an older generation open keep it.
+    Path
+        The generation's folder. Readers that have an older generation open keep it.
 
     Raises
     ------
-    StoreError: another process builds an index of this store, a part cannot be read, or there is no space for the
-        index; the generation before stays.
+    StoreError
+        Another process builds an index of this store, a part cannot be read, or there is no space for the index; the
+        generation before stays.
     """
     folder = store.path / "index"
-    with writing(folder):
+    with write_errors(folder):
         folder.mkdir(exist_ok=True)
     with Lock(folder / "lock", "this build"):
-        standing = current(store.path, store.manifest)
+        standing = current_generation(store.path, store.manifest)
         if standing is not None and _stands(store, standing):
             return standing
         for leftover in folder.glob(f"{BUILDING}*"):
-            shutil.rmtree(leftover)
+            shutil.rmtree(leftover, ignore_errors=True)
         building = folder / f"{BUILDING}{uuid.uuid4().hex}"
         generation = new_generation(store.path, store.manifest.version)
         try:
-            with writing(building):
+            with write_errors(building):
                 building.mkdir()
                 _build(store, building, threads, memory_mb, shard_frames)
                 os.rename(building, generation)
@@ -105,23 +109,44 @@ def build(
             # of the same version: damaged, of another version of the index, or with other macros
             if number >= KEPT or (old != generation and is_of(old, store.manifest.version)):
                 removed = folder / f"{BUILDING}{uuid.uuid4().hex}"
-                os.rename(old, removed)
-                shutil.rmtree(removed)
+                _remove_generation(old, removed)
         return generation
 
 
-def _stands(store: Store, generation: Path) -> bool:
-    says = read_generation(generation)
+def _remove_generation(generation: Path, removed: Path) -> None:
+    """Remove a generation in one step: under another name first, where no reader looks for it."""
+    try:
+        os.rename(generation, removed)
+    except PermissionError:
+        return  # Windows: a reader has it open; a later build removes it
+    shutil.rmtree(removed, ignore_errors=True)
+
+
+def _stands(store: Snapshot, generation: Path) -> bool:
+    record = read_generation(generation)
     return (
-        says is not None and says.surface == tables.surface(store.feature_set, store.rate_hz) and is_whole(generation)
+        record is not None
+        and record.surface == tables.surface(store.feature_set, store.rate_hz)
+        and is_whole(generation)
     )
 
 
 @dataclass(frozen=True)
 class _Start:
-    """What a build begins with: the shards of an earlier generation that was copied, or none in an empty file.
+    """A start of a build: the copy of an earlier generation with its shards, or an empty file.
 
-    generation: its folder. shards: those that can be kept. lost: those whose bit slices are damaged.
+    Attributes
+    ----------
+    generation : Path, optional
+        Folder of the generation that was copied.
+    shards : tuple of Shard
+        Shards that can be kept.
+    lost : tuple of Shard
+        Shards whose bit slices are damaged.
+    surface : str
+        `tables.surface` of the generation.
+    whole_bytes_per_frame : float, optional
+        Bytes per frame when its file was last written whole.
     """
 
     generation: Path | None = None
@@ -131,15 +156,16 @@ class _Start:
     whole_bytes_per_frame: float | None = None
 
 
-def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | None, shard_frames: int) -> None:
+def _build(store: Snapshot, folder: Path, threads: int | None, memory_mb: int | None, shard_frames: int) -> None:
+    """Write the files of a new generation into a folder."""
     began = time.perf_counter()
     file = folder / FILE
     start = _copied(store, file)
     surface = tables.surface(store.feature_set, store.rate_hz)
-    work = plan(store.manifest.frames, start.shards, shard_frames)
+    work = plan_shards(store.manifest.frames, start.shards, shard_frames)
     connection = duck.connect(threads, memory_mb)
     try:
-        # this storage version is read by DuckDB 1.5 as well as by 2.x
+        # both DuckDB 1.5 and 2.x read this storage version
         version = "" if start.generation else "(STORAGE_VERSION 'v1.5.0')"
         connection.execute(f"ATTACH {duck.quote(str(file))} AS building {version}")
         connection.execute("USE building")
@@ -164,64 +190,79 @@ def _build(store: Store, folder: Path, threads: int | None, memory_mb: int | Non
         ) from None
     finally:
         connection.close()
-    with open(file, "rb") as content:
-        os.fsync(content.fileno())
-        digest = hashlib.file_digest(content, "sha256").hexdigest()
-    shards = (*work.kept, *fresh)
-    size = file.stat().st_size
-    says = Generation(
+    _write_record(store, folder, start, (*work.kept, *fresh), rows, valid, time.perf_counter() - began)
+    sync_folder(folder)
+
+
+def _write_record(
+    store: Snapshot,
+    folder: Path,
+    start: _Start,
+    shards: tuple[Shard, ...],
+    rows: dict[str, int],
+    valid_frames: int,
+    seconds: float,
+) -> None:
+    """Flush the DuckDB file to disk and write the generation's record."""
+    size, sha256 = sync_file(folder / FILE)
+    old = {shard.number for shard in start.shards}
+    record = Generation(
         index_version=INDEX_VERSION,
         manifest_version=store.manifest.version,
         content=store.manifest.content_digest(),
         feature_set_digest=store.feature_set.digest,
         rate_hz=store.rate_hz,
-        surface=surface,
+        surface=tables.surface(store.feature_set, store.rate_hz),
         shards=shards,
         rows=rows,
-        valid_frames=valid,
+        valid_frames=valid_frames,
         bytes=size,
-        sha256=digest,
+        sha256=sha256,
         whole_bytes_per_frame=start.whole_bytes_per_frame or size / max(1, sum(shard.frames for shard in shards)),
         built=now(),
-        built_frames=sum(shard.frames for shard in fresh),
-        build_seconds=round(time.perf_counter() - began, 3),
+        built_frames=sum(shard.frames for shard in shards if shard.number not in old),
+        build_seconds=round(seconds, 3),
     )
-    with open(folder / SAYS, "w", encoding="utf-8") as said:
-        said.write(says.to_json())
-        said.flush()
-        os.fsync(said.fileno())
-    sync_folder(folder)
+    with open(folder / RECORD, "w", encoding="utf-8") as written:
+        written.write(record.to_json())
+        written.flush()
+        os.fsync(written.fileno())
 
 
-def _copied(store: Store, file: Path) -> _Start:
+def _copied(store: Snapshot, file: Path) -> _Start:
     """Copy the newest generation that can serve as a start; an empty start where none can."""
     for generation in generations(store.path):
-        says = read_generation(generation)
-        if (
-            says is not None
-            and says.shards
-            and (says.index_version, says.feature_set_digest, says.rate_hz)
-            == (INDEX_VERSION, store.feature_set.digest, store.rate_hz)
-            and says.bytes <= MOST_WASTE * says.whole_bytes_per_frame * says.frames + SPARE_BYTES
-        ):
-            if _copy(generation / FILE, file) == says.sha256:
+        record = read_generation(generation)
+        if record is not None and _can_start(store, record):
+            if _copy(generation / FILE, file) == record.sha256:
                 whole = [
-                    file_digest(generation / slices_name(shard.number)) == shard.slices_sha256 for shard in says.shards
+                    file_digest(generation / slices_name(shard.number)) == shard.slices_sha256
+                    for shard in record.shards
                 ]
                 return _Start(
                     generation,
-                    tuple(compress(says.shards, whole)),
-                    tuple(shard for shard, stays in zip(says.shards, whole, strict=True) if not stays),
-                    says.surface,
-                    says.whole_bytes_per_frame,
+                    tuple(compress(record.shards, whole)),
+                    tuple(shard for shard, stays in zip(record.shards, whole, strict=True) if not stays),
+                    record.surface,
+                    record.whole_bytes_per_frame,
                 )
-            # damaged: what is copied from it would get a checksum that fits
+            # damaged: a copy of it would get a checksum that fits
             file.unlink(missing_ok=True)
     return _Start()
 
 
+def _can_start(store: Snapshot, record: Generation) -> bool:
+    """Return whether a generation has shards of the same words, in a file that does not waste much space."""
+    made_with = (record.index_version, record.feature_set_digest, record.rate_hz)
+    return (
+        bool(record.shards)
+        and made_with == (INDEX_VERSION, store.feature_set.digest, store.rate_hz)
+        and record.bytes <= MOST_WASTE * record.whole_bytes_per_frame * record.frames + SPARE_BYTES
+    )
+
+
 def _copy(source: Path, target: Path) -> str:
-    """Copy a file and return its checksum; an empty text where it is not there."""
+    """Copy a file and return its checksum; an empty text where there is no file."""
     digest = hashlib.sha256()
     try:
         with open(source, "rb") as content, open(target, "wb") as copy:
@@ -233,8 +274,8 @@ def _copy(source: Path, target: Path) -> str:
     return digest.hexdigest()
 
 
-def _delete(connection: duck.Connection, store: Store, work: Plan, start: _Start) -> None:
-    """Delete what is not in the next generation any more."""
+def _delete(connection: duck.Connection, store: Snapshot, work: ShardPlan, start: _Start) -> None:
+    """Delete the rows that are not in the next generation any more."""
     before = {shard.number: shard.take_ids for shard in (*start.shards, *start.lost)}
     removed = (*work.removed, *(shard.number for shard in start.lost))
     after = {shard.number: shard.take_ids for shard in work.kept}
@@ -247,7 +288,7 @@ def _delete(connection: duck.Connection, store: Store, work: Plan, start: _Start
 
 
 def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
-    """Take over the bit slices of shards that stay: one file in both generations, where the file system can."""
+    """Take over the bit slices of shards that stay: both generations share a file where the file system has links."""
     for shard in kept:
         assert before is not None
         name = slices_name(shard.number)
@@ -258,7 +299,7 @@ def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
 
 
 def _insert(
-    connection: duck.Connection, store: Store, work: Plan, start: _Start, folder: Path, threads: int | None
+    connection: duck.Connection, store: Snapshot, work: ShardPlan, start: _Start, folder: Path, threads: int | None
 ) -> tuple[Shard, ...]:
     """Make the new shards, several at a time, and store them in their order; bit slices go into files beside."""
     features = len(store.feature_set.features)
@@ -276,7 +317,7 @@ def _insert(
     workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
     for shard, rows in _ahead(make, enumerate(work.fresh, before + 1), workers):
         if fresh:
-            # one transaction for all would keep something of each: 1.6 GB instead of 0.7 at 400 hours
+            # a single transaction would hold more memory: 1.6 GB instead of 0.7 at 400 hours
             connection.execute("COMMIT")
             connection.execute("BEGIN")
         tables.insert(connection, shard.number, rows)
@@ -285,7 +326,7 @@ def _insert(
 
 
 def _ahead(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
-    """Apply a function in threads, at most one item a thread ahead of what is taken; results in the items' order."""
+    """Apply a function in threads and yield the results in the items' order, at most one item a thread in advance."""
     if workers <= 1:
         yield from map(function, items)
         return

@@ -1,4 +1,4 @@
-"""Published generations of the index: what each says of itself, and which one fits a version of the store."""
+"""Published generations of the index: their files and records, and the one that fits a version of the store."""
 
 from __future__ import annotations
 
@@ -12,29 +12,37 @@ from itertools import chain
 from pathlib import Path
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.store.manifest import Manifest, versions
+from kinedex.storage.snapshot.manifest import Manifest, versions
 
 INDEX_VERSION = 4
 """Version of the index's tables and of its other files; an index of another version is built again."""
 
 KEPT = 8
-"""How many generations a build leaves, its own among them, for readers that have an older version open. Each is a copy
-of the file, so that there must be a bound; `kinedex gc` removes what no version that stays needs."""
+"""Generations that a build keeps, its own among them, for readers that have an older version open. Each is a copy of
+the file, so that there must be a bound; `kinedex gc` removes those that no remaining version needs."""
 
 BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
 
 BUILDING, GENERATION = ".building-", "gen-"
-"""How the folders of unfinished and of published indexes are named."""
+"""Prefixes of the folders of unfinished and of published indexes."""
 
 _NAME = re.compile(rf"{GENERATION}(\d+)(?:-(\d+))?")
 
-FILE, SAYS = "index.duckdb", "generation.json"
-"""The files of a generation: the index itself, and what it says of itself; bit slices lie beside (`slices_name`)."""
+FILE, RECORD = "index.duckdb", "generation.json"
+"""The files of a generation: the index and its record; bit slices lie beside them (`slices_name`)."""
 
 
 @dataclass(frozen=True)
 class ShardPart:
-    """What a shard holds of one frames part: the part's checksum, and takes as half-open ranges of ids."""
+    """The takes of one frames part that a shard holds.
+
+    Attributes
+    ----------
+    sha256 : str
+        Checksum of the part.
+    takes : tuple of (int, int)
+        Half-open ranges of take ids.
+    """
 
     sha256: str
     takes: tuple[tuple[int, int], ...]
@@ -44,9 +52,20 @@ class ShardPart:
 class Shard:
     """Rows of the index that were made together, from the live takes of some frames parts.
 
-    number: what the column `shard` of its words says. frames: of its takes. built_frames: when it was made; what it has
-    lost since was deleted. slices_bytes, slices_sha256: the file of its bit slices (`storage.index.slices`), which
-    stays as it was made.
+    Attributes
+    ----------
+    number : int
+        Value of the column `shard` in `stored_vocabulary`.
+    parts : tuple of ShardPart
+        The parts that the shard was made from, with the takes that it still holds.
+    frames : int
+        Frames of its takes.
+    built_frames : int
+        Frames when the shard was made; rows of takes that it has lost since were deleted.
+    slices_bytes : int
+        Size of the file of its bit slices (`storage.index.slice_files`), which is never rewritten.
+    slices_sha256 : str
+        Checksum of that file.
     """
 
     number: int
@@ -58,17 +77,46 @@ class Shard:
 
     @property
     def take_ids(self) -> Iterator[int]:
-        """The takes of the shard."""
+        """The ids of the takes of the shard."""
         return chain.from_iterable(range(first, stop) for part in self.parts for first, stop in part.takes)
 
 
 @dataclass(frozen=True)
 class Generation:
-    """What a published index says of itself (`generation.json`).
+    """The record of a published index (`generation.json`).
 
-    content: `Manifest.content_digest` of the takes that it indexes. surface: `storage.index.tables.surface` of its
-    views and macros. rows: of each view. valid_frames: frames of all takes that have a word. whole_bytes_per_frame:
-    size of the file when it was last written whole. built_frames: those that were indexed anew for this generation.
+    Attributes
+    ----------
+    index_version : int
+        `INDEX_VERSION` of the kinedex that built it.
+    manifest_version : int
+        Version of the store that it was built for.
+    content : str
+        `Manifest.content_digest` of the takes that it indexes.
+    feature_set_digest : str
+        Digest of the feature set of the words.
+    rate_hz : float
+        Analysis frames per second.
+    surface : str
+        `storage.index.tables.surface` of its views and macros.
+    shards : tuple of Shard
+        The shards that hold its rows.
+    rows : dict of str to int
+        Number of rows of each view.
+    valid_frames : int
+        Frames of all takes that have a word.
+    bytes : int
+        Size of the DuckDB file.
+    sha256 : str
+        Checksum of the DuckDB file.
+    whole_bytes_per_frame : float
+        Bytes per frame when the file was last written whole.
+    built : str
+        Time of the build, ISO 8601 in UTC.
+    built_frames : int
+        Frames that were indexed anew for this generation.
+    build_seconds : float
+        Duration of the build.
     """
 
     index_version: int
@@ -93,12 +141,12 @@ class Generation:
         return sum(shard.frames for shard in self.shards)
 
     def to_json(self) -> str:
-        """As it stands in `generation.json`."""
+        """Return the text of `generation.json`."""
         return json.dumps(asdict(self), indent=1)
 
     @classmethod
     def from_json(cls, text: str) -> Generation:
-        """The inverse of `to_json`; a ValueError, TypeError or KeyError where the text is none of its making."""
+        """Read the text of `generation.json`; a ValueError, TypeError or KeyError reports a damaged one."""
         values = json.loads(text)
         values["shards"] = tuple(_shard(shard) for shard in values["shards"])
         return cls(**values)
@@ -112,15 +160,15 @@ def _shard(values: dict[str, object]) -> Shard:
     return Shard(**{**values, "parts": known})  # type: ignore[arg-type]
 
 
-def current(store: Path, manifest: Manifest) -> Path | None:
-    """The newest generation that indexes exactly the live takes of this version; None where there is none."""
+def current_generation(store: Path, manifest: Manifest) -> Path | None:
+    """Return the newest generation that indexes exactly the live takes of a version; None where there is none."""
     content = manifest.content_digest()
     found = None
-    # one that is there may be replaced before it is looked at; no name is ever given twice
+    # a listed generation may be replaced before it is read; no name is ever given twice
     while found != (found := generations(store)):
         for generation in found:
-            says = read_generation(generation)
-            if says is not None and says.content == content and _sound(generation, says):
+            record = read_generation(generation)
+            if record is not None and record.content == content and _sound(generation, record):
                 return generation
     return None
 
@@ -128,19 +176,21 @@ def current(store: Path, manifest: Manifest) -> Path | None:
 _OTHER = "it is damaged, or was built by another version of kinedex"
 
 
-def _sound(generation: Path, says: Generation | None) -> bool:
-    """Whether a generation is of this version and has files of the right size."""
+def _sound(generation: Path, record: Generation | None) -> bool:
+    """Return whether a generation is of this version and has files of the right size."""
     return (
-        says is not None and says.index_version == INDEX_VERSION and next(wrong_sizes(generation, says), None) is None
+        record is not None
+        and record.index_version == INDEX_VERSION
+        and next(wrong_sizes(generation, record), None) is None
     )
 
 
-def wrong_sizes(generation: Path, says: Generation) -> Iterator[tuple[str, str]]:
-    """The files of a generation that are missing or too short or long, and what is wrong with each."""
-    for name, (wanted, _) in files(says).items():
+def wrong_sizes(generation: Path, record: Generation) -> Iterator[tuple[str, str]]:
+    """Yield the name and the fault of each file of a generation that is missing or has another size than recorded."""
+    for name, (wanted, _) in index_files(record).items():
         size = _size(generation / name)
         if size != wanted:
-            yield name, "is missing" if size is None else f"has {size} bytes, the index says {wanted}"
+            yield name, "is missing" if size is None else f"has {size} bytes, the index records {wanted}"
 
 
 def _size(file: Path) -> int | None:
@@ -151,34 +201,34 @@ def _size(file: Path) -> int | None:
 
 
 def slices_name(number: int) -> str:
-    """The name of the file that holds the bit slices of a shard."""
+    """Return the name of the file that holds the bit slices of a shard."""
     return f"shard-{number:06d}.slices"
 
 
-def files(says: Generation) -> dict[str, tuple[int, str]]:
-    """The files of a generation that readers open: name → bytes and SHA-256."""
-    slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_sha256) for shard in says.shards}
-    return {FILE: (says.bytes, says.sha256), **slices}
+def index_files(record: Generation) -> dict[str, tuple[int, str]]:
+    """Return the files of a generation that readers open: name → size in bytes and SHA-256."""
+    slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_sha256) for shard in record.shards}
+    return {FILE: (record.bytes, record.sha256), **slices}
 
 
 def read_generation(generation: Path) -> Generation | None:
-    """What a generation says of itself; None where that cannot be read."""
+    """Return the record of a generation; None where it cannot be read."""
     try:
-        return Generation.from_json((generation / SAYS).read_text(encoding="utf-8"))
+        return Generation.from_json((generation / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 
 
 def is_whole(generation: Path) -> bool:
-    """Whether the files are, byte by byte, those that were published."""
-    says = read_generation(generation)
-    return says is not None and all(
-        file_digest(generation / name) == sha256 for name, (_, sha256) in files(says).items()
+    """Return whether the files have the checksums with which they were published."""
+    record = read_generation(generation)
+    return record is not None and all(
+        file_digest(generation / name) == sha256 for name, (_, sha256) in index_files(record).items()
     )
 
 
 def file_digest(file: Path) -> str:
-    """The SHA-256 of a file; an empty text where it cannot be read."""
+    """Return the SHA-256 of a file; an empty text where it cannot be read."""
     try:
         with open(file, "rb") as content:
             return hashlib.file_digest(content, "sha256").hexdigest()
@@ -186,8 +236,8 @@ def file_digest(file: Path) -> str:
         return ""
 
 
-def missing(store: Path, manifest: Manifest) -> StoreError:
-    """The error for a version of a store whose index is missing or does not fit its takes."""
+def missing_index(store: Path, manifest: Manifest) -> StoreError:
+    """Return the error for a version of a store whose index is missing or does not fit its takes."""
     newest = max(versions(store), default=0)
     if newest > manifest.version:
         return StoreError(
@@ -202,24 +252,24 @@ def missing(store: Path, manifest: Manifest) -> StoreError:
 
 
 def generations(store: Path) -> list[Path]:
-    """The folders of all published generations, newest first."""
+    """Return the folders of all published generations, newest first."""
     folder = store / "index"
     names = os.listdir(folder) if folder.is_dir() else []
     return [folder / name for name in sorted(names, key=_age, reverse=True) if name.startswith(GENERATION)]
 
 
 def new_generation(store: Path, version: int) -> Path:
-    """The folder of the next generation of a version, whose name none has had: `gen-000012`, then `gen-000012-2`."""
+    """Return a folder for the next generation of a version, with a new name: `gen-000012`, then `gen-000012-2`."""
     number = max((_age(folder.name)[1] for folder in generations(store) if is_of(folder, version)), default=0)
     return store / "index" / (f"{GENERATION}{version:06d}" + (f"-{number + 1}" if number else ""))
 
 
 def is_of(generation: Path, version: int) -> bool:
-    """Whether a generation was made of this version, as its name says."""
+    """Return whether a generation bears the name of this version."""
     return _age(generation.name)[0] == version
 
 
 def _age(name: str) -> tuple[int, int, str]:
-    """Version and number of a generation's name, by which generations are sorted."""
+    """Return version and number of a generation's name, the key by which generations are sorted."""
     match = _NAME.fullmatch(name)
     return (int(match[1]), int(match[2] or 1), name) if match else (0, 0, name)

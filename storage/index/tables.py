@@ -1,9 +1,9 @@
-"""What stands in an index file: the tables that hold the rows of shards, and the views and macros over them.
+"""The content of an index file: the tables that hold the rows of shards, and the views and macros over them.
 
 `stored_word_runs_<set>`, `stored_feature_runs` and `stored_vocabulary` hold the rows of all shards, one shard after the
-other, each sorted. Whose a run is, its take tells, since every take is in one shard; words have a column for it. A run
-is stored with its length, which takes a third of the room that its end would take, and with its take's id in 32 bits.
-`word_runs`, `feature_runs` and `vocabulary` show them as `catalog.sql.views` says.
+other, each sorted. The take of a run determines its shard, since every take is in one shard; the vocabulary has a
+column for the shard. A run is stored with its length, which takes a third of the room of its end, and with its take's
+id in 32 bits. The views `word_runs`, `feature_runs` and `vocabulary` show them as `catalog.sql.views` describes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -23,17 +23,27 @@ from kinedex.ops.errors import StoreError
 from kinedex.ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
 from kinedex.ops.search.runs import FeatureRuns, feature_runs
 from kinedex.ops.words import I64, TakeWords
-from kinedex.storage.sql import duck
-
-if TYPE_CHECKING:
-    from kinedex.storage.store.store import Store
+from kinedex.storage import duck
+from kinedex.storage.snapshot.snapshot import Snapshot
 
 BATCH = 122_880
-"""Rows of a DuckDB row group: batches of this size are compressed by several threads."""
+"""Rows of a DuckDB row group; several threads compress batches of this size."""
 
 
 class ShardRows(NamedTuple):
-    """The rows of a shard before they are stored: feature set → inverted lists; feature runs; both by take position."""
+    """The rows of a shard before they are stored.
+
+    Attributes
+    ----------
+    take_ids : int64 array (T,)
+        Ids of the takes; the runs name a take by its position here.
+    lists : dict of str to InvertedLists
+        Feature set → its inverted lists.
+    features : FeatureRuns
+        The runs of all features.
+    frames : int
+        Frames of all takes.
+    """
 
     take_ids: I64
     lists: dict[str, InvertedLists]
@@ -42,11 +52,19 @@ class ShardRows(NamedTuple):
 
 
 def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
-    """Make the rows of a shard from the words of its takes; any thread may.
+    """Make the rows of a shard from the words of its takes; any thread may call it.
+
+    Parameters
+    ----------
+    words : TakeWords
+        The words of the takes.
+    feature_set : FeatureSet
+        The feature set of the words.
 
     Raises
     ------
-    StoreError: an id of a take beyond 32 bits.
+    StoreError
+        The id of a take does not fit into 32 bits.
     """
     if len(words) and words.take_ids[-1] > np.iinfo(np.int32).max:
         raise StoreError(f"take {words.take_ids[-1]}: the index holds takes up to {np.iinfo(np.int32).max}")
@@ -60,11 +78,11 @@ def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
 
 def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
     """Make the tables that hold the rows of shards."""
-    # what DuckDB chooses by itself, after having tried all others, which takes a third of the time of storing
+    # DuckDB would choose the same after trying all compressions, which takes a third of the time of storing
     packed, repeated = "USING COMPRESSION bitpacking", "USING COMPRESSION rle"
     run = f"take_id INTEGER {packed}, start INTEGER {packed}, frames INTEGER {packed}"
     for name, home in feature_set.sets.items():
-        # so few features make so few words that each has many runs in a shard
+        # few features make few words, so that each has many runs in a shard
         column = "UBIGINT" if home.count > MOST_COUNTED else f"UBIGINT {repeated}"
         connection.execute(f"CREATE TABLE {lists_table(name)} (word {column}, {run})")
     connection.execute(f"CREATE TABLE stored_feature_runs (feature UTINYINT {repeated}, {run})")
@@ -105,8 +123,14 @@ def delete(
 
     Parameters
     ----------
-    removed: number of a shard → the ids of its takes. dropped: number of a shard → the ids of takes that it loses, and
-        of those that it keeps.
+    connection : Connection
+        A connection to the index file.
+    feature_set : FeatureSet
+        The feature set of the words.
+    removed : mapping of int to iterable of int
+        Number of a shard that goes → the ids of its takes.
+    dropped : mapping of int to pair of iterables of int
+        Number of a shard → the ids of the takes that it loses, and the ids of the takes that it keeps.
     """
     gone = [*removed.values(), *(lost for lost, _ in dropped.values())]
     if not gone:
@@ -127,21 +151,21 @@ def delete(
 
 @contextmanager
 def _takes(connection: duck.Connection, name: str, take_ids: Iterable[int]) -> Iterator[None]:
-    """Ids of takes as a table of this name."""
+    """Provide ids of takes as a table of this name."""
     connection.register(name, pa.table({"take_id": np.fromiter(take_ids, np.int32)}))
     yield
     connection.unregister(name)
 
 
-def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:
-    """Make what stands beside the shards: takes and vocabulary, and, `anew`, also features, help, views and macros.
+def describe(connection: duck.Connection, store: Snapshot, *, anew: bool) -> None:
+    """Make the tables takes and vocabulary, and with `anew` also features, help, views and macros.
 
-    Of the latter nothing may be there; `clear` makes room.
+    The latter must not exist yet; `clear` removes them.
     """
     if anew:
-        _create_as(connection, "features", features_table(store))
+        _create_as(connection, "features", features_table(store.feature_set))
         _create_as(connection, "help", help_table(index_only=True))
-    _create_as(connection, "takes", store.takes_table())  # sorted by name
+    _create_as(connection, "takes", store.take_rows)
     connection.execute(
         "CREATE OR REPLACE TABLE vocabulary AS "
         "SELECT feature_set, word, sum(runs)::BIGINT AS runs, sum(frames)::BIGINT AS frames "
@@ -153,30 +177,30 @@ def describe(connection: duck.Connection, store: Store, *, anew: bool) -> None:
 
 
 def count(connection: duck.Connection) -> dict[str, int]:
-    """The number of rows of every view of the index."""
+    """Return the number of rows of every view of the index."""
     tables = [view.name for view in VIEWS if view.origin == "index"]
-    counted = ((table, duck.query(connection, f"SELECT count(*) FROM {table}")) for table in tables)
+    counted = ((table, duck.rows(connection, f"SELECT count(*) FROM {table}")) for table in tables)
     return {table: int(found.column(0)[0].as_py()) for table, found in counted}
 
 
 def valid_frames(connection: duck.Connection, feature_set: FeatureSet) -> int:
-    """The frames of all takes that have a word; the words of every feature set fill as many."""
+    """Return the number of frames that have a word; it is the same for every feature set."""
     name = duck.quote(min(feature_set.sets))
     query = f"SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = {name}"
-    return int(duck.query(connection, query).column(0)[0].as_py())
+    return int(duck.rows(connection, query).column(0)[0].as_py())
 
 
 def surface(feature_set: FeatureSet, rate_hz: float) -> str:
-    """A hash of the views, macros and help of an index; where it differs, they are out of date, the rows are not."""
+    """Return a hash of the views, macros and help of an index; a change of it leaves the rows valid."""
     text = "\n".join([*_statements(feature_set, rate_hz), *map(repr, help_rows(index_only=True))])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def features_table(store: Store) -> pa.Table:
-    """The rows of the view `features`."""
+def features_table(feature_set: FeatureSet) -> pa.Table:
+    """Return the rows of the view `features`."""
     rows = []
-    for feature in store.feature_set.features:
-        home = store.feature_set.set_of(feature.number)
+    for feature in feature_set.features:
+        home = feature_set.set_of(feature.number)
         rows.append(
             {
                 "number": feature.number,
@@ -192,19 +216,19 @@ def features_table(store: Store) -> pa.Table:
 
 
 def help_table(*, index_only: bool = False) -> pa.Table:
-    """The rows of the view `help`."""
+    """Return the rows of the view `help`."""
     columns = ("name", "call", "summary", "example")
     rows = help_rows(index_only=index_only)
     return pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows])
 
 
 def lists_table(feature_set: str) -> str:
-    """The table that holds the word runs of a feature set, as SQL names it."""
-    return duck.name(f"stored_word_runs_{feature_set}")
+    """Return the quoted name of the table that holds the word runs of a feature set."""
+    return duck.identifier(f"stored_word_runs_{feature_set}")
 
 
 def _statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
-    # every column with its table's name: a bare one would be taken for an argument of a macro that is called so
+    # every column stands with its table: a bare name could be taken for an argument of a macro
     run = "s.take_id::BIGINT AS take_id, s.start, s.start + s.frames AS stop"
     lists = [
         f"SELECT {duck.quote(name)} AS feature_set, s.word, {run} FROM {lists_table(name)} AS s"
@@ -219,19 +243,19 @@ def _statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
 
 
 def clear(connection: duck.Connection) -> None:
-    """Drop what an earlier generation had beside the shards."""
+    """Drop the views, macros and tables of an earlier generation beside its shards."""
     for source, kind, where in (
         ("duckdb_views()", "view_name, 'VIEW'", ""),
         ("duckdb_functions()", "function_name, IF(function_type = 'table_macro', 'MACRO TABLE', 'MACRO')", ""),
         ("duckdb_tables()", "table_name, 'TABLE'", "AND table_name NOT LIKE 'stored!_%' ESCAPE '!'"),
     ):
-        found = duck.query(
+        found = duck.rows(
             connection,
             f"SELECT DISTINCT {kind} FROM {source} "
             f"WHERE database_name = current_database() AND schema_name = 'main' AND NOT internal {where}",
         )
         for name, what in zip(*(column.to_pylist() for column in found.columns), strict=True):
-            connection.execute(f"DROP {what} {duck.name(name)}")
+            connection.execute(f"DROP {what} {duck.identifier(name)}")
 
 
 def _create_as(connection: duck.Connection, table: str, source: pa.Table) -> None:

@@ -30,10 +30,10 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
-from kinedex.storage.store.manifest import Part, ResultPart
-from kinedex.storage.store.parts import ROW_GROUP, FramesWriter, part_file, write_part
-from kinedex.storage.store.schemas import takes_schema
-from kinedex.storage.store.store import Store
+from kinedex.storage.snapshot.manifest import Part, ResultPart
+from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter, part_file, write_part
+from kinedex.storage.snapshot.schemas import takes_schema
+from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.writer import StoreWriter
 
 TARGET_BYTES = 100_000_000
@@ -189,12 +189,12 @@ def _live_share(part: Part | ResultPart) -> float:
     return part.live_rows / part.rows if part.rows else 1.0
 
 
-def _merges(store: Store, group: list[Part], target_bytes: int, workers: int) -> list[Merge]:
+def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int) -> list[Merge]:
     """Lay the live takes of a group out in new parts, each of the target's size or above where there is enough."""
     takes = sorted(take for part in group for take in part.live)
     if not takes:
         return []
-    frames = _frames_of(store)
+    frames = store.take_frames
     live_bytes = sum(part.bytes * _live_share(part) for part in group)
     rows = sum(frames[take] for take in takes)
     # a tenth more than the target, since merged parts compress a little better
@@ -212,10 +212,6 @@ def _merges(store: Store, group: list[Part], target_bytes: int, workers: int) ->
         parts = tuple(part for part in group if not set(ids).isdisjoint(part.live))
         merges.append(Merge(store.path, store.feature_set, store.rate_hz, parts, ids))
     return merges
-
-
-def _frames_of(store: Store) -> dict[int, int]:
-    return dict(store.takes().select("take_id", "frames").iter_rows())
 
 
 def _stretches(store: Path, part: Part) -> dict[int, tuple[int, int]]:
@@ -302,7 +298,7 @@ class _RowGroups:
         return self._kept[key]
 
 
-def _merge_takes(store: Store, parts: list[Part]) -> Part:
+def _merge_takes(store: Snapshot, parts: list[Part]) -> Part:
     """Write the live rows of takes parts as one part; a row is some hundred bytes, so they fit into memory."""
     tables = []
     for part in parts:

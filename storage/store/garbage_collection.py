@@ -1,4 +1,4 @@
-"""Garbage collection: old versions of a store, and every file that no version that is kept needs, are removed."""
+"""Garbage collection: removal of old versions of a store, and of all files that no remaining version needs."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import ParameterError
-from kinedex.storage import index
-from kinedex.storage.store.disk import writing
-from kinedex.storage.store.lock import Lock
-from kinedex.storage.store.manifest import (
+from kinedex.storage.disk import write_errors
+from kinedex.storage.index.generations import BUILDING, GENERATION, INDEX_VERSION, read_generation
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.manifest import (
     FOLDER,
     TEMPORARY,
     manifest_path,
@@ -22,50 +22,62 @@ from kinedex.storage.store.manifest import (
     read_version,
     versions,
 )
-from kinedex.storage.store.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import RESULT_KINDS
 
 KEPT_VERSIONS = 2
-"""How many of the newest versions stay: the newest, and one to fall back to should its manifest be damaged."""
+"""Number of the newest versions that stay: the newest, and one to fall back to should its manifest be damaged."""
 
 
 @dataclass(frozen=True)
 class Garbage:
-    """A file or folder that is not needed: its path relative to the store, its bytes, and what it is.
+    """A file or folder that is not needed.
 
-    what: "old version", "frames part", "takes part", "results part", "index generation", "unfinished file".
+    Attributes
+    ----------
+    path : str
+        Path relative to the store, with /.
+    bytes : int
+        Space that it takes.
+    kind : str
+        "old version", "frames part", "takes part", "results part", "index generation" or "unfinished file".
     """
 
     path: str
     bytes: int
-    what: str
+    kind: str
 
 
 def collect(store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = False) -> list[Garbage]:
-    """Remove what the newest versions of a store do not need; files that kinedex has not made are not touched.
+    """Remove all files that the newest versions of a store do not need; files of others are not touched.
 
-    Versions go before their parts, so that killed at any moment it leaves a sound store. Whoever has an older version
-    open can no longer read from it what is removed.
+    Versions go before their parts, so that the store is sound when the process is killed at any moment. Readers that
+    have an older version open can no longer read the removed parts.
 
     Parameters
     ----------
-    store: the store's directory.
-    keep: how many of the newest versions stay, at least 1.
-    dry_run: only say what would be removed.
+    store : str or Path
+        The store's directory.
+    keep : int, optional
+        Number of the newest versions that stay, at least 1.
+    dry_run : bool, optional
+        Remove nothing; only return what would be removed.
 
     Returns
     -------
-    What was removed, versions first.
+    list of Garbage
+        What was removed, versions first.
 
     Raises
     ------
-    StoreError: no store there; a writer or an index build is at work; a version that stays is damaged, so that what it
-        needs is not known. Nothing is removed then.
+    StoreError
+        There is no store; a writer or an index build is at work; a remaining version is damaged, so that the parts
+        that it needs are not known. Nothing is removed then.
     """
     root = Path(store)
     if keep < 1:
         raise ParameterError("keep", "at least 1", keep)
     read_newest(root)
-    with writing(root):
+    with write_errors(root):
         (root / "index").mkdir(exist_ok=True)
     with Lock(root / "lock", "garbage collection"), Lock(root / "index" / "lock", "garbage collection"):
         found = [*_old_versions(root, keep), *_parts(root, keep), *_unfinished(root), *_generations(root, keep)]
@@ -76,18 +88,18 @@ def collect(store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = Fal
 
 
 def summary(found: list[Garbage]) -> list[str]:
-    """What was found in a few lines, each to follow "removed": how many of each kind, and their bytes."""
-    counts, sizes = Counter(garbage.what for garbage in found), Counter[str]()
+    """Summarise garbage: a line for each kind with count and size, to be printed after "removed"."""
+    counts, sizes = Counter(garbage.kind for garbage in found), Counter[str]()
     for garbage in found:
-        sizes[garbage.what] += garbage.bytes
+        sizes[garbage.kind] += garbage.bytes
     lines = [
-        f"{count:,} {what}{'' if count == 1 else 's'}, {shown_bytes(sizes[what])}" for what, count in counts.items()
+        f"{count:,} {kind}{'' if count == 1 else 's'}, {shown_bytes(sizes[kind])}" for kind, count in counts.items()
     ]
     return lines or ["nothing: there is no garbage"]
 
 
 def shown_bytes(count: int) -> str:
-    """A number of bytes for people."""
+    """Return a number of bytes as people read it, such as "12.3 MB"."""
     size, unit = float(count), "bytes"
     for larger in ("kB", "MB", "GB", "TB"):
         if size < 1000:
@@ -105,10 +117,10 @@ def _old_versions(root: Path, keep: int) -> Iterator[Garbage]:
 def _parts(root: Path, keep: int) -> Iterator[Garbage]:
     needed = set().union(*(named_files(root, version) for version in versions(root)[-keep:]))
     for folder in ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
-        what = f"{folder.split('/')[0]} part"
+        kind = f"{folder.split('/')[0]} part"
         for name in sorted(os.listdir(root / folder)) if (root / folder).is_dir() else ():
             if name.startswith("part-") and f"{folder}/{name}" not in needed:
-                yield Garbage(f"{folder}/{name}", (root / folder / name).stat().st_size, what)
+                yield Garbage(f"{folder}/{name}", (root / folder / name).stat().st_size, kind)
 
 
 def _unfinished(root: Path) -> Iterator[Garbage]:
@@ -118,25 +130,25 @@ def _unfinished(root: Path) -> Iterator[Garbage]:
 
 
 def _generations(root: Path, keep: int) -> Iterator[Garbage]:
-    """The index generations that fit no version that stays, and what killed builds have left."""
+    """Yield the index generations that fit no remaining version, and the leftovers of killed builds."""
     contents = {read_version(root, version).content_digest() for version in versions(root)[-keep:]}
     for folder in sorted((root / "index").iterdir()):
-        if folder.name.startswith(index.BUILDING):
+        if folder.name.startswith(BUILDING):
             yield Garbage(f"index/{folder.name}", _size(folder), "unfinished file")
-        elif folder.name.startswith(index.GENERATION):
-            says = index.read_generation(folder)
-            if says is None or says.index_version != index.INDEX_VERSION or says.content not in contents:
+        elif folder.name.startswith(GENERATION):
+            record = read_generation(folder)
+            if record is None or record.index_version != INDEX_VERSION or record.content not in contents:
                 yield Garbage(f"index/{folder.name}", _size(folder), "index generation")
 
 
 def _size(folder: Path) -> int:
-    # what other generations link to as well counts for each of them its share
+    # a file that several generations link to counts in shares
     found = (file.stat() for file in folder.rglob("*") if file.is_file())
     return sum(file.st_size // file.st_nlink for file in found)
 
 
 def _remove(path: Path) -> None:
-    with writing(path):
+    with write_errors(path):
         if path.is_dir():
             shutil.rmtree(path)
         else:

@@ -4,7 +4,7 @@ Results of takes, such as distance curves, grow with an archive. Where a run kee
 takes, the new version of the store names the old parts again. Written again are only parts some of whose takes go or
 are found anew, and small ones, before there are many of them (by the tiers of `storage.store.compaction`). A part is
 full at
-`storage.store.parts.FULL_BYTES`, so that little is written again for one take.
+`storage.snapshot.parts.FULL_BYTES`, so that little is written again for one take.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from kinedex.storage.snapshot.manifest import ResultPart
+from kinedex.storage.snapshot.parts import FULL_BYTES, part_file, read_errors
+from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.compaction import worthwhile
-from kinedex.storage.store.manifest import ResultPart
-from kinedex.storage.store.parts import FULL_BYTES, part_file
-from kinedex.storage.store.store import Store, reading
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Lasting:
     again: tuple[ResultPart, ...]
 
 
-def lasting(store: Store, kind: str, stage: str, take_ids: Collection[int]) -> Lasting:
+def lasting(store: Snapshot, kind: str, stage: str, take_ids: Collection[int]) -> Lasting:
     """Divide the parts of a stage's results.
 
     Parameters
@@ -58,8 +58,8 @@ def lasting(store: Store, kind: str, stage: str, take_ids: Collection[int]) -> L
     return Lasting(stay, (*again, *(part for part in whole if part.path in small)))
 
 
-def _takes_of(store: Store, part: ResultPart) -> set[int]:
+def _takes_of(store: Snapshot, part: ResultPart) -> set[int]:
     file = part_file(store.path, part.path)
-    with reading(file):
+    with read_errors(file):
         column = pq.read_table(file, columns=["take_id"]).column("take_id")
     return set(pc.unique(column).to_pylist())

@@ -1,4 +1,4 @@
-"""Checking a store: every file against the manifest, the parts against each other, the index against the parts."""
+"""Verification of a store: files against the manifest, parts against each other, the index against the parts."""
 
 from __future__ import annotations
 
@@ -9,27 +9,42 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from kinedex.ops.errors import KinedexError
-from kinedex.storage import index
-from kinedex.storage.index.checks import problems
-from kinedex.storage.index.generations import generations
-from kinedex.storage.sql import duck
-from kinedex.storage.store.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
-from kinedex.storage.store.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
-from kinedex.storage.store.store import Store
+from kinedex.storage import duck
+from kinedex.storage.index.generations import (
+    BUILD,
+    INDEX_VERSION,
+    current_generation,
+    file_digest,
+    generations,
+    index_files,
+    read_generation,
+    wrong_sizes,
+)
+from kinedex.storage.index.verification import index_problems
+from kinedex.storage.snapshot.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
+from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
+from kinedex.storage.snapshot.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about a store that is not as it should be.
+    """A problem of a store, with its remedy.
 
-    file: the file it is about, relative to the store. remedy: the way out.
-    fault: whether the store is damaged; otherwise something is merely out of date or in the way.
+    Attributes
+    ----------
+    file : str
+        The file that has the problem, relative to the store.
+    problem : str
+        Description of the problem.
+    remedy : str
+        The way out.
+    fault : bool
+        True if the store is damaged; False if a file is merely out of date or superfluous.
     """
 
     file: str
@@ -45,16 +60,22 @@ _COPY = "bring the file back from a copy of the store, or ingest the sources int
 _RESULT = "run the stage that made it again"
 
 
-def verify(store: Store) -> list[Finding]:
-    """Check everything that the newest version of a store says of itself.
+def verify(store: Snapshot) -> list[Finding]:
+    """Check everything that a version of a store records about its files.
 
-    Every part's size, checksum, row count, schema, takes, order of rows; that the frames of every take are 0, 1, …, as
-    many as the take says; that no take is live twice; older manifests; leftover files; the index's checksums, counts
-    and bit slices.
+    These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
+    are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; leftover files; and
+    the index's checksums, counts and bit slices.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The version to check.
 
     Returns
     -------
-    The findings, empty for a sound store.
+    list of Finding
+        The problems, empty for a sound store.
     """
     parts = list(_parts(store))
     return [
@@ -67,7 +88,7 @@ def verify(store: Store) -> list[Finding]:
     ]
 
 
-def _manifests(store: Store) -> Iterator[Finding]:
+def _manifests(store: Snapshot) -> Iterator[Finding]:
     for version in versions(store.path):
         if version != store.manifest.version:
             try:
@@ -77,7 +98,7 @@ def _manifests(store: Store) -> Iterator[Finding]:
                 yield Finding(f"{FOLDER}/{version:06d}.json", problem, "move this old version away", fault=False)
 
 
-def _parts(store: Store) -> Iterator[Finding]:
+def _parts(store: Snapshot) -> Iterator[Finding]:
     frames = frames_schema(store.feature_set, store.rate_hz)
     counted: dict[int, int] = {}
     dropped: dict[str, int] = {}
@@ -104,13 +125,13 @@ def _parts(store: Store) -> Iterator[Finding]:
                 yield Finding(part.path, problem, _COPY)
 
 
-def _file(store: Store, part: Part | ResultPart, schema: pa.Schema, remedy: str) -> list[Finding]:
-    """What is wrong with a part as a file; its rows are looked at only where nothing is."""
+def _file(store: Snapshot, part: Part | ResultPart, schema: pa.Schema, remedy: str) -> list[Finding]:
+    """Check a part as a file: size, checksum, number of rows, schema."""
     file = store.path / part.path
     try:
         size = file.stat().st_size
         if size != part.bytes:
-            return [Finding(part.path, f"has {size} bytes, the manifest says {part.bytes}", remedy)]
+            return [Finding(part.path, f"has {size} bytes, the manifest records {part.bytes}", remedy)]
         with open(file, "rb") as content:
             if hashlib.file_digest(content, "sha256").hexdigest() != part.sha256:
                 return [Finding(part.path, "its content does not fit its checksum", remedy)]
@@ -120,12 +141,12 @@ def _file(store: Store, part: Part | ResultPart, schema: pa.Schema, remedy: str)
     except (OSError, pa.ArrowException) as fault:
         return [Finding(part.path, f"cannot be read: {str(fault).splitlines()[0]}", remedy)]
     if metadata.num_rows != part.rows:
-        return [Finding(part.path, f"has {metadata.num_rows} rows, the manifest says {part.rows}", remedy)]
+        return [Finding(part.path, f"has {metadata.num_rows} rows, the manifest records {part.rows}", remedy)]
     problem = schema_problem(metadata.schema.to_arrow_schema(), schema)
     return [Finding(part.path, problem, remedy)] if problem else []
 
 
-def _frames_rows(store: Store, part: Part, counted: dict[int, int], dropped: dict[str, int]) -> Iterator[Finding]:
+def _frames_rows(store: Snapshot, part: Part, counted: dict[int, int], dropped: dict[str, int]) -> Iterator[Finding]:
     table = pq.read_table(store.path / part.path, columns=["take_id", "frame"])
     takes, frames = table.column("take_id").to_numpy(), table.column("frame").to_numpy()
     if np.any(np.diff(takes) < 0):
@@ -145,29 +166,29 @@ def _frames_rows(store: Store, part: Part, counted: dict[int, int], dropped: dic
     dropped[part.path] = sum(has.get(take, 0) for take in part.dropped)
 
 
-def _takes_rows(store: Store, part: Part) -> Iterator[Finding]:
+def _takes_rows(store: Snapshot, part: Part) -> Iterator[Finding]:
     held = pq.read_table(store.path / part.path, columns=["take_id"]).column("take_id").to_pylist()
     if sorted(held) != sorted(part.take_ids):
         yield Finding(part.path, "its takes are not those that the manifest lists for it", _COPY)
 
 
-def _result_rows(store: Store, part: ResultPart) -> list[Finding]:
+def _result_rows(store: Snapshot, part: ResultPart) -> list[Finding]:
     runs = pc.unique(pq.read_table(store.path / part.path, columns=["run"]).column("run")).to_pylist()
     return [Finding(part.path, f"holds rows of the runs {runs}, not {part.run}", _RESULT)] if runs != [part.run] else []
 
 
-def _takes_against_frames(store: Store, counted: dict[int, int]) -> Iterator[Finding]:
+def _takes_against_frames(store: Snapshot, counted: dict[int, int]) -> Iterator[Finding]:
     manifest = f"{FOLDER}/{store.manifest.version:06d}.json"
-    takes = store.takes()
-    rows = dict(zip(takes["take_id"].to_list(), takes["frames"].to_list(), strict=True))
+    rows = store.take_frames
     for take in sorted(counted.keys() ^ rows.keys()):
         lacks = "row in takes" if take in counted else "frames"
         yield Finding(manifest, f"take {take} has no {lacks}", _COPY)
     for take in sorted(counted.keys() & rows.keys()):
         if counted[take] != rows[take]:
-            yield Finding(manifest, f"take {take} has {counted[take]} frames, takes says {rows[take]}", _COPY)
-    for name, count in takes["name"].value_counts().filter(pl.col("count") > 1).iter_rows():
-        yield Finding(manifest, f"{count} takes are named {name}", _COPY)
+            yield Finding(manifest, f"take {take} has {counted[take]} frames, takes records {rows[take]}", _COPY)
+    for name, count in Counter(store.take_rows.column("name").to_pylist()).items():
+        if count > 1:
+            yield Finding(manifest, f"{count} takes are named {name}", _COPY)
     if rows and max(rows) >= store.manifest.next_take_id:
         yield Finding(manifest, f"next_take_id {store.manifest.next_take_id} is taken already", _COPY)
 
@@ -180,15 +201,15 @@ def _live_twice(what: str, parts: Sequence[Part]) -> Iterator[Finding]:
             yield Finding(paths[1], f"take {take} is live here and in {paths[0]} ({what})", _COPY)
 
 
-def _leftovers(store: Store) -> Iterator[Finding]:
+def _leftovers(store: Snapshot) -> Iterator[Finding]:
     try:
         named = set().union(*(named_files(store.path, version) for version in versions(store.path)))
     except KinedexError:
-        return  # reported above; what a damaged manifest names is not known
+        return  # reported above; the parts that a damaged manifest names are not known
     for folder in ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
         for name in sorted(os.listdir(store.path / folder)) if (store.path / folder).is_dir() else ():
             if f"{folder}/{name}" not in named:
-                remedy = "the next writer removes what a killed run has left" if _ours(name) else "remove it"
+                remedy = "a killed run has left it, and the next writer removes it" if _ours(name) else "remove it"
                 yield Finding(f"{folder}/{name}", "no manifest names this file", remedy, fault=False)
 
 
@@ -196,33 +217,38 @@ def _ours(name: str) -> bool:
     return name.startswith((".tmp-", "part-"))
 
 
-def _index(store: Store, *, sound: bool) -> Iterable[Finding]:
-    """What is wrong with the index; it is compared with the words of the parts only where these are sound."""
-    published = generations(store.path)
-    if not published:
+def _index(store: Snapshot, *, sound: bool) -> Iterable[Finding]:
+    """Check the index; its content is compared with the words of the parts only where these are sound."""
+    if not generations(store.path):
         return
-    generation = index.current(store.path, store.manifest)
+    generation = current_generation(store.path, store.manifest)
     if generation is None:
-        newest = f"index/{published[0].name}"
-        says = index.read_generation(published[0])
-        if says is None or says.index_version != index.INDEX_VERSION:
-            yield Finding(newest, "the index is damaged or of another version", index.BUILD)
-        elif says.content == store.manifest.content_digest():
-            for name, problem in index.wrong_sizes(published[0], says):
-                yield Finding(f"{newest}/{name}", f"the index is damaged: the file {problem}", index.BUILD)
-        else:
-            yield Finding(newest, "the index is stale: the takes have changed since", index.BUILD, fault=False)
+        yield from _unusable_index(store)
         return
-    says = index.read_generation(generation)
-    assert says is not None
+    record = read_generation(generation)
+    assert record is not None
     folder = f"index/{generation.name}"
-    wrong = [name for name, (_, sha256) in index.files(says).items() if index.file_digest(generation / name) != sha256]
+    wrong = [name for name, (_, sha256) in index_files(record).items() if file_digest(generation / name) != sha256]
     for name in wrong:
-        yield Finding(f"{folder}/{name}", "its content does not fit its checksum", index.BUILD)
-    # the checksums fit, so that a build would find nothing to make anew
-    remove = f"remove the folder {folder}, then {index.BUILD}"
+        yield Finding(f"{folder}/{name}", "its content does not fit its checksum", BUILD)
+    # a build keeps an index whose checksums fit
+    remove = f"remove the folder {folder}, then {BUILD}"
     try:
-        for name, problem in problems(store, generation, says, words=sound) if not wrong else ():
+        for name, problem in index_problems(store, generation, record, words=sound) if not wrong else ():
             yield Finding(f"{folder}/{name}", problem, remove)
     except (KinedexError, duck.Error) as fault:
         yield Finding(folder, f"cannot be read: {str(fault).splitlines()[0]}", remove)
+
+
+def _unusable_index(store: Snapshot) -> Iterator[Finding]:
+    """Report why the newest index does not serve this version."""
+    newest = generations(store.path)[0]
+    folder = f"index/{newest.name}"
+    record = read_generation(newest)
+    if record is None or record.index_version != INDEX_VERSION:
+        yield Finding(folder, "the index is damaged or of another version", BUILD)
+    elif record.content == store.manifest.content_digest():
+        for name, problem in wrong_sizes(newest, record):
+            yield Finding(f"{folder}/{name}", f"the index is damaged: the file {problem}", BUILD)
+    else:
+        yield Finding(folder, "the index is stale: the takes have changed since", BUILD, fault=False)

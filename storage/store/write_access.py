@@ -7,8 +7,8 @@ from pathlib import Path
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import NewStoreError, StoreError
-from kinedex.storage.store.manifest import FOLDER, TEMPORARY, Manifest, named_files, versions
-from kinedex.storage.store.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.manifest import FOLDER, TEMPORARY, Manifest, named_files, versions
+from kinedex.storage.snapshot.schemas import RESULT_KINDS
 
 FOLDERS = (FOLDER, "frames", "takes", "index", "results")
 """The folders of a store."""

@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.store.disk import writing
-from kinedex.storage.store.lock import Lock
-from kinedex.storage.store.manifest import (
+from kinedex.storage.disk import write_errors
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.manifest import (
     Manifest,
     Part,
     ResultPart,
@@ -27,8 +27,9 @@ from kinedex.storage.store.manifest import (
     read_newest,
     versions,
 )
-from kinedex.storage.store.parts import FramesWriter, part_file, write_part, write_pieces
-from kinedex.storage.store.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
+from kinedex.storage.snapshot.parts import FramesWriter, part_file, write_part, write_pieces
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
+from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.write_access import (
     FOLDERS,
@@ -42,9 +43,9 @@ from kinedex.storage.store.write_access import (
 class StoreWriter:
     """The one writer of a store, from `open` to `close` (or the end of its `with` block).
 
-    Nothing that it is given is visible to readers before `commit`; what is not committed at the end is dropped.
-    Parts may be written by other processes (`storage.store.parts.FramesWriter`) while this writer is open. Not before:
-    opening it removes what killed runs have left, and a part that no manifest names looks just like that.
+    Readers see no change before `commit`; changes that are not committed at the end are dropped. Other processes may
+    write parts (`storage.snapshot.parts.FramesWriter`) while this writer is open, but not before: opening it removes
+    the leftovers of killed runs, and a part that no manifest names counts as one.
     """
 
     def __init__(self, path: Path, manifest: Manifest, lock: Lock) -> None:
@@ -54,9 +55,9 @@ class StoreWriter:
         self._lock = lock
         self._takes: dict[int, pa.Table] = {}
         self._changes: list[Any] = []
-        takes = Store(path, manifest).takes()
-        self._ids = dict(takes.select("name", "take_id").iter_rows())
-        self._rows = dict(takes.select("take_id", "frames").iter_rows())
+        takes = Snapshot(path, manifest)
+        self._ids = dict(takes.take_ids)
+        self._rows = dict(takes.take_frames)
         self._next = manifest.next_take_id
 
     @classmethod
@@ -77,7 +78,7 @@ class StoreWriter:
         """
         root = Path(path)
         refuse_foreign(root)
-        with writing(root):
+        with write_errors(root):
             for folder in FOLDERS:
                 (root / folder).mkdir(parents=True, exist_ok=True)
         since = last_opened(root / "lock")

@@ -15,8 +15,8 @@ from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.storage.store.manifest import StageRecord
-from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, take_row, takes_table
 

@@ -16,8 +16,8 @@ from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage import index
 from kinedex.storage.formats.motion.acclaim import read_amc, read_asf
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import Generation, current, read_generation
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -113,7 +113,7 @@ def test_a_file_that_was_touched_or_has_moved_is_read_once_to_see_that_it_is_the
 ) -> None:
     source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
     bring_in(store, source)
-    index.build(open_store(store))
+    build_index(open_store(store))
     before = open_store(store).takes()
     (source / "c").mkdir()
     (source / "a/x_1.amc").rename(source / "c/x_1.amc")
@@ -147,14 +147,14 @@ def test_what_is_added_to_a_large_store_costs_work_for_itself(tmp_path: Path, op
     for number in range(300):
         (source / f"x_{number:03}.amc").write_text(text)
     bring_in(store, source)
-    index.build(open_store(store))
+    build_index(open_store(store))
     before = open_store(store).manifest
     old = indexed(store)
     for number in range(10):
         (source / f"x_new{number}.amc").write_text(text)
     opened.clear()
     assert bring_in(store, source)["read"] == 10
-    index.build(open_store(store))
+    build_index(open_store(store))
     assert sorted(opened) == [f"x_new{number}.amc" for number in range(10)]
     after = open_store(store).manifest
     assert set(before.frames) < set(after.frames)

@@ -20,8 +20,8 @@ from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
 from kinedex.pipelines.ingestion import file_batches as reading
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage import index
 from kinedex.storage.formats.motion.bodies import Body, read_body
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.compaction import FANOUT
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
@@ -259,7 +259,7 @@ def test_a_name_that_is_not_utf_8_comes_in_is_known_again_and_can_be_asked_for(s
     assert row["source"] == r"x_th\xe9.amc"
     assert r"x_th\xe9.amc:1" in row["message"]
     opened = open_store(store)
-    index.build(opened)
+    build_index(opened)
     found = opened.sql("SELECT source FROM takes WHERE name = ?", [r"x_caf\xe9"]).to_pylist()
     assert found == [{"source": r"x_caf\xe9.amc"}]
     assert bring_in(store, source)["unchanged"] == 6
@@ -302,7 +302,7 @@ def test_the_parts_of_many_batches_are_compacted_at_the_end_and_a_few_more_files
     bring_in(store, source)
     first = open_store(store)
     assert len(first.manifest.frames) == len(first.manifest.takes) == 1
-    index.build(first)
+    build_index(first)
     assert verify(first) == []
     write_archive(source, {"x_90.amc": 33, "x_91.amc": 33})
     assert bring_in(store, source)["read"] == 2

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
 

@@ -17,7 +17,7 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.report import motions
 from kinedex.pipelines.report.motions import UNSEEN, Motion, embed, motions_json, pack
 from kinedex.pipelines.report.render import render
-from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
 from tests.pipelines.study import study

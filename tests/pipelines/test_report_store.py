@@ -20,8 +20,8 @@ from kinedex.pipelines.report.data import (
 from kinedex.pipelines.report.gather import gather
 from kinedex.pipelines.report.render import render
 from kinedex.pipelines.stages.report import Report
-from kinedex.storage.store.manifest import StageRecord
-from kinedex.storage.store.schemas import frames_schema, result_schema, takes_schema
+from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.schemas import frames_schema, result_schema, takes_schema
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.study import FRAMES, MOMENT, Reading

@@ -10,8 +10,9 @@ import pytest
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.pipelines.search.search import search_store
-from kinedex.storage import index
-from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import read_generation
+from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, take_row, takes_table
@@ -57,8 +58,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 def test_hits_do_not_depend_on_the_number_of_shards(store: Store) -> None:
     found = []
     for shard_frames in (10**9, 1):
-        generation = index.build(store, threads=1, shard_frames=shard_frames)
-        says = index.read_generation(generation)
+        generation = build_index(store, threads=1, shard_frames=shard_frames)
+        says = read_generation(generation)
         assert says is not None
         found.append((len(says.shards), search_store(open_store(store.path), QUERIES)))
         (generation / "generation.json").unlink()

@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.storage.store.manifest import Part
-from kinedex.storage.store.parts import FramesWriter
-from kinedex.storage.store.schemas import takes_schema
+from kinedex.storage.snapshot.manifest import Part
+from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.writer import StoreWriter
 
 BODY = load_feature_set("body40")

@@ -16,10 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.store import garbage_collection as garbage
-from kinedex.storage.store.compaction import FANOUT, compact
-from kinedex.storage.store.lock import Lock
-from kinedex.storage.store.manifest import (
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.manifest import (
     Manifest,
     _checksum,
     manifest_path,
@@ -28,7 +26,9 @@ from kinedex.storage.store.manifest import (
     ranges,
     read_version,
 )
-from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.store import garbage_collection as garbage
+from kinedex.storage.store.compaction import FANOUT, compact
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -123,8 +123,8 @@ def test_garbage_can_be_collected_on_a_full_disk(tmp_path: Path, monkeypatch: py
     with StoreWriter.open(tmp_path, BODY) as writer:
         add(writer, {"a": 6}, edition=1)
         writer.commit()
-    monkeypatch.setattr("kinedex.storage.store.lock.open", FullFile, raising=False)
-    assert [item.what for item in garbage.collect(tmp_path, keep=1)].count("frames part") == 1
+    monkeypatch.setattr("kinedex.storage.lock.open", FullFile, raising=False)
+    assert [item.kind for item in garbage.collect(tmp_path, keep=1)].count("frames part") == 1
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:

@@ -18,11 +18,11 @@ import pytest
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD, cut
-from kinedex.storage import index
 from kinedex.storage.index import generations, tables
-from kinedex.storage.index.generations import KEPT
-from kinedex.storage.store.lock import Lock
-from kinedex.storage.store.parts import FramesWriter
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import KEPT, current_generation, read_generation
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -38,7 +38,7 @@ TAKES = {"bd_walk": 90, "bk_kick": 40, "dg_still": 1, "mm_empty": 0}
 def store(tmp_path: Path) -> Store:
     make_store(tmp_path / "store", TAKES)
     store = open_store(tmp_path / "store")
-    index.build(store)
+    build_index(store)
     return store
 
 
@@ -98,12 +98,12 @@ def test_any_duckdb_client_can_read_the_file(store: Store) -> None:
 
 def test_an_index_is_built_once(store: Store) -> None:
     before = store.index_path().stat()
-    assert index.build(store) == store.index_path().parent
+    assert build_index(store) == store.index_path().parent
     assert store.index_path().stat() == before
 
 
 def test_results_do_not_make_an_index_stale(store: Store) -> None:
-    from kinedex.storage.store.manifest import StageRecord
+    from kinedex.storage.snapshot.manifest import StageRecord
 
     with StoreWriter.open(store.path, BODY) as writer:
         writer.record_stage(StageRecord("p/index", "f", "r", "2026-01-01T00:00:00Z", 1.0))
@@ -120,19 +120,19 @@ def test_a_stale_index_is_not_used(store: Store) -> None:
     with pytest.raises(StoreError, match="the index is stale"):
         later.sql("FROM runs_where(1)")
     assert later.sql("SELECT count(*) AS n FROM frames").column(0).to_pylist() == [91]
-    index.build(later)
+    build_index(later)
     assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM takes").column(0).to_pylist() == [91]
 
 
 def test_a_reader_finds_the_generation_of_its_version_until_many_have_followed(store: Store) -> None:
     lazy = open_store(store.path)
     for frames in range(10, 13):
-        index.build(change(store, frames))
+        build_index(change(store, frames))
     assert lazy.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
     assert lazy.sql("SELECT count(*) AS n FROM word_runs") == store.sql("SELECT count(*) AS n FROM word_runs")
     later = open_store(store.path)
     for frames in range(13, 13 + KEPT):
-        index.build(change(store, frames))
+        build_index(change(store, frames))
     assert len(list((store.path / "index").glob("gen-*"))) == KEPT
     told = (
         rf"version {later.manifest.version}, .* has no index, and version \d+ has been published since; open the store"
@@ -152,7 +152,7 @@ def test_an_index_that_is_published_after_the_first_question_is_found(tmp_path: 
     store = open_store(make_store(tmp_path / "store", {"a": 40}))
     with pytest.raises(StoreError, match="the index is missing"):
         store.sql("FROM word_runs")
-    index.build(store)
+    build_index(store)
     assert store.sql("FROM word_runs").num_rows
 
 
@@ -164,16 +164,16 @@ def test_there_is_always_an_index_while_one_of_the_same_version_is_replaced(
 
     def look(function: Callable[..., None]) -> Callable[..., None]:
         def looking(*args: object, **kwargs: object) -> None:
-            seen.append(index.current(store.path, store.manifest))
+            seen.append(current_generation(store.path, store.manifest))
             function(*args, **kwargs)
-            seen.append(index.current(store.path, store.manifest))
+            seen.append(current_generation(store.path, store.manifest))
 
         return looking
 
     monkeypatch.setattr(tables, "surface", lambda *_: "other macros")
     monkeypatch.setattr(os, "rename", look(rename))
     monkeypatch.setattr(shutil, "rmtree", look(removed))
-    generation = index.build(store)
+    generation = build_index(store)
     assert len(seen) >= 6
     assert None not in seen
     assert seen[-1] == generation
@@ -191,14 +191,14 @@ def test_a_reader_that_has_listed_what_is_replaced_looks_again(store: Store, mon
         return found
 
     monkeypatch.setattr(generations, "generations", replaced)
-    assert index.current(store.path, store.manifest) == moved.with_name(f"{moved.name}-2")
+    assert current_generation(store.path, store.manifest) == moved.with_name(f"{moved.name}-2")
 
 
 def test_a_reader_keeps_its_generation_and_old_ones_go(store: Store) -> None:
     store.sql("FROM vocabulary LIMIT 1")
     before = store.sql("SELECT count(*) AS n FROM word_runs").to_pylist()
     for frames in range(10, 11 + KEPT):
-        index.build(change(store, frames))
+        build_index(change(store, frames))
     kept = [f"gen-{version:06d}" for version in range(4, 4 + KEPT)]
     assert sorted(os.listdir(store.path / "index")) == [*kept, "lock"]
     assert store.sql("SELECT count(*) AS n FROM word_runs").to_pylist() == before
@@ -209,7 +209,7 @@ def test_a_damaged_index_is_built_again(store: Store) -> None:
     file.write_bytes(file.read_bytes()[:5000])
     with pytest.raises(StoreError, match="the index is"):
         store.index_path()
-    assert index.build(store) == file.parent.with_name("gen-000002-2")
+    assert build_index(store) == file.parent.with_name("gen-000002-2")
     assert not file.exists()
     assert open_store(store.path).sql("SELECT count(*) AS n FROM takes").to_pylist() == [{"n": 4}]
 
@@ -218,7 +218,7 @@ def test_an_index_that_was_damaged_without_changing_its_size_is_built_again(stor
     file = store.index_path()
     whole = file.read_bytes()
     file.write_bytes(whole[:-5000] + bytes(255 - byte for byte in whole[-5000:]))
-    assert index.build(store) == file.parent.with_name("gen-000002-2")
+    assert build_index(store) == file.parent.with_name("gen-000002-2")
     assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary").to_pylist() == [{"n": 3 * 131}]
 
 
@@ -227,15 +227,15 @@ def test_two_builds_at_once_are_kept_apart_and_leftovers_go(store: Store) -> Non
     leftover = store.path / "index" / ".building-0"
     leftover.mkdir()
     with Lock(store.path / "index" / "lock", "this"), pytest.raises(StoreError, match="this build must wait"):
-        index.build(later)
-    index.build(later)
+        build_index(later)
+    build_index(later)
     assert not leftover.exists()
 
 
 def test_a_store_without_takes_has_an_empty_index(tmp_path: Path) -> None:
     StoreWriter.open(tmp_path, BODY).close()
     store = open_store(tmp_path)
-    index.build(store)
+    build_index(store)
     assert store.sql("FROM runs_where('rhand_fast')").num_rows == 0
     assert store.sql("SELECT count(*) AS n FROM frames").to_pylist() == [{"n": 0}]
 
@@ -248,7 +248,7 @@ def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypa
     before = sorted(os.listdir(store.path / "index"))
     monkeypatch.setattr(tables, "insert", full)
     with pytest.raises(StoreError, match=r"the index cannot be built: .*No space left on device; .*`kinedex gc`"):
-        index.build(later)
+        build_index(later)
     assert sorted(os.listdir(store.path / "index")) == before
 
 
@@ -262,17 +262,18 @@ def test_a_killed_build_leaves_nothing_visible_and_the_next_cleans_up(store: Sto
     assert store.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
     with pytest.raises(StoreError, match="the index is stale"):
         later.index_path()
-    index.build(later)
+    build_index(later)
     assert sorted(os.listdir(store.path / "index")) == ["gen-000002", "gen-000003", "lock"]
 
 
 KILLED = """
 import os, signal, sys
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import current_generation, read_generation
 from kinedex.storage.index import tables
 from kinedex.storage.store.store import open_store
 tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-index.build(open_store(sys.argv[1]))
+build_index(open_store(sys.argv[1]))
 """
 
 
@@ -286,20 +287,21 @@ def test_a_disk_that_fills_is_a_clear_error_and_leaves_the_generation_before(sto
     assert "way out" in done.stdout, done.stdout + done.stderr
     assert sorted(os.listdir(store.path / "index")) == before
     assert store.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
-    index.build(later)
+    build_index(later)
     assert later.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 60_041}]
 
 
 FULL = """
 import resource, signal, sys
 from kinedex.ops.errors import StoreError
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import current_generation, read_generation
 from kinedex.storage.store.store import open_store
 store = open_store(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
 try:
-    index.build(store, threads=1)
+    build_index(store, threads=1)
 except StoreError as fault:
     print("way out" if "kinedex gc" in str(fault) or "mend that" in str(fault) else "", fault)
 """
@@ -317,7 +319,7 @@ def test_invalid_frames_are_in_no_run_and_count_as_frames(tmp_path: Path) -> Non
         writer.add_takes(takes_table(rows), done)
         writer.commit()
     store = open_store(tmp_path)
-    index.build(store)
+    build_index(store)
     runs = store.sql("SELECT word, take_id, start, stop FROM word_runs WHERE feature_set = 'upper'").to_pylist()
     assert [(run["word"], run["start"], run["stop"]) for run in runs] == [(5, 0, 2), (5, 3, 4), (7, 6, 7)]
     assert store.sql("SELECT start, stop FROM feature_runs WHERE feature = 1").to_pylist() == [
@@ -332,7 +334,7 @@ def test_invalid_frames_are_in_no_run_and_count_as_frames(tmp_path: Path) -> Non
         {"n": 1}
     ]
     assert store.words().words.tolist().count(int(NO_WORD)) == 6
-    says = index.read_generation(store.index_path().parent)
+    says = read_generation(store.index_path().parent)
     assert says is not None
     assert (says.frames, says.valid_frames) == (10, 4)
     assert verify(store) == []
@@ -344,7 +346,7 @@ def test_a_shard_with_wrong_rows_is_found_though_its_checksum_fits(store: Store)
         client.execute("DELETE FROM stored_word_runs_lower WHERE rowid = 1")
         client.execute("UPDATE stored_vocabulary SET shard = 9 WHERE feature_set = 'mix'")
         client.execute("UPDATE stored_word_runs_upper SET take_id = 77 WHERE rowid = 0")
-    says = index.read_generation(generation)
+    says = read_generation(generation)
     assert says is not None
     content = (generation / "index.duckdb").read_bytes()
     said = replace(says, bytes=len(content), sha256=hashlib.sha256(content).hexdigest())

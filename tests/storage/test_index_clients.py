@@ -16,7 +16,7 @@ import duckdb
 import pytest
 
 from kinedex.catalog.sql.views import MACROS, VIEWS
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store
@@ -39,11 +39,11 @@ with duckdb.connect(sys.argv[1], read_only=True) as client:
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """A store whose index has several shards and has lost takes."""
     path = make_store(tmp_path_factory.mktemp("clients") / "store", {"a_walk": 90, "b_kick": 40, "c_none": 0})
-    index.build(open_store(path), shard_frames=50)
+    build_index(open_store(path), shard_frames=50)
     with StoreWriter.open(path, BODY) as writer:
         add(writer, {"a_walk": 55, "d_jump": 30}, edition=1)
         writer.commit()
-    index.build(open_store(path), shard_frames=50)
+    build_index(open_store(path), shard_frames=50)
     return open_store(path)
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from kinedex.catalog.sql.views import MACROS
-from kinedex.storage import index
 from kinedex.storage.index import tables
-from kinedex.storage.index.generations import Generation
-from kinedex.storage.index.plan import FANOUT
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import Generation, read_generation
+from kinedex.storage.index.shard_plan import FANOUT
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
@@ -26,7 +26,7 @@ FEW = 50
 
 
 def says(store: Store) -> Generation:
-    found = index.read_generation(store.index_path().parent)
+    found = read_generation(store.index_path().parent)
     assert found is not None
     return found
 
@@ -69,7 +69,7 @@ def stores(batches: Path, tmp_path: Path) -> dict[str, Store]:
     for name, shard_frames in (("one", 10**9), ("many", FEW)):
         shutil.copytree(batches, tmp_path / name)
         found[name] = open_store(tmp_path / name)
-        index.build(found[name], threads=2, shard_frames=shard_frames)
+        build_index(found[name], threads=2, shard_frames=shard_frames)
     return found
 
 
@@ -99,7 +99,7 @@ def test_new_takes_cost_the_work_of_new_takes(stores: dict[str, Store]) -> None:
     for store in stores.values():
         before = says(store)
         later = change(store.path, {"new_1": 5, "new_2": 6})
-        index.build(later)
+        build_index(later)
         after = says(later)
         assert after.built_frames == 11
         assert after.shards[:-1] == before.shards
@@ -108,7 +108,7 @@ def test_new_takes_cost_the_work_of_new_takes(stores: dict[str, Store]) -> None:
 
 def test_a_take_that_is_replaced_or_dropped_leaves_its_shard(stores: dict[str, Store]) -> None:
     later = change(stores["one"].path, {"5_kick": 44}, drop=("0_kick", "1_walk"), edition=2)
-    index.build(later)
+    build_index(later)
     assert says(later).built_frames == 44
     assert rows(later, "SELECT count(*) FROM word_runs JOIN takes USING (take_id) WHERE name = '1_walk'") == [(0,)]
     is_that_of_the_words(later)
@@ -118,7 +118,7 @@ def test_a_shard_that_has_lost_half_of_its_frames_is_made_anew(stores: dict[str,
     before = says(stores["one"]).frames
     gone = tuple(rows(stores["one"], "SELECT list(name) FROM takes WHERE frames >= 60 OR name = '0_kick'")[0][0])
     later = change(stores["one"].path, {}, drop=gone)
-    index.build(later)
+    build_index(later)
     after = says(later)
     assert after.frames < before / 2
     assert after.built_frames == after.frames
@@ -151,17 +151,17 @@ def test_an_index_follows_any_history_of_a_store(tmp_path: Path, seed: int) -> N
         elif (tmp_path / "index").exists():
             for file in (tmp_path / "index").glob("gen-*/index.duckdb"):
                 file.write_bytes(file.read_bytes()[:-1] + b"?")
-        index.build(store, threads=1, shard_frames=chance.choice([FEW, 500]))
+        build_index(store, threads=1, shard_frames=chance.choice([FEW, 500]))
         is_that_of_the_words(store)
         store.close()
 
 
 def test_many_small_additions_leave_few_shards(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path, {"first": 40}))
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     for step in range(FANOUT + 1):
         store = change(tmp_path, {f"take_{step}": 9})
-        index.build(store, threads=1)
+        build_index(store, threads=1)
         assert len(says(store).shards) < FANOUT
     is_that_of_the_words(store)
 
@@ -172,7 +172,7 @@ def test_views_and_macros_that_are_out_of_date_are_made_anew_and_the_rows_stay(
     store = stores["many"]
     before = says(store)
     monkeypatch.setattr(tables, "MACROS", tables.MACROS[2:])
-    index.build(store)
+    build_index(store)
     after = says(store)
     assert after.surface != before.surface
     assert after.built_frames == 0

@@ -14,9 +14,17 @@ from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.words import I64, NO_WORD
 from kinedex.pipelines.search.resident_slices import resident_store
-from kinedex.storage import index
-from kinedex.storage.index.generations import Generation, Shard, ShardPart, slices_name
-from kinedex.storage.index.slices import LAYOUT, MAGIC, ShardSlices, open_slices, write_slices
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import (
+    BUILD,
+    Generation,
+    Shard,
+    ShardPart,
+    file_digest,
+    read_generation,
+    slices_name,
+)
+from kinedex.storage.index.slice_files import LAYOUT, MAGIC, ShardSlices, open_slices, write_slices
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -48,7 +56,7 @@ def test_what_is_mapped_is_what_was_written(
     take_ids = np.arange(5, 5 + 2 * len(lengths), 2)
     size, sha256 = write_slices(folder / slices_name(1), take_ids, slices)
     assert (folder / slices_name(1)).stat().st_size == size
-    assert index.file_digest(folder / slices_name(1)) == sha256
+    assert file_digest(folder / slices_name(1)) == sha256
     found = opened(folder, shard(size, sha256, *((take, take + 1) for take in (5, 9) if take in take_ids)))
     assert found.take_ids.tolist() == take_ids.tolist()
     assert found.live.tolist() == [take in (5, 9) for take in take_ids.tolist()]
@@ -60,7 +68,7 @@ def test_what_is_mapped_is_what_was_written(
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = open_store(make_store(tmp_path / "store", {"a": 70, "b": 130}))
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     return store
 
 
@@ -75,7 +83,7 @@ def head(*counts: int, letters: bytes = MAGIC) -> bytes:
 @pytest.mark.parametrize(
     ("at", "bytes_there", "said"),
     [
-        (0, b"KDXslice", "does not begin as bit slices do"),
+        (0, b"KDXslice", "does not begin with the mark of bit slices"),
         (0, head(LAYOUT + 1, 40, 2, 5), f"has layout {LAYOUT + 1}"),
         (0, head(LAYOUT, 0, 2, 5), "has layout 1 and 0 features"),
         (0, head(LAYOUT, 40, 2, 6), "is too short"),
@@ -91,7 +99,7 @@ def test_a_damaged_file_is_told_and_never_searched(store: Store, at: int, bytes_
     content = bytearray(file.read_bytes())
     content[at : at + len(bytes_there)] = bytes_there
     file.write_bytes(content)
-    says = index.read_generation(file.parent)
+    says = read_generation(file.parent)
     assert says is not None
     with pytest.raises(StoreError, match=rf"shard-000001\.slices: the index is damaged: the file .*{said}"):
         open_slices(file.parent, says)
@@ -102,15 +110,15 @@ def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) ->
         add(writer, {"c": 64})
         writer.commit()
     store = open_store(store.path)
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     file = file_of(store, 2)
     content = file.read_bytes()
     file.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
     (finding,) = verify(store)
     assert finding.fault
     assert "shard-000002.slices: its content does not fit its checksum; run the stage" in str(finding)
-    generation = index.build(store, threads=1)
-    says = index.read_generation(generation)
+    generation = build_index(store, threads=1)
+    says = read_generation(generation)
     assert says is not None
     assert (says.built_frames, len(says.shards), says.frames) == (64, 2, 264)
     assert verify(store) == []
@@ -131,7 +139,7 @@ def publish_slices(file: Path, take_ids: I64, slices: BitSlices) -> None:
     """Slices with the checksum and size that the index says."""
     file.unlink(missing_ok=True)
     size, sha256 = write_slices(file, take_ids, slices)
-    says = index.read_generation(file.parent)
+    says = read_generation(file.parent)
     assert says is not None
     (first,) = says.shards
     said = replace(says, shards=(replace(first, slices_bytes=size, slices_sha256=sha256),))
@@ -158,8 +166,8 @@ def test_other_takes_than_those_of_the_shard_are_told_and_never_searched(store: 
     with pytest.raises(StoreError, match=r"shard-000001\.slices: .* holds other takes than its shard; run the stage"):
         resident_store(store)
     (finding,) = verify(store)
-    assert str(finding).endswith(f"its content does not fit its checksum; {index.BUILD}")
-    index.build(store, threads=1)
+    assert str(finding).endswith(f"its content does not fit its checksum; {BUILD}")
+    build_index(store, threads=1)
     assert verify(store) == []
     assert resident_store(open_store(store.path)).take_ids.tolist() == [1, 2]
 
@@ -170,10 +178,10 @@ def test_files_that_are_cut_short_or_gone_are_named_by_verify(store: Store) -> N
     file.write_bytes(file.read_bytes()[:-64])
     (file.parent / "index.duckdb").unlink()
     gone, short = sorted(str(finding) for finding in verify(store))
-    assert gone.endswith(f"index.duckdb: the index is damaged: the file is missing; {index.BUILD}")
-    said = f"the file has {size - 64} bytes, the index says {size}; {index.BUILD}"
+    assert gone.endswith(f"index.duckdb: the index is damaged: the file is missing; {BUILD}")
+    said = f"the file has {size - 64} bytes, the index records {size}; {BUILD}"
     assert short.endswith(f"shard-000001.slices: the index is damaged: {said}")
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     assert verify(store) == []
 
 
@@ -184,5 +192,5 @@ def test_an_index_of_another_version_is_told_and_built_again(store: Store) -> No
         store.index_path()
     (finding,) = verify(store)
     assert "the index is damaged or of another version" in finding.problem
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     assert verify(store) == []

@@ -14,8 +14,8 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.storage.store.manifest import TEMPORARY
-from kinedex.storage.store.parts import joint_positions
+from kinedex.storage.snapshot.manifest import TEMPORARY
+from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ import pytest
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
-from kinedex.storage import index
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.oracles.keyframes import ranges_by_sets
@@ -44,7 +44,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         {"name": name, "words": words, "class": CLASSES[name], "actor": "x"} for name, words in TAKES.items()
     ]
     path = write_store(tmp_path_factory.mktemp("macros") / "store", takes)
-    index.build(open_store(path), shard_frames=40)
+    build_index(open_store(path), shard_frames=40)
     return open_store(path)
 
 
@@ -239,7 +239,7 @@ def test_nothing_is_known_of_an_empty_archive(tmp_path: Path) -> None:
     write_store(tmp_path, [])
     store = open_store(tmp_path)
     assert rows(store, "FROM classes") == []
-    index.build(store)
+    build_index(store)
     with open_store(tmp_path) as opened:
         for name, example in rows(opened, "SELECT name, example FROM help"):
             assert opened.sql(str(example)).num_columns, name

@@ -9,8 +9,8 @@ import pytest
 
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import KinedexError
-from kinedex.storage import index
-from kinedex.storage.store.schemas import RESULT_KINDS
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.schemas import RESULT_KINDS
 from kinedex.storage.store.store import Store, open_store
 from tests.oracles import runs as naive
 from tests.storage.made_up import BODY, arrays, make_store
@@ -28,7 +28,7 @@ def runs_of(feature: int) -> list[tuple[str, int, int]]:
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     path = make_store(tmp_path_factory.mktemp("views") / "store", TAKES)
-    index.build(open_store(path))
+    build_index(open_store(path))
     return open_store(path)
 
 

@@ -14,12 +14,12 @@ from rich.console import Console
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.tables import Shown, encode, rich_table
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.storage.sql import duck
+from kinedex.storage import duck
 
 
 def asked(query: str) -> pa.Table:
     with duck.connect() as connection:
-        return duck.query(connection, query)
+        return duck.rows(connection, query)
 
 
 def printed(table: pa.Table) -> str:

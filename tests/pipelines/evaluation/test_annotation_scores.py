@@ -33,7 +33,7 @@ from kinedex.pipelines.evaluation.ground_truth import (
     place_ground_truth,
 )
 from kinedex.storage.formats.labels.ground_truth import LabelFile, ManualSegment
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from tests.storage.made_up import take_row, takes_table
 
 CLASSES = Classes((MotionClass("legs", "", ("kick", "walk")), MotionClass("arms", "", ("wave",))))

@@ -21,7 +21,7 @@ from kinedex.ops.search.bit_slices import slice_words
 from kinedex.ops.words import NO_WORD, U64, TakeWords
 from kinedex.pipelines.search import resident_slices as resident
 from kinedex.pipelines.search.resident_slices import Shard, SharedWords, resident_store, resident_words
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
@@ -103,7 +103,7 @@ def test_hits_do_not_depend_on_shards_pieces_and_threads(
 
 def test_a_take_that_is_not_there_cannot_be_searched(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 40}))
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     with pytest.raises(KeyError, match="9"):
         resident_store(store).of(np.array([1, 9]))
 
@@ -132,13 +132,13 @@ def changed(store: Store, edition: int) -> Store:
         add(writer, {"a": 200 + edition, f"more_{edition}": 70}, edition)
         writer.commit()
     later = open_store(store.path)
-    index.build(later, threads=1)
+    build_index(later, threads=1)
     return later
 
 
 def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
-    old = index.build(store, threads=1)
+    old = build_index(store, threads=1)
     expected = [told(found) for found in resident_store(store).search(QUERIES)]
     assert any(expected)
     command = [sys.executable, "-c", _READER, str(store.path)]
@@ -160,11 +160,11 @@ def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(t
 
 def test_slices_of_shards_that_stay_are_one_file_in_both_generations(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
-    before = index.build(store, threads=1)
+    before = build_index(store, threads=1)
     with StoreWriter.open(store.path, BODY) as writer:
         add(writer, {"c": 64})
         writer.commit()
-    after = index.build(open_store(store.path), threads=1)
+    after = build_index(open_store(store.path), threads=1)
     files = [sorted(folder.glob("*.slices")) for folder in (before, after)]
     assert [len(found) for found in files] == [1, 2]
     assert os.path.samefile(files[0][0], files[1][0])
@@ -172,7 +172,7 @@ def test_slices_of_shards_that_stay_are_one_file_in_both_generations(tmp_path: P
 
 def test_what_is_mapped_cannot_be_written_to(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 300}))
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     (shard,) = resident_store(store).shards
     with pytest.raises(ValueError, match="read-only"):
         shard.slices.bits[0] = 1
@@ -180,7 +180,7 @@ def test_what_is_mapped_cannot_be_written_to(tmp_path: Path) -> None:
 
 def test_an_index_whose_slices_are_gone_or_shortened_says_how_to_build_it(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 300}))
-    (file,) = index.build(store, threads=1).glob("*.slices")
+    (file,) = build_index(store, threads=1).glob("*.slices")
     content = file.read_bytes()
     for damage in (content[:-64], None):
         file.unlink()
@@ -188,5 +188,5 @@ def test_an_index_whose_slices_are_gone_or_shortened_says_how_to_build_it(tmp_pa
             file.write_bytes(damage)
         with pytest.raises(StoreError, match=r"stale: it is damaged, or was built by another version.* run the stage"):
             resident_store(store)
-    index.build(store, threads=1)
+    build_index(store, threads=1)
     assert len(resident_store(store).take_ids) == 1

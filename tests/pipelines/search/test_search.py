@@ -21,9 +21,9 @@ from kinedex.pipelines.search.inverted_lists import lists_of_store, lists_of_wor
 from kinedex.pipelines.search.preselection import template_ranges, template_window
 from kinedex.pipelines.search.resident_slices import resident_store, resident_words
 from kinedex.pipelines.search.search import load_query_file, preselect, preselect_stored, save_hits, search_store
-from kinedex.storage import index
-from kinedex.storage.store.parts import FramesWriter
-from kinedex.storage.store.schemas import result_schema
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.oracles.keyframes import ranges_by_sets
@@ -71,7 +71,7 @@ def make_store(path: Path, takes: dict[str, U64], *, indexed: bool = True) -> St
         writer.commit()
     store = open_store(path)
     if indexed:
-        index.build(store, threads=1)
+        build_index(store, threads=1)
     return store
 
 
@@ -285,7 +285,7 @@ def test_preselection_in_the_index_is_that_in_words(tmp_path: Path) -> None:
     for _ in ("without an index", "with one"):
         found = preselect_stored(store, chosen, QUERIES)
         assert {query: ranges_of(one) for query, one in found.items()} == expected
-        index.build(store, threads=1)
+        build_index(store, threads=1)
     with_filter = parse_queries("q: {takes: \"name <> 'zoe'\", keyframes: [{on: [body_low]}]}", BODY)
     with pytest.raises(KinedexError, match="'q' has a filter over takes"):
         preselect_stored(store, chosen, with_filter)

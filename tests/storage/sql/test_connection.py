@@ -15,10 +15,11 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.storage import index
-from kinedex.storage.sql.duck import statements
-from kinedex.storage.store.manifest import Manifest
-from kinedex.storage.store.schemas import RESULT_KINDS, result_schema
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import current_generation
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.schemas import RESULT_KINDS, result_schema
+from kinedex.storage.sql.queries import split_statements
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store
@@ -32,7 +33,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         add(writer, {"a_one": 45}, edition=1)
         writer.commit()
     store = open_store(path)
-    index.build(store)
+    build_index(store)
     return store
 
 
@@ -216,7 +217,7 @@ def test_nothing_is_read_out_of_the_path_of_a_store(
     store = open_store(path)
     for index_too in (False, True):
         if index_too:
-            index.build(store)
+            build_index(store)
             store.close()
         assert store.sql("SELECT class FROM annotations").to_pylist() == [{"class": "own"}]
         assert store.sql("SELECT name, class FROM takes").to_pylist() == [{"name": "b_take", "class": None}]
@@ -251,7 +252,7 @@ def test_replaced_and_dropped_takes_are_gone_from_every_part_in_one_scan(tmp_pat
 
 def test_an_index_that_is_damaged_is_named_with_the_way_out(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a_one": 600}))
-    file = index.build(store) / "index.duckdb"
+    file = build_index(store) / "index.duckdb"
     whole = file.read_bytes()
     file.write_bytes(b"\0" * len(whole))
     with pytest.raises(StoreError, match=r"index\.duckdb: the index cannot be read: .*--force index"):
@@ -265,8 +266,8 @@ def test_an_index_that_is_replaced_while_it_is_opened_is_found_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = open_store(make_store(tmp_path / "store", {"a_one": 60}))
-    generation = index.build(store)
-    current = index.current
+    generation = build_index(store)
+    current = current_generation
     asked: list[Path | None] = []
 
     def removed_once(path: Path, manifest: Manifest) -> Path | None:
@@ -275,7 +276,7 @@ def test_an_index_that_is_replaced_while_it_is_opened_is_found_again(
             generation.rename(generation.with_name("gen-000009"))
         return asked[-1]
 
-    monkeypatch.setattr(index, "current", removed_once)
+    monkeypatch.setattr("kinedex.storage.sql.connection.current_generation", removed_once)
     assert store.sql("SELECT count(*) AS n FROM vocabulary").column(0)[0].as_py() > 0
     assert [path and path.name for path in asked] == ["gen-000002", "gen-000009"]
 
@@ -313,7 +314,7 @@ def test_a_thread_asks_as_well(store: Store) -> None:
 
 
 def test_many_threads_ask_one_store_and_are_refused_what_would_write(store: Store) -> None:
-    index.build(store)
+    build_index(store)
     queries = ["SELECT count(*) AS n FROM word_runs", "FROM timeline('a_one')", "SELECT count(*) AS n FROM frames"] * 8
     expected = [open_store(store.path).sql(query) for query in queries]
     secrets = pa.table({"key": [1]})
@@ -366,7 +367,7 @@ def test_ctrl_c_stops_the_query_of_its_thread_only(store: Store) -> None:
     ],
 )
 def test_statements_end_at_semicolons_outside_of_texts(typed: str, whole: list[str], rest: str) -> None:
-    assert statements(typed) == (whole, rest)
+    assert split_statements(typed) == (whole, rest)
 
 
 def test_a_closed_store_opens_again(store: Store) -> None:

@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.manifest import Part, versions
+from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter
 from kinedex.storage.store import compaction
 from kinedex.storage.store import writer as writers
 from kinedex.storage.store.compaction import FANOUT, compact, divided, worthwhile
-from kinedex.storage.store.manifest import Part, versions
-from kinedex.storage.store.parts import ROW_GROUP, FramesWriter
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -57,7 +57,7 @@ def same(one: Store, other: Store) -> bool:
 
 def test_many_small_parts_become_one_sorted_by_take_and_nothing_else_changes(tmp_path: Path) -> None:
     before = in_batches(tmp_path, FANOUT + 1)
-    index.build(before)
+    build_index(before)
     with StoreWriter.open(tmp_path, BODY) as writer:
         done = compact(writer)
     after = open_store(tmp_path)
@@ -71,7 +71,7 @@ def test_many_small_parts_become_one_sorted_by_take_and_nothing_else_changes(tmp
 
 
 def test_a_take_replaced_after_the_compaction_makes_the_index_stale(tmp_path: Path) -> None:
-    index.build(in_batches(tmp_path, FANOUT))
+    build_index(in_batches(tmp_path, FANOUT))
     with StoreWriter.open(tmp_path, BODY) as writer:
         compact(writer)
         add(writer, {"b00_0": 9}, edition=1)
@@ -143,13 +143,13 @@ def test_takes_that_interleave_over_parts_and_row_groups_come_out_in_order(
     with StoreWriter.open(tmp_path, BODY) as writer:
         ids = writer.assign_take_ids([f"t{take:03}" for take in lengths])
         for place in range(FANOUT):
-            monkeypatch.setattr("kinedex.storage.store.parts.ROW_GROUP", 25)
+            monkeypatch.setattr("kinedex.storage.snapshot.parts.ROW_GROUP", 25)
             with FramesWriter(tmp_path, BODY) as part:
                 mine = [take for take in lengths if take % FANOUT == place]
                 for take in mine:
                     part.add(take, *arrays(f"t{take:03}", lengths[take]))
                 written = part.close()
-            monkeypatch.setattr("kinedex.storage.store.parts.ROW_GROUP", ROW_GROUP)
+            monkeypatch.setattr("kinedex.storage.snapshot.parts.ROW_GROUP", ROW_GROUP)
             assert sorted(ids.values()) == sorted(lengths)
             writer.add_takes(takes_table([take_row(take, f"t{take:03}", lengths[take]) for take in mine]), written)
         before = Store(tmp_path, writer.commit())

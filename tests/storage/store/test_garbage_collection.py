@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage import index
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.manifest import manifest_path, named_files, read_version, versions
 from kinedex.storage.store import garbage_collection as garbage
 from kinedex.storage.store.compaction import FANOUT, compact
 from kinedex.storage.store.garbage_collection import collect, shown_bytes, summary
-from kinedex.storage.store.lock import Lock
-from kinedex.storage.store.manifest import manifest_path, named_files, read_version, versions
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -31,9 +31,9 @@ def store(tmp_path: Path) -> Store:
             writer.put_results("hits", hits(batch), stage="p/search", run=f"r{batch}")
             writer.commit()
             if batch == 0:
-                index.build(writer.store)
+                build_index(writer.store)
         compact(writer)
-    index.build(open_store(path))
+    build_index(open_store(path))
     return open_store(path)
 
 
@@ -46,12 +46,12 @@ def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: St
     previous = Store(store.path, read_version(store.path, 9))
     found = collect(store.path)
     assert versions(store.path) == [9, 10]
-    assert before - files(store.path) >= {item.path for item in found if item.what != "index generation"}
+    assert before - files(store.path) >= {item.path for item in found if item.kind != "index generation"}
     assert verify(store) == []
     assert store.words().frames.tolist() == previous.words().frames.tolist() == [30] * FANOUT
     assert store.sql("SELECT count(*)::BIGINT AS n FROM hits").column(0).to_pylist() == [1]
-    assert [item.what for item in found].count("old version") == 8
-    assert not any(item.what in ("frames part", "takes part") for item in found)
+    assert [item.kind for item in found].count("old version") == 8
+    assert not any(item.kind in ("frames part", "takes part") for item in found)
     assert sorted(os.listdir(store.path / "results/hits")) == [Path(store.manifest.results["hits"][0].path).name]
     assert collect(store.path) == []
     assert summary([]) == ["nothing: there is no garbage"]
@@ -72,7 +72,7 @@ def test_a_dry_run_says_the_same_and_removes_nothing(store: Store) -> None:
     said = collect(store.path, keep=1, dry_run=True)
     assert files(store.path) == before
     assert collect(store.path, keep=1) == said
-    assert sum(item.bytes for item in said if item.what == "old version") > 0
+    assert sum(item.bytes for item in said if item.kind == "old version") > 0
     assert summary(said)[0].startswith("9 old versions, ")
 
 
@@ -91,9 +91,9 @@ def test_leftovers_of_killed_runs_and_a_stale_index_go(store: Store) -> None:
     (store.path / "index/.building-1").mkdir()
     (store.path / "index/.building-1/index.duckdb").write_bytes(b"1" * 100)
     found = {item.path: item for item in collect(store.path, keep=100)}
-    assert found[orphan.path].what == "frames part"
+    assert found[orphan.path].kind == "frames part"
     assert found["index/.building-1"].bytes == 100
-    assert found["takes/.tmp-1.parquet"].what == "unfinished file"
+    assert found["takes/.tmp-1.parquet"].kind == "unfinished file"
     assert not files(store.path) & {orphan.path, "takes/.tmp-1.parquet", "index/.building-1/index.duckdb"}
 
 

@@ -10,9 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
-from kinedex.storage.store.manifest import manifest_path
-from kinedex.storage.store.parts import ROW_GROUP, joint_positions
-from kinedex.storage.store.schemas import FORMAT_VERSION
+from kinedex.storage.snapshot.manifest import manifest_path
+from kinedex.storage.snapshot.parts import ROW_GROUP, joint_positions
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
@@ -113,7 +113,7 @@ def test_words_survive_many_parts_and_row_groups(tmp_path: Path) -> None:
 
 
 def write_words(store: Path, takes: dict[int, int]):
-    from kinedex.storage.store.parts import FramesWriter
+    from kinedex.storage.snapshot.parts import FramesWriter
 
     with FramesWriter(store, BODY) as writer:
         for take, frames in sorted(takes.items()):

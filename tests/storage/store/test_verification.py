@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from kinedex.storage import index
-from kinedex.storage.store.manifest import Manifest, Part, manifest_path
-from kinedex.storage.store.parts import publish_part
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.manifest import Manifest, Part, manifest_path
+from kinedex.storage.snapshot.parts import publish_part
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -26,7 +26,7 @@ def store(tmp_path: Path) -> Store:
         add(writer, {"b": 25}, edition=1)
         writer.commit()
     store = open_store(tmp_path / "store")
-    index.build(store)
+    build_index(store)
     return store
 
 
@@ -63,7 +63,7 @@ def rewritten(store: Store, change: Callable[[pa.Table], pa.Table]) -> Store:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda table: table.slice(0, 10), "take 1 has 10 frames, takes says 30"),
+        (lambda table: table.slice(0, 10), "take 1 has 10 frames, takes records 30"),
         (lambda table: table.take([1, 0, *range(2, 50)]), "take 1 lacks frame 0"),
         (lambda table: table.take([*range(30, 50), *range(30)]), "not sorted by take_id"),
         (lambda table: table.drop_columns("word"), "column word is missing"),

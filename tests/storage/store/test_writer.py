@@ -18,8 +18,8 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
+from kinedex.storage.snapshot.manifest import StageRecord, manifest_path, publish, versions
 from kinedex.storage.store import write_access as admission
-from kinedex.storage.store.manifest import StageRecord, manifest_path, publish, versions
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -112,7 +112,7 @@ def test_a_worker_adds_takes_in_order(tmp_path: Path) -> None:
 
 
 def write_frames_backwards(store: Path) -> None:
-    from kinedex.storage.store.parts import FramesWriter
+    from kinedex.storage.snapshot.parts import FramesWriter
 
     with FramesWriter(store, BODY) as writer:
         writer.add(3, *arrays("c", 4))
@@ -216,7 +216,7 @@ HITS = {"query": "kick", "take_id": 1, "take": "a", "start": 0, "stop": 3, "star
 
 
 def hits(*starts: int) -> pa.Table:
-    from kinedex.storage.store.schemas import result_schema
+    from kinedex.storage.snapshot.schemas import result_schema
 
     schema = result_schema("hits")
     return pa.Table.from_pylist([HITS | {"start": s} for s in starts], schema=schema.remove(0))
@@ -271,7 +271,7 @@ def test_results_that_come_piece_by_piece_are_one_part_and_never_in_memory_at_on
 
 def test_results_that_are_long_are_several_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_store(tmp_path, {"a": 5})
-    monkeypatch.setattr("kinedex.storage.store.parts.FULL_BYTES", 20_000)
+    monkeypatch.setattr("kinedex.storage.snapshot.parts.FULL_BYTES", 20_000)
     random = np.random.default_rng(7)
     starts = [random.integers(0, 1 << 30, 1000).tolist() for _ in range(12)]
     with StoreWriter.open(tmp_path, BODY) as writer:
@@ -290,7 +290,7 @@ def test_long_results_that_break_off_show_nothing_and_the_next_writer_removes_th
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_store(tmp_path, {"a": 5})
-    monkeypatch.setattr("kinedex.storage.store.parts.FULL_BYTES", 1)
+    monkeypatch.setattr("kinedex.storage.snapshot.parts.FULL_BYTES", 1)
 
     def pieces(*starts: int) -> Iterator[pa.Table]:
         for start in starts:
@@ -427,7 +427,7 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_its_takes(tmp_p
 
 
 def json_parts(store: Path, version: int):
-    from kinedex.storage.store.manifest import read_version
+    from kinedex.storage.snapshot.manifest import read_version
 
     assert json.loads(manifest_path(store, version).read_text())["version"] == version
     return read_version(store, version).parts

@@ -1,10 +1,10 @@
-"""Which shards of an index stand, which lose takes, and which are made anew, at a cost that follows what has changed.
+"""The plan of an index build: the shards that stay, that lose takes, and that are made anew.
 
-Frames parts are put together into shards of `SHARD_FRAMES` frames. What is added later becomes a shard of its own, and
-small shards are merged by tiers, as small parts are (`storage.store.compaction`): a tier with `FANOUT` shards or more
-becomes
-one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small. Takes that are
-gone are deleted from their shard until half of it is gone; then it is made anew.
+Frames parts are put together into shards of `SHARD_FRAMES` frames. Takes that are added later form a shard of their
+own, and small shards are merged by tiers, as small parts are (`storage.store.compaction`): a tier with `FANOUT` shards
+or more becomes one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small.
+Takes that are dropped are deleted from their shard until half of it is gone; then it is made anew. So the cost of a
+build follows the change, not the size of the archive.
 """
 
 from __future__ import annotations
@@ -14,25 +14,33 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 from kinedex.storage.index.generations import Shard, ShardPart
-from kinedex.storage.store.manifest import Part, ranges
+from kinedex.storage.snapshot.manifest import Part, ranges
 
 SHARD_FRAMES = 1_048_576
 """A shard of this many frames (9.7 hours at 30 Hz) is full. Making one takes some 100 MB of memory; the runs of one
 word lie in as many places as there are shards, and 400 hours have some forty."""
 
 FANOUT = 8
-"""How many shards of one tier are merged; also the ratio of the tiers' sizes."""
+"""Number of shards of one tier that are merged; also the ratio of the tiers' sizes."""
 
 SMALLEST = 4096
-"""Shards below this many frames are all of the lowest tier."""
+"""All shards below this many frames are of the lowest tier."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """How to get from the shards of one generation to those of the next.
+class ShardPlan:
+    """The steps from the shards of one generation to the shards of the next.
 
-    kept: shards whose rows stay, as they are afterwards. dropped: number of a kept shard → the takes that it loses.
-    removed: numbers of the shards whose rows all go. fresh: for every new shard the parts that it is made from.
+    Attributes
+    ----------
+    kept : tuple of Shard
+        Shards whose rows stay, as they are afterwards.
+    dropped : dict of int to tuple of int
+        Number of a kept shard → the ids of the takes that it loses.
+    removed : tuple of int
+        Numbers of the shards whose rows all go.
+    fresh : tuple of tuple of Part
+        The parts that each new shard is made from.
     """
 
     kept: tuple[Shard, ...]
@@ -48,14 +56,17 @@ class _Group:
     shard: Shard | None = None
 
 
-def plan(parts: Iterable[Part], before: Sequence[Shard], shard_frames: int = SHARD_FRAMES) -> Plan:
-    """Decide what happens to every shard.
+def plan_shards(parts: Iterable[Part], before: Sequence[Shard], shard_frames: int = SHARD_FRAMES) -> ShardPlan:
+    """Decide which shards stay, lose takes, go, or are made.
 
     Parameters
     ----------
-    parts: the frames parts of the version to index.
-    before: the shards that there are; none to make everything anew.
-    shard_frames: shards of this size are full, and are not merged any more.
+    parts : iterable of Part
+        Frames parts of the version to index.
+    before : sequence of Shard
+        Shards of the generation before; empty to make everything anew.
+    shard_frames : int, optional
+        Number of frames from which a shard is full and not merged any more.
     """
     loose = {part.sha256: part for part in parts if part.live}
     groups: list[_Group] = []
@@ -72,7 +83,7 @@ def plan(parts: Iterable[Part], before: Sequence[Shard], shard_frames: int = SHA
     groups = _merged(groups + _packed(loose.values(), shard_frames), shard_frames)
     kept = tuple(_after(group.shard, group.parts) for group in groups if group.shard is not None)
     numbers = {shard.number for shard in kept}
-    return Plan(
+    return ShardPlan(
         kept,
         {number: takes for number, takes in dropped.items() if number in numbers},
         tuple(shard.number for shard in before if shard.number not in numbers),
@@ -81,17 +92,17 @@ def plan(parts: Iterable[Part], before: Sequence[Shard], shard_frames: int = SHA
 
 
 def shard_parts(parts: Iterable[Part]) -> tuple[ShardPart, ...]:
-    """What a shard says of the parts that it is made from."""
+    """Return the record of the parts that a shard is made from."""
     return tuple(ShardPart(part.sha256, _ranges(part)) for part in parts)
 
 
 def ids(part: ShardPart) -> Iterable[int]:
-    """The takes that a shard holds of a part."""
+    """Return the ids of the takes that a shard holds of a part."""
     return chain.from_iterable(range(first, stop) for first, stop in part.takes)
 
 
 def _stays(shard: Shard, live: dict[str, Part]) -> tuple[Part, ...]:
-    """The parts of a shard that are still there; a part in which takes have come to life again is another part."""
+    """Return the parts of a shard that still exist; a part in which dropped takes are live again is another part."""
     found = []
     for member in shard.parts:
         part = live.get(member.sha256)
@@ -121,7 +132,7 @@ def _ranges(part: Part) -> tuple[tuple[int, int], ...]:
 
 
 def _packed(parts: Iterable[Part], shard_frames: int) -> list[_Group]:
-    """Parts in order of their takes, put together until a shard is full; no part is divided."""
+    """Put parts together, in order of their takes, until a shard is full; no part is divided."""
     groups: list[_Group] = []
     waiting: list[Part] = []
     frames = 0
@@ -135,7 +146,7 @@ def _packed(parts: Iterable[Part], shard_frames: int) -> list[_Group]:
 
 
 def _merged(groups: list[_Group], shard_frames: int) -> list[_Group]:
-    """Merge the tiers that have filled, the lowest first, until none is left."""
+    """Merge the full tiers, the lowest first, until no tier is full."""
     while True:
         tiers: dict[int, list[_Group]] = {}
         for group in groups:

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD, TakeWords
-from kinedex.storage.store.manifest import Manifest, Part
-from kinedex.storage.store.parts import part_file
+from kinedex.storage.snapshot.manifest import Manifest, Part
+from kinedex.storage.snapshot.parts import part_file, read_errors
 
 I64 = npt.NDArray[np.int64]
 
@@ -83,15 +83,11 @@ def read_frames(store: Path, manifest: Manifest, take_id: int, start: int, stop:
 def _read(store: Path, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
     """Read the row groups that can hold takes from lowest to highest; the parts are sorted by take."""
     path = part_file(store, part.path)
-    try:
-        with pq.ParquetFile(path) as file:
-            column = file.schema_arrow.get_field_index("take_id")
-            groups = []
-            for group in range(file.num_row_groups):
-                known = file.metadata.row_group(group).column(column).statistics
-                if known is None or not known.has_min_max or (known.min <= highest and known.max >= lowest):
-                    groups.append(group)
-            return file.read_row_groups(groups, columns)
-    except (OSError, pa.ArrowException) as fault:
-        reason = str(fault).splitlines()[0]
-        raise StoreError(f"{path}: the part cannot be read: {reason}; see `kinedex verify`") from None
+    with read_errors(path), pq.ParquetFile(path) as file:
+        column = file.schema_arrow.get_field_index("take_id")
+        groups = []
+        for group in range(file.num_row_groups):
+            known = file.metadata.row_group(group).column(column).statistics
+            if known is None or not known.has_min_max or (known.min <= highest and known.max >= lowest):
+                groups.append(group)
+        return file.read_row_groups(groups, columns)

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.store.disk import writing
-from kinedex.storage.store.manifest import now
+from kinedex.storage.disk import write_errors
+from kinedex.storage.snapshot.manifest import now
 
 _POLL_SECONDS = 0.1
 
@@ -33,7 +33,7 @@ class Lock:
 
     def __init__(self, path: Path, purpose: str, wait_seconds: float = 0.0) -> None:
         self.path = path
-        with writing(path):
+        with write_errors(path):
             self._file = open(path, "a+", encoding="utf-8")  # noqa: SIM115 (held beyond this function)
         deadline = time.monotonic() + wait_seconds
         while not self._taken():

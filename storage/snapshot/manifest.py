@@ -20,8 +20,8 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
-from kinedex.storage.store.disk import sync_folder, writing
-from kinedex.storage.store.schemas import FORMAT_VERSION
+from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 
 FOLDER = "manifest"
 TEMPORARY = ".tmp-"
@@ -273,7 +273,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
     """
     path = manifest_path(store, manifest.version)
     temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}.json")
-    with writing(path):
+    with write_errors(path):
         try:
             with open(temporary, "w", encoding="utf-8") as file:
                 file.write(_text(manifest))

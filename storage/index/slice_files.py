@@ -1,7 +1,7 @@
-"""The bit slices of a shard in a file of their own: written once, and mapped by every process that searches.
+"""Slice files: the bit slices of one shard each, written once and mapped by every process that searches.
 
-Whoever opens the file reads it where the operating system keeps it, in memory that all processes of a machine share;
-pages that nobody asks for are never read. What is mapped stays readable, also when the file is removed.
+All processes of a machine share the mapped pages, and only pages that are used are read. A mapped file stays readable
+after it has been removed (Windows refuses to remove it).
 
 The file is little-endian. Its head has 64 bytes: the eight letters of `MAGIC`, then as uint64 `LAYOUT` and the numbers
 of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (T,), ascending, and the arrays of
@@ -29,8 +29,7 @@ from kinedex.storage.index.generations import BUILD, Generation, Shard, slices_n
 MAGIC = b"KDXSLICE"
 
 LAYOUT = 1
-"""Version of the file's layout and of what lies in the arrays; `storage.index.generations.INDEX_VERSION` goes up with
-it."""
+"""Version of the file's layout and arrays; a change of it needs a new `storage.index.generations.INDEX_VERSION`."""
 
 _ALIGNED = 64
 _HEAD = 64
@@ -38,9 +37,16 @@ _HEAD = 64
 
 @dataclass(frozen=True)
 class ShardSlices:
-    """The slices of a shard as they lie in its file, take t of them being take_ids[t], int64 (T,).
+    """The slices of a shard as its file holds them.
 
-    live: bool (T,), which takes count; the others have been dropped or replaced since the shard was made.
+    Attributes
+    ----------
+    take_ids : int64 array (T,)
+        Id of each take, ascending.
+    live : bool array (T,)
+        True for the takes that count; the others have been dropped or replaced since the shard was made.
+    slices : BitSlices
+        The slices of all takes.
     """
 
     take_ids: I64
@@ -51,9 +57,21 @@ class ShardSlices:
 def write_slices(file: Path, take_ids: I64, slices: BitSlices) -> tuple[int, str]:
     """Write the slices of a shard's takes and flush them to disk.
 
+    Parameters
+    ----------
+    file : Path
+        The file to make.
+    take_ids : int64 array (T,)
+        Ids of the takes, ascending.
+    slices : BitSlices
+        The slices of these takes.
+
     Returns
     -------
-    The file's bytes and its SHA-256.
+    size : int
+        The file's size in bytes.
+    sha256 : str
+        The file's checksum.
     """
     counts = [LAYOUT, slices.features, len(slices), len(slices.left)]
     head = MAGIC + np.array(counts, "<u8").tobytes()
@@ -76,24 +94,34 @@ def write_slices(file: Path, take_ids: I64, slices: BitSlices) -> tuple[int, str
         return target.tell(), digest.hexdigest()
 
 
-def open_slices(generation: Path, says: Generation) -> tuple[ShardSlices, ...]:
+def open_slices(generation: Path, record: Generation) -> tuple[ShardSlices, ...]:
     """Map the slices of all shards of a published generation, read-only; no page of the slices themselves is read.
+
+    Parameters
+    ----------
+    generation : Path
+        Folder of the generation.
+    record : Generation
+        Its record.
 
     Raises
     ------
-    FileNotFoundError: the generation has been removed. StoreError: a file is damaged.
+    FileNotFoundError
+        The generation has been removed.
+    StoreError
+        A file is damaged.
     """
-    return tuple(_open(generation / slices_name(shard.number), shard) for shard in says.shards)
+    return tuple(_open(generation / slices_name(shard.number), shard) for shard in record.shards)
 
 
 def _open(file: Path, shard: Shard) -> ShardSlices:
     with open(file, "rb") as content:
         size = os.fstat(content.fileno()).st_size
         if size != shard.slices_bytes or size < _HEAD:
-            raise _damaged(file, f"has {size} bytes, the index says {shard.slices_bytes}")
+            raise _damaged(file, f"has {size} bytes, the index records {shard.slices_bytes}")
         pages = mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ)
     if pages[: len(MAGIC)] != MAGIC:
-        raise _damaged(file, "does not begin as bit slices do")
+        raise _damaged(file, "does not begin with the mark of bit slices")
     layout, features, takes, blocks = np.frombuffer(pages, "<u8", 4, len(MAGIC)).tolist()
     if layout != LAYOUT or not 1 <= features <= MOST_FEATURES or max(takes, blocks) > size:
         raise _damaged(file, f"has layout {layout} and {features} features")
@@ -101,13 +129,13 @@ def _open(file: Path, shard: Shard) -> ShardSlices:
     at = _HEAD
     for name, kind, count in _shapes(features, takes, blocks):
         if at + count * np.dtype(kind).itemsize > size:
-            raise _damaged(file, "is too short for what its head says")
+            raise _damaged(file, "is too short for the counts in its head")
         arrays[name] = np.frombuffer(pages, kind, count, at)
         at += -(-arrays[name].nbytes // _ALIGNED) * _ALIGNED
     if at != size:
-        raise _damaged(file, "is too long for what its head says")
+        raise _damaged(file, "is too long for the counts in its head")
     take_ids = arrays.pop("take_ids")
-    # what search uses as indices: nothing else in a damaged file could lead it out of the file
+    # search uses these as indices; nothing else in a damaged file could lead it out of the file
     if not _fit(arrays["first"], arrays["frames"], arrays["left"]):
         raise _damaged(file, "holds takes that do not fit together")
     live = _live(take_ids, shard)
@@ -117,7 +145,7 @@ def _open(file: Path, shard: Shard) -> ShardSlices:
 
 
 def _fit(first: I64, frames: I64, left: npt.NDArray[np.int32]) -> bool:
-    """Whether takes have the blocks that their lengths need, one after the other."""
+    """Return whether the takes have the blocks that their lengths need, one after the other."""
     lengths = np.diff(first)
     return bool(
         first[0] == 0
@@ -129,13 +157,13 @@ def _fit(first: I64, frames: I64, left: npt.NDArray[np.int32]) -> bool:
 
 
 def _wanted(shard: Shard) -> I64:
-    """The takes that a shard holds, ascending."""
+    """Return the ids of the takes that a shard holds, ascending."""
     ranges = sorted(pair for part in shard.parts for pair in part.takes)
     return np.concatenate([np.empty(0, np.int64), *(np.arange(first, stop) for first, stop in ranges)])
 
 
 def _live(take_ids: I64, shard: Shard) -> npt.NDArray[np.bool_]:
-    """Which takes are still in a shard: its parts say so in ranges of ids."""
+    """Return a mask of the takes that are still in a shard, by the ranges of ids of its parts."""
     ranges = sorted(pair for part in shard.parts for pair in part.takes)
     starts, stops = np.array(ranges, np.int64).reshape(-1, 2).T
     place = np.searchsorted(starts, take_ids, side="right") - 1
@@ -144,7 +172,7 @@ def _live(take_ids: I64, shard: Shard) -> npt.NDArray[np.bool_]:
 
 
 def _shapes(features: int, takes: int, blocks: int) -> Iterator[tuple[str, str, int]]:
-    """Name, kind and length of every array, in their order in the file."""
+    """Yield name, dtype and length of every array, in their order in the file."""
     yield "take_ids", "<i8", takes
     yield "frames", "<i8", takes
     yield "first", "<i8", takes + 1

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import uuid
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.ops.words import NO_WORD
-from kinedex.storage.store.disk import sync_folder, writing
-from kinedex.storage.store.manifest import TEMPORARY, Part
-from kinedex.storage.store.schemas import frames_schema
+from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.snapshot.manifest import TEMPORARY, Part
+from kinedex.storage.snapshot.schemas import frames_schema
 
 ROW_GROUP = 131_072
 """Rows of a row group of frames: about 27 MB on disk, so that one take is read without much else."""
@@ -151,13 +151,13 @@ class FramesWriter:
         self._lay_out()
         self._write(last=True)
         assert self._writer is not None
-        with writing(self._folder):
+        with write_errors(self._folder):
             self._writer.close()
         return publish_part(self.store, self._temporary, "frames", self._rows, self._take_ids)
 
     def _write(self, *, last: bool) -> None:
         table = pa.concat_tables(self._waiting) if self._waiting else self.schema.empty_table()
-        with writing(self._folder):
+        with write_errors(self._folder):
             if self._writer is None:
                 self._writer = _parquet_writer(self._temporary, self.schema)
             # what stays is at least one whole group, so that the last group of a part is not a small one
@@ -207,7 +207,7 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
     """Write a small table (takes, results) as one part of `folder`, relative to the store."""
     temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
     try:
-        with writing(store / folder):
+        with write_errors(store / folder):
             (store / folder).mkdir(parents=True, exist_ok=True)
             pq.write_table(table, temporary, compression="zstd")
         return publish_part(store, temporary, folder, table.num_rows, take_ids)
@@ -252,7 +252,7 @@ class _Growing:
 
     def add(self, piece: pa.Table) -> int:
         """Write one more piece; returns how many bytes the file has."""
-        with writing(self._store / self._folder):
+        with write_errors(self._store / self._folder):
             if self._writer is None:
                 self._temporary.parent.mkdir(parents=True, exist_ok=True)
                 self._writer = pq.ParquetWriter(self._temporary.absolute(), piece.schema, compression="zstd")
@@ -264,7 +264,7 @@ class _Growing:
         """Finish the part and give it its name."""
         assert self._writer is not None
         try:
-            with writing(self._store / self._folder):
+            with write_errors(self._store / self._folder):
                 self._writer.close()
             return publish_part(self._store, self._temporary, self._folder, self._rows, ())
         finally:
@@ -281,7 +281,7 @@ class _Growing:
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
     """Flush a finished file to disk and name it after its content; the same content gets the same name."""
-    with writing(store / folder), open(temporary, "rb") as file:
+    with write_errors(store / folder), open(temporary, "rb") as file:
         os.fsync(file.fileno())
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         size = os.fstat(file.fileno()).st_size
@@ -291,8 +291,18 @@ def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids:
     return Part(f"{folder}/{path.name}", rows, size, digest, tuple(take_ids))
 
 
+@contextmanager
+def read_errors(file: Path) -> Iterator[None]:
+    """Turn a fault of reading a part into a StoreError that names it."""
+    try:
+        yield
+    except (OSError, pa.ArrowException) as fault:
+        reason = str(fault).splitlines()[0]
+        raise StoreError(f"{file}: the part cannot be read: {reason}; see `kinedex verify`") from None
+
+
 def part_file(store: Path, path: str) -> Path:
-    """The file of a part, or a StoreError that says it is missing."""
+    """Return the file of a part; a StoreError reports that it is missing."""
     file = store / path
     if not file.is_file():
         raise StoreError(f"{file}: the manifest names this part, but the file is missing; see `kinedex verify`")

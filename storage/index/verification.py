@@ -1,40 +1,50 @@
-"""Checking a published index against what it says of itself and against the store that it indexes."""
+"""Verification of a published index: its content against its record and against the store that it indexes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.search.bit_slices import slice_words
+from kinedex.storage import duck
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import FILE, Generation, Shard, slices_name
-from kinedex.storage.index.slices import ShardSlices, open_slices
-from kinedex.storage.sql import duck
-
-if TYPE_CHECKING:
-    from kinedex.storage.store.store import Store
+from kinedex.storage.index.slice_files import ShardSlices, open_slices
+from kinedex.storage.snapshot.snapshot import Snapshot
 
 
-def problems(store: Store, generation: Path, says: Generation, *, words: bool = True) -> Iterator[tuple[str, str]]:
-    """What is wrong with the content of an index whose files are, byte by byte, the published ones: file and problem.
+def index_problems(
+    store: Snapshot, generation: Path, record: Generation, *, words: bool = True
+) -> Iterator[tuple[str, str]]:
+    """Yield file and problem for every fault in the content of an index whose files have the recorded checksums.
 
-    Every live take is in one shard; the tables have as many rows as they should; in every shard the lists of a feature
-    set have the runs and the frames that its vocabulary counts; the words of every set fill all frames that have one;
-    bit slices are those of the takes, and, where `words` can be read, of their words.
+    In a sound index every live take is in one shard; the tables have the recorded number of rows; in every shard the
+    lists of a feature set have the runs and the frames that its vocabulary counts; the words of every set fill all
+    frames that have one; and the bit slices are those of the takes' words.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The store that is indexed.
+    generation : Path
+        Folder of the index.
+    record : Generation
+        The record of the index.
+    words : bool, optional
+        Compare the bit slices with the words of the store, whose parts must be sound then.
     """
-    for problem in _tables(store, generation, says):
+    for problem in _tables(store, generation, record):
         yield FILE, problem
-    for shard, found in zip(says.shards, open_slices(generation, says), strict=True):
+    for shard, found in zip(record.shards, open_slices(generation, record), strict=True):
         for problem in _slices(store, shard, found, words):
             yield slices_name(shard.number), problem
 
 
-def _slices(store: Store, shard: Shard, found: ShardSlices, against_words: bool) -> Iterator[str]:
+def _slices(store: Snapshot, shard: Shard, found: ShardSlices, against_words: bool) -> Iterator[str]:
     wanted = sorted(shard.take_ids)
     if not against_words:
         return
@@ -55,41 +65,41 @@ def _slices(store: Store, shard: Shard, found: ShardSlices, against_words: bool)
             yield f"its slices ({name}) are not those of the takes' words"
 
 
-def _tables(store: Store, generation: Path, says: Generation) -> Iterator[str]:
-    # by takes, not by parts: compaction has put them into other parts, and the index stays what it is
-    held = sorted(take for shard in says.shards for take in shard.take_ids)
+def _tables(store: Snapshot, generation: Path, record: Generation) -> Iterator[str]:
+    # compared by takes, not by parts: compaction moves takes to other parts, and the index stays valid
+    held = sorted(take for shard in record.shards for take in shard.take_ids)
     if held != list(store.manifest.live_takes):
         yield "its shards do not hold every live take once"
     with duck.connect() as connection:
         connection.execute(f"ATTACH {duck.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
         connection.execute("USE idx")
         for view, count in tables.count(connection).items():
-            if count != says.rows.get(view):
-                yield f"{view} has {count} rows, not {says.rows.get(view)}"
-        yield from _frames(connection, store.feature_set, says)
-        yield from _shards(connection, store.feature_set, says)
+            if count != record.rows.get(view):
+                yield f"{view} has {count} rows, not {record.rows.get(view)}"
+        yield from _frames(connection, store.feature_set, record)
+        yield from _shards(connection, store.feature_set, record)
 
 
-def _frames(connection: duck.Connection, feature_set: FeatureSet, says: Generation) -> Iterator[str]:
-    total = duck.query(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM takes").column(0)[0].as_py()
-    if total != says.frames:
-        yield f"its shards have {says.frames} frames, the takes have {total}"
-    if says.valid_frames > says.frames:
-        yield f"{says.valid_frames} of {says.frames} frames have a word"
+def _frames(connection: duck.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:
+    total = duck.rows(connection, "SELECT coalesce(sum(frames), 0)::BIGINT FROM takes").column(0)[0].as_py()
+    if total != record.frames:
+        yield f"its shards have {record.frames} frames, the takes have {total}"
+    if record.valid_frames > record.frames:
+        yield f"{record.valid_frames} of {record.frames} frames have a word"
     for name in feature_set.sets:
         query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = ?"
-        frames = duck.query(connection, query, [name]).column(0)[0].as_py()
-        if frames != says.valid_frames:
-            yield f"the words of {name} fill {frames} frames, {says.valid_frames} have a word"
+        frames = duck.rows(connection, query, [name]).column(0)[0].as_py()
+        if frames != record.valid_frames:
+            yield f"the words of {name} fill {frames} frames, {record.valid_frames} have a word"
 
 
-def _shards(connection: duck.Connection, feature_set: FeatureSet, says: Generation) -> Iterator[str]:
-    numbers = {shard.number for shard in says.shards}
-    homes = [(take, shard.number) for shard in says.shards for take in shard.take_ids]
+def _shards(connection: duck.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:
+    numbers = {shard.number for shard in record.shards}
+    homes = [(take, shard.number) for shard in record.shards for take in shard.take_ids]
     columns = np.array(homes, np.int64).reshape(-1, 2).T
     connection.register("homes", pa.table({"take_id": columns[0], "shard": columns[1]}))
     for name in sorted(feature_set.sets):
-        counted = duck.query(
+        counted = duck.rows(
             connection,
             f"""SELECT coalesce(r.shard, v.shard) AS shard, r.runs IS NOT DISTINCT FROM v.runs
                 AND r.frames IS NOT DISTINCT FROM v.frames AS same

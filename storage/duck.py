@@ -1,0 +1,165 @@
+"""DuckDB: connections as this project sets them up, SQL text for Arrow schemas and Parquet files, error messages."""
+
+from __future__ import annotations
+
+import glob
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+Connection = duckdb.DuckDBPyConnection
+Error = duckdb.Error
+Parameters = Sequence[Any] | dict[str, Any] | None
+
+
+def connect(threads: int | None = None, memory_mb: int | None = None) -> Connection:
+    """Open an in-memory connection that uses no network and spills to the system's temporary folder.
+
+    A name in a query is the name of a table, never of a Python variable.
+
+    Parameters
+    ----------
+    threads : int, optional
+        Most threads that DuckDB uses; DuckDB decides without it.
+    memory_mb : int, optional
+        Most memory that DuckDB uses, in MB; DuckDB decides without it.
+    """
+    connection = duckdb.connect(":memory:")
+    # a GLOBAL setting holds for the cursors of this connection, too
+    connection.execute("SET GLOBAL python_enable_replacements = false")
+    connection.execute("SET enable_progress_bar = false")
+    connection.execute("SET autoinstall_known_extensions = false")
+    connection.execute("SET autoload_known_extensions = false")
+    connection.execute(f"SET temp_directory = {quote(str(Path(tempfile.gettempdir()) / 'kinedex-duckdb'))}")
+    if threads is not None:
+        connection.execute(f"SET threads = {int(threads)}")
+    if memory_mb is not None:
+        connection.execute(f"SET memory_limit = '{int(memory_mb)}MB'")
+    return connection
+
+
+def lock_settings(connection: Connection) -> None:
+    """Fix the settings of a connection; settings that write files (logs, profiles) fail from now on."""
+    connection.execute("SET lock_configuration = true")
+
+
+def rows(connection: Connection, text: str, parameters: Parameters = None) -> pa.Table:
+    """Run a query of the program's own and return its rows; `storage.sql.queries` runs the queries of users."""
+    return connection.sql(text, params=parameters).to_arrow_table()
+
+
+def quote(text: str) -> str:
+    """Return a text as an SQL literal."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def identifier(name: str) -> str:
+    """Return a name as a quoted SQL identifier."""
+    return '"' + name.replace('"', '""') + '"'
+
+
+def sql_type(kind: pa.DataType) -> str:
+    """Return the DuckDB type of a column of one of the store's schemas."""
+    if pa.types.is_list(kind):
+        return sql_type(kind.value_type) + "[]"
+    if pa.types.is_struct(kind):
+        return f"STRUCT({', '.join(f'{identifier(child.name)} {sql_type(child.type)}' for child in kind)})"
+    if pa.types.is_timestamp(kind):
+        return "TIMESTAMPTZ"
+    return {
+        pa.bool_(): "BOOLEAN",
+        pa.string(): "VARCHAR",
+        pa.int32(): "INTEGER",
+        pa.int64(): "BIGINT",
+        pa.uint8(): "UTINYINT",
+        pa.uint64(): "UBIGINT",
+        pa.float32(): "FLOAT",
+        pa.float64(): "DOUBLE",
+    }[kind]
+
+
+def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]]) -> str:
+    """Return the SELECT that reads the live rows of Parquet parts.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+        Columns of the parts; without any part the SELECT is an empty relation of this schema.
+    files : sequence of (Path, sequence of int)
+        Each part with the ids of the takes whose rows in it are dropped.
+    """
+    if not files:
+        columns = ", ".join(f"NULL::{sql_type(field.type)} AS {identifier(field.name)}" for field in schema)
+        return f"SELECT {columns} WHERE false"
+    whole = [file for file, dropped in files if not dropped]
+    branches = [f"SELECT * FROM {_read_parquet(whole)}"] if whole else []
+    tombstones = [(file, take) for file, dropped in files for take in dropped]
+    if tombstones:
+        # one scan and one join for any number of parts; the pairs are one literal, which is parsed faster than a list
+        pairs = ", ".join(f"{{part: {file.name}, take_id: {take}}}" for file, take in tombstones)
+        gone = f"SELECT unnest({quote(f'[{pairs}]')}::STRUCT(part VARCHAR, take_id BIGINT)[], recursive := true)"
+        branches.append(
+            f"SELECT rows.* FROM {_read_parquet([file for file, dropped in files if dropped])} AS rows "
+            f"ANTI JOIN ({gone}) AS gone ON gone.take_id = rows.take_id AND gone.part = parse_filename(rows.filename)"
+        )
+    return "\nUNION ALL ".join(branches)
+
+
+def _read_parquet(files: Sequence[Path]) -> str:
+    """Return the scan of exactly these files: no path is read as a pattern, a home folder, or a partition's key."""
+    paths = ", ".join(quote(glob.escape(str(file.absolute()))) for file in files)
+    return f"read_parquet([{paths}], hive_partitioning = false)"
+
+
+def literal_rows(table: pa.Table) -> str:
+    """Return the SELECT that gives the rows of a small table of texts and numbers."""
+    cells = [
+        ", ".join(quote(value) if isinstance(value, str) else f"{value}::{sql_type(kind)}" for value, kind in row)
+        for row in (zip(row.values(), table.schema.types, strict=True) for row in table.to_pylist())
+    ]
+    names = ", ".join(map(identifier, table.column_names))
+    return f"SELECT * FROM (VALUES {', '.join(f'({row})' for row in cells)}) AS given({names})"
+
+
+def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
+    """Return the rows of a table for which an SQL condition holds.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        The table to filter.
+    name : str
+        The table's name in the condition.
+    condition : str
+        One condition; it sees the table and nothing outside this process.
+
+    Raises
+    ------
+    Error
+        DuckDB refuses the condition.
+    """
+    connection = connect(threads=1)
+    try:
+        connection.register(name, table)
+        connection.execute("SET enable_external_access = false")
+        text = f"SELECT * FROM {name} WHERE (\n{condition}\n)"
+        if len(connection.extract_statements(text)) != 1:
+            raise duckdb.ParserException("more than one statement")
+        return connection.sql(text).to_arrow_table()
+    finally:
+        connection.close()
+
+
+def message(fault: duckdb.Error) -> str:
+    """Return DuckDB's message without the class of error in front."""
+    return re.sub(r"^(Invalid Input|\w+) Error: ", "", str(fault).strip(), count=1)
+
+
+def first_line(fault: duckdb.Error) -> str:
+    """Return the first line of DuckDB's message."""
+    return message(fault).splitlines()[0]

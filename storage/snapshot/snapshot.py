@@ -1,0 +1,170 @@
+"""A snapshot: one version of a store, its tables and words read from the parts that its manifest names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
+from kinedex.ops.words import TakeWords
+from kinedex.storage.snapshot.frames import read_frames, read_words
+from kinedex.storage.snapshot.manifest import Manifest, ResultPart
+from kinedex.storage.snapshot.parts import part_file, read_errors
+from kinedex.storage.snapshot.schemas import result_schema, takes_schema
+
+
+class Snapshot:
+    """One version of a store, read-only: manifest and parts, without index and SQL.
+
+    Parameters
+    ----------
+    path : Path
+        The store's directory.
+    manifest : Manifest
+        The version to read.
+    """
+
+    def __init__(self, path: Path, manifest: Manifest) -> None:
+        self.path = path
+        self.manifest = manifest
+
+    @property
+    def feature_set(self) -> FeatureSet:
+        """The feature set of the store's words, as the store itself recorded it."""
+        return self.manifest.feature_set
+
+    @property
+    def rate_hz(self) -> float:
+        """Analysis frames per second."""
+        return self.manifest.rate_hz
+
+    @cached_property
+    def take_rows(self) -> pa.Table:
+        """The rows of all live takes, sorted by name."""
+        schema = takes_schema()
+        tables = []
+        for part in self.manifest.takes:
+            table = _read_part(part_file(self.path, part.path), schema)
+            if part.dropped:
+                dropped = set(part.dropped)
+                keep = [take not in dropped for take in table.column("take_id").to_pylist()]
+                table = table.filter(pa.array(keep, pa.bool_()))
+            tables.append(table)
+        return pa.concat_tables([schema.empty_table(), *tables]).sort_by("name").combine_chunks()
+
+    @cached_property
+    def take_ids(self) -> dict[str, int]:
+        """Name of a take → its id, sorted by name."""
+        return self._pairs("name", "take_id")
+
+    @cached_property
+    def take_frames(self) -> dict[int, int]:
+        """Id of a take → its number of frames."""
+        return self._pairs("take_id", "frames")
+
+    def _pairs(self, key: str, value: str) -> dict[Any, Any]:
+        columns = (self.take_rows.column(name).to_pylist() for name in (key, value))
+        return dict(zip(*columns, strict=True))
+
+    def take_id(self, name: str) -> int:
+        """Return the id of a take by its name.
+
+        Raises
+        ------
+        StoreError
+            No take has this name; the message suggests the nearest one.
+        """
+        if name not in self.take_ids:
+            raise StoreError(f"{self.path}: no take is named '{name}'{did_you_mean(name, self.take_ids)}")
+        return self.take_ids[name]
+
+    def words(self, take_ids: Sequence[int] | None = None) -> TakeWords:
+        """Return the words of takes, in order of take_id, each take once.
+
+        All words lie in one numpy array; `TakeWords.take` gives the words of one take without a copy.
+
+        Parameters
+        ----------
+        take_ids : sequence of int, optional
+            The takes to read; all takes by default.
+
+        Raises
+        ------
+        StoreError
+            No live take has one of the ids.
+        """
+        return read_words(self.path, self.manifest, take_ids)
+
+    def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
+        """Return the frames [start, stop) of a take, one row per analysis frame.
+
+        Every column is one chunk, so that `frames("a").column("rwrist").chunk(0).field("y").to_numpy()` is no copy.
+
+        Parameters
+        ----------
+        take : str
+            The take's name.
+        start : int, optional
+            First frame.
+        stop : int, optional
+            Frame after the last; the take's end by default.
+
+        Raises
+        ------
+        StoreError
+            No take has this name.
+        ParameterError
+            The range is not inside the take.
+        """
+        take_id = self.take_id(take)
+        count = self.take_frames[take_id]
+        end = count if stop is None else stop
+        if not 0 <= start <= end <= count:
+            raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
+        return read_frames(self.path, self.manifest, take_id, start, end)
+
+    def result(
+        self, kind: str, run: str | None = None, pipeline: str | None = None, stage: str | None = None
+    ) -> pa.Table:
+        """Return the rows of one kind of result of the live pipeline runs; an empty table where there are none.
+
+        Parameters
+        ----------
+        kind : str
+            One of `storage.snapshot.schemas.RESULT_KINDS`.
+        run : str, optional
+            Only the rows of this pipeline run.
+        pipeline : str, optional
+            Only the rows that stages of this pipeline wrote.
+        stage : str, optional
+            Only the rows of this stage, "<pipeline>/<stage>".
+        """
+        schema = result_schema(kind)
+        tables = [
+            _read_part(part_file(self.path, part.path), schema)
+            for part in self.manifest.results.get(kind, ())
+            if (run is None or part.run == run)
+            and (pipeline is None or part.stage.startswith(f"{pipeline}/"))
+            and (stage is None or part.stage == stage)
+        ]
+        return pa.concat_tables(tables) if tables else schema.empty_table()
+
+    def result_pieces(self, kind: str, parts: Iterable[ResultPart]) -> Iterator[pa.Table]:
+        """Yield the rows of parts of one kind of result, one row group after the other."""
+        schema = result_schema(kind)
+        for part in parts:
+            file = part_file(self.path, part.path)
+            with read_errors(file), pq.ParquetFile(file) as opened:
+                for group in range(opened.num_row_groups):
+                    yield opened.read_row_group(group).cast(schema)
+
+
+def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
+    with read_errors(file):
+        return pq.read_table(file, schema=schema)
