@@ -1,11 +1,11 @@
 """kinedex: a motion archive that can be queried.
 
-import kinedex
-store = kinedex.open_store("my-store")
-store.takes("actor = 'bk'")                            # polars data frame
-store.sql("SELECT * FROM runs_where('lknee_bent', 1)") # Arrow table
-store.words().take(0)                                  # numpy array: the words of the first take
-kinedex.run_pipeline("annotate", Path("my-store"), assignments={"source": "/my/archive"})
+>>> take = kinedex.read(motion_file)                           # a motion file: positions, words, features
+>>> store = kinedex.open_store(store_path)                     # an archive
+>>> hits = store.rank(kinedex.Template.from_clip(take, 0, 30)) # what is like the first second of the take?
+>>> runs = store.runs("lknee_bent", min_seconds=0.5)           # when is the left knee bent?
+
+docs/python.md shows ten tasks, docs/stability.md says what is stable.
 """
 
 from __future__ import annotations
@@ -25,37 +25,59 @@ if not (Path(__file__).parent / "ops" / "__init__.py").is_file():
 if TYPE_CHECKING:
     from kinedex.catalog.features import FeatureSet, load_feature_set
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
-    from kinedex.ops.words import TakeWords
+    from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
+    from kinedex.pipelines.api.picture import Picture
+    from kinedex.pipelines.api.store import Store, open_store
+    from kinedex.pipelines.api.take import Take, features, read
+    from kinedex.pipelines.api.template import Difference, Template
     from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-    from kinedex.storage.store.store import Store, open_store
+
+    __version__: str
 
 __all__ = [
     "ConfigError",
+    "Difference",
+    "Evaluation",
     "FeatureSet",
     "KinedexError",
     "Outcome",
     "ParameterError",
+    "Picture",
     "SourceError",
     "Store",
     "StoreError",
-    "TakeWords",
+    "Take",
+    "Template",
+    "__version__",
+    "annotate",
+    "evaluate",
+    "features",
     "load_feature_set",
     "open_store",
+    "read",
     "run_pipeline",
 ]
 
 _HOMES = {
     "ConfigError": "ops.errors",
+    "Difference": "pipelines.api.template",
+    "Evaluation": "pipelines.api.annotation",
     "FeatureSet": "catalog.features",
     "KinedexError": "ops.errors",
     "Outcome": "pipelines.engine.runner",
     "ParameterError": "ops.errors",
+    "Picture": "pipelines.api.picture",
     "SourceError": "ops.errors",
-    "Store": "storage.store.store",
+    "Store": "pipelines.api.store",
     "StoreError": "ops.errors",
-    "TakeWords": "ops.words",
+    "Take": "pipelines.api.take",
+    "Template": "pipelines.api.template",
+    "annotate": "pipelines.api.annotation",
+    "evaluate": "pipelines.api.annotation",
+    "features": "pipelines.api.take",
     "load_feature_set": "catalog.features",
-    "open_store": "storage.store.store",
+    "open_store": "pipelines.api.store",
+    "read": "pipelines.api.take",
     "run_pipeline": "pipelines.engine.runner",
 }
 """The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""
@@ -63,11 +85,24 @@ _HOMES = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    if name not in _HOMES:
+    if name == "__version__":
+        value: object = _installed_version()
+    elif name in _HOMES:
+        value = getattr(import_module(f"kinedex.{_HOMES[name]}"), name)
+    else:
         raise AttributeError(f"module 'kinedex' has no attribute '{name}'")
-    value = getattr(import_module(f"kinedex.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
+
+
+def _installed_version() -> str:
+    """Return the version of the installed distribution; that of an unknown one is 0."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("kinedex")
+    except PackageNotFoundError:
+        return "0+unknown"
 
 
 def __dir__() -> list[str]:

@@ -105,6 +105,6 @@ def _examples(store: Store) -> list[tuple[str, str]]:
 def test_the_programs_of_the_page_run(store: Store, program: str) -> None:
     names: dict[str, object] = {}
     exec(program.replace("build/demo-store", str(store.path)), names)
-    assert len(names["first"]) == store.takes("seconds > 1")["frames"][0]  # type: ignore[arg-type]
+    assert len(names["valid"]) == store.takes("seconds > 1")["frames"][0]  # type: ignore[arg-type]
     assert len(names["height"]) == 30  # type: ignore[arg-type]
     assert names["valid"].all()  # type: ignore[attr-defined]

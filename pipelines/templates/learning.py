@@ -194,7 +194,7 @@ def tasks(
 def learn_task(task: Task) -> list[SubclassTemplate]:
     """Learn the templates of a task (runs in a worker)."""
     return [
-        _template(one, kind, learn(kind, one.words, task.features, task.feature_weights))
+        learned_template(one, kind, learn(kind, one.words, task.features, task.feature_weights))
         for one in task.clips
         for kind in task.kinds
     ]
@@ -218,10 +218,11 @@ def learn_templates(
     for one in split:
         for kind in kinds:
             pieces = 4 * executor.workers
-            yield [_template(one, kind, learn(kind, one.words, features, feature_weights, executor.map, pieces))]
+            yield [learned_template(one, kind, learn(kind, one.words, features, feature_weights, executor.map, pieces))]
 
 
-def _template(clips: TrainingClips, kind: Kind, learned: Learned) -> SubclassTemplate:
+def learned_template(clips: TrainingClips, kind: Kind, learned: Learned) -> SubclassTemplate:
+    """Return a template with its provenance, and with remarks on clips that are unlike the others."""
     lengths = [len(words) for words in clips.words]
     remarks = (*clips.remarks, *clip_remarks(clips.names, lengths, learned.clip_costs))
     return SubclassTemplate(clips.subclass, kind, learned, clips.names, clips.origin, remarks)

@@ -1,0 +1,678 @@
+"""A store as a Python object: its takes, SQL, search and rankings."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import StoreError, did_you_mean
+from kinedex.pipelines.api.take import F32, U64, Frames, Take
+from kinedex.storage.store.store import Store as StoredTakes
+from kinedex.storage.store.store import open_store as open_stored_takes
+
+if TYPE_CHECKING:
+    import os
+
+    import polars as pl
+    import pyarrow as pa
+
+    from kinedex.catalog.queries.queries import KeyframeQuery
+    from kinedex.ops.templates.templates import Kind
+    from kinedex.pipelines.api.template import Template
+    from kinedex.storage.sql.duck import Connection
+
+Parameters = Sequence[Any] | dict[str, Any] | None
+
+_BESIDE_HITS = ("run", "saved_as")
+
+
+def open_store(path: str | os.PathLike[str]) -> Store:
+    """Open the newest version of a store for reading.
+
+    The store keeps showing this version, whatever is written meanwhile; open it again to see what is new.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The directory of the store, or an open store.
+
+    Returns
+    -------
+    Store
+        The takes, to be used as a mapping from names, and all that can be asked about them.
+
+    Raises
+    ------
+    StoreError
+        There is no store, it is damaged, or it has another format.
+
+    Examples
+    --------
+    >>> store = kinedex.open_store(store_path)
+    >>> len(store) == store.takes().height
+    True
+    """
+    return Store(open_stored_takes(Path(path)))
+
+
+class Store:
+    """One version of a store, read-only; `open_store` opens it.
+
+    A store is a collection of takes: ``len(store)``, ``for take in store``, and ``store["name"]`` or ``store[17]`` by
+    the id. Wherever a method takes a take, its name, its id or the `Take` itself will do. Tables are polars data
+    frames, except that `sql` returns an Arrow table unless it is told ``polars=True``. Later versions may add columns.
+
+    Attributes
+    ----------
+    path : Path
+        The directory of the store.
+    version : int
+        The version that is shown.
+    rate_hz : float
+        Frames per second of its takes.
+    feature_set : FeatureSet
+        The features of its words, as the store itself recorded them.
+
+    Examples
+    --------
+    >>> [take.name for take in store][:2] == store.takes()["name"].to_list()[:2]
+    True
+    """
+
+    def __init__(self, stored: StoredTakes) -> None:
+        self.stored = stored
+        self.path = stored.path
+        self.version = stored.manifest.version
+        self.rate_hz = stored.rate_hz
+        self.feature_set: FeatureSet = stored.feature_set
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __repr__(self) -> str:
+        return f"Store({str(self.path)!r}, version {self.version}, {len(self)} takes)"
+
+    def _repr_html_(self) -> str:
+        from kinedex.pipelines.api.html import store_html
+
+        return store_html(self)
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the database connections of `sql`; the store can still be used.
+
+        Examples
+        --------
+        >>> store.close()
+        """
+        self.stored.close()
+
+    # ---- takes -------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _rows(self) -> dict[str, dict[str, Any]]:
+        return {row["name"]: row for row in self.stored.takes_table().to_pylist()}
+
+    @cached_property
+    def _names(self) -> dict[int, str]:
+        return {row["take_id"]: name for name, row in self._rows.items()}
+
+    def _row(self, take: str | int | Take) -> dict[str, Any]:
+        """Return the row of a take that is given by name, by id, or as a take."""
+        name = take.name if isinstance(take, Take) else take
+        if isinstance(name, int | np.integer) and not isinstance(name, bool):
+            if int(name) not in self._names:
+                raise StoreError(f"{self.path}: no take has the id {name}; `store.takes()` lists those that there are")
+            return self._rows[self._names[int(name)]]
+        if name not in self._rows:
+            raise StoreError(f"{self.path}: no take is named '{name}'{did_you_mean(str(name), self._rows)}")
+        return self._rows[name]
+
+    def __len__(self) -> int:
+        return len(self.stored.manifest.live_takes)
+
+    def __iter__(self) -> Iterator[Take]:
+        return (self[name] for name in self._rows)
+
+    def __contains__(self, take: object) -> bool:
+        return take in self._rows or take in self._names
+
+    def __getitem__(self, take: str | int) -> Take:
+        """Return a take by its name or its id.
+
+        Parameters
+        ----------
+        take : str or int
+            The name or the id.
+
+        Returns
+        -------
+        Take
+            The take, whose frames are read when they are first needed.
+
+        Raises
+        ------
+        StoreError
+            There is no such take; the message names the nearest.
+
+        Examples
+        --------
+        >>> store[take.name].take_id == take.take_id
+        True
+        """
+        row = self._row(take)
+        source = _StoredFrames(self.stored, row["name"], row["take_id"], 0, row["frames"])
+        return Take(row["name"], source, row["frames"], self.feature_set, self.rate_hz, row, row["take_id"])
+
+    def takes(self, where: str | None = None) -> pl.DataFrame:
+        """Return the table of takes.
+
+        Parameters
+        ----------
+        where : str, optional
+            A SQL filter over the columns of takes, such as ``"actor IN ('al', 'bo') AND class IS NOT NULL"``.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per take, sorted by name: take_id, name, source, format, skeleton, source_rate_hz, frames, seconds,
+            actor, class, clip, warnings and others.
+
+        Raises
+        ------
+        KinedexError
+            The filter is not valid; the message names the columns.
+
+        Examples
+        --------
+        >>> store.takes("class IS NOT NULL").select("name", "class").columns
+        ['name', 'class']
+        """
+        return self.stored.takes(where)
+
+    def positions(self, take: str | int | Take) -> F32:
+        """Return the joint positions of a take.
+
+        Parameters
+        ----------
+        take : str, int or Take
+            The take, by name or id.
+
+        Returns
+        -------
+        float32 array (T, J, 3)
+            Metres, Y up; NaN where a joint is not known.
+
+        Raises
+        ------
+        StoreError
+            There is no such take.
+
+        Examples
+        --------
+        >>> store.positions(take.name).shape == (len(take), 24, 3)
+        True
+        """
+        return self[self._row(take)["name"]].positions
+
+    def words(self, take: str | int | Take) -> U64:
+        """Return the words of a take: of every frame its features as bits.
+
+        Parameters
+        ----------
+        take : str, int or Take
+            The take, by name or id.
+
+        Returns
+        -------
+        uint64 array (T,)
+            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` in invalid frames.
+
+        Raises
+        ------
+        StoreError
+            There is no such take.
+
+        Examples
+        --------
+        >>> len(store.words(take)) == len(take)
+        True
+        """
+        return self[self._row(take)["name"]].words()
+
+    def runs(
+        self,
+        feature: str | int,
+        *,
+        take: str | int | Take | None = None,
+        min_seconds: float = 0.0,
+        where: str | None = None,
+    ) -> pl.DataFrame:
+        """Return the runs of a feature: the longest intervals of frames in which it is on.
+
+        Parameters
+        ----------
+        feature : str or int
+            The feature, by name or number.
+        take : str, int or Take, optional
+            Only the runs of this take.
+        min_seconds : float, optional
+            The shortest duration of a run.
+        where : str, optional
+            A SQL filter over the columns of takes.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per run, by take name and start: take, take_id, start, stop (frames), start_seconds, stop_seconds,
+            seconds.
+
+        Raises
+        ------
+        KinedexError
+            There is no such feature, take or column.
+        StoreError
+            The index is missing or stale; the message says how to build it.
+
+        Examples
+        --------
+        >>> runs = store.runs("rknee_bent", min_seconds=0.2)
+        >>> runs.columns[:4]
+        ['take', 'take_id', 'start', 'stop']
+        """
+        number = self.feature_set.feature(feature).number
+        ids = None if where is None else self.takes(where)["take_id"].to_list()
+        if take is not None:
+            one = self._row(take)["take_id"]
+            ids = [one] if ids is None or one in ids else []
+        chosen = "" if ids is None else "AND list_contains($ids, r.take_id)"
+        statement = f"""
+            SELECT t.name AS take, r.take_id, r.start, r.stop, r.start / t.rate_hz AS start_seconds,
+                r.stop / t.rate_hz AS stop_seconds, r.seconds
+            FROM feature_runs AS r JOIN takes AS t ON t.take_id = r.take_id
+            WHERE r.feature = $number AND r.seconds >= $least {chosen} ORDER BY t.name, r.start"""
+        values: dict[str, Any] = {"number": number, "least": float(min_seconds)}
+        return self.sql(statement, values if ids is None else {**values, "ids": ids}, polars=True)
+
+    # ---- SQL ---------------------------------------------------------------------------------------------
+
+    @overload
+    def sql(self, query: str, params: Parameters = None, *, polars: Literal[False] = False) -> pa.Table: ...
+
+    @overload
+    def sql(self, query: str, params: Parameters = None, *, polars: Literal[True]) -> pl.DataFrame: ...
+
+    def sql(self, query: str, params: Parameters = None, *, polars: bool = False) -> pa.Table | pl.DataFrame:
+        """Run one SQL query that reads, over the views and macros of the store.
+
+        Parameters
+        ----------
+        query : str
+            One statement of DuckDB's SQL. ``FROM help`` lists views and macros.
+        params : sequence or dict, optional
+            Values for ``?``, or for ``$name``.
+        polars : bool, optional
+            True returns a polars data frame in place of an Arrow table.
+
+        Returns
+        -------
+        pyarrow.Table or polars.DataFrame
+            The rows.
+
+        Raises
+        ------
+        KinedexError
+            The query is not valid, or would change something.
+
+        Examples
+        --------
+        >>> store.sql("SELECT count(*) AS n FROM takes").column("n").to_pylist() == [len(store)]
+        True
+        >>> store.sql("SELECT name FROM takes WHERE frames > ?", [10_000], polars=True).height
+        0
+        """
+        table = self.stored.sql(query, params)
+        return _frame(table) if polars else table
+
+    def connect(self, threads: int | None = None, memory_mb: int | None = None) -> Connection:
+        """Open a DuckDB connection with all views and macros, for tables and macros of your own.
+
+        Parameters
+        ----------
+        threads : int, optional
+            The number of threads that DuckDB may use.
+        memory_mb : int, optional
+            The memory that DuckDB may use, in megabytes.
+
+        Returns
+        -------
+        duckdb.DuckDBPyConnection
+            A connection of its own; the index is attached read-only.
+
+        Raises
+        ------
+        StoreError
+            The index or a part cannot be read; the message names the file and the way out.
+
+        Examples
+        --------
+        >>> with store.connect(threads=1) as duckdb:
+        ...     rows = duckdb.execute("SELECT count(*) FROM takes").fetchall()
+        """
+        return self.stored.connect(threads, memory_mb)
+
+    def results(self, kind: str, *, pipeline: str | None = None) -> pl.DataFrame:
+        """Return what pipelines have stored of one kind.
+
+        Parameters
+        ----------
+        kind : str
+            The kind of result: annotations, metrics, templates, queries, hits, ranked_hits and others.
+        pipeline : str, optional
+            Only the results of this pipeline.
+
+        Returns
+        -------
+        polars.DataFrame
+            The rows of the live runs; no rows, with the right columns, where there are none.
+
+        Raises
+        ------
+        KinedexError
+            There is no such kind; the message names the nearest.
+
+        Examples
+        --------
+        >>> "class" in store.results("annotations").columns
+        True
+        """
+        return _frame(self.stored.result(kind, pipeline=pipeline))
+
+    # ---- search and ranking ------------------------------------------------------------------------------
+
+    def search(
+        self, query: KeyframeQuery | Iterable[KeyframeQuery] | str | Path, *, where: str | None = None
+    ) -> pl.DataFrame:
+        """Search keyframe queries.
+
+        Parameters
+        ----------
+        query : Query, sequence of Query, str or Path
+            Queries, or a query file: a shipped name, or the path of a YAML file, of which all queries are searched.
+        where : str, optional
+            A SQL filter over the columns of takes.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per range of frames that holds hits, in the order of queries, take names and starts: query,
+            take_id, take, start, stop (frames), start_seconds, stop_seconds.
+
+        Raises
+        ------
+        KinedexError
+            A query is over features that the store does not have, or the filter is not valid.
+        ConfigError
+            The query file is wrong; the message names the line.
+        StoreError
+            The index is missing or stale; the message says how to build it.
+
+        Examples
+        --------
+        >>> store.search("example")["query"].unique().sort().to_list()[:1]
+        ['kick']
+        """
+        from kinedex.catalog.queries.queries import KeyframeQuery
+        from kinedex.pipelines.search.search import load_query_file, search_store
+
+        if isinstance(query, str | Path):
+            queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
+        else:
+            queries = [query] if isinstance(query, KeyframeQuery) else list(query)
+        return _frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
+
+    def templates(self, *, stage: str | None = None) -> pl.DataFrame:
+        """Return the list of the templates that pipelines have learned.
+
+        Parameters
+        ----------
+        stage : str, optional
+            Only the templates of this stage: ``"pipeline/stage"``, or the name of the pipeline.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per template: stage, subclass, kind, columns, seconds, clips and others.
+
+        Raises
+        ------
+        KinedexError
+            The store has no templates yet.
+
+        Examples
+        --------
+        >>> store.templates().select("subclass", "kind").height > 0
+        True
+        """
+        from kinedex.pipelines.templates.stored_templates import templates_overview
+
+        return _frame(templates_overview(self.stored, 0.05, stage))
+
+    def template(self, name: str, kind: Kind = "soft", *, stage: str | None = None) -> Template:
+        """Return a template that a pipeline has learned.
+
+        Parameters
+        ----------
+        name : str
+            The class (subclass) of the template.
+        kind : {"soft", "hard"}
+            The kind of the template.
+        stage : str, optional
+            The stage that learned it, where several did: ``"pipeline/stage"``, or the name of the pipeline.
+
+        Returns
+        -------
+        Template
+            The template.
+
+        Raises
+        ------
+        KinedexError
+            There is none of that name or kind, or several stages have one.
+
+        Examples
+        --------
+        >>> store.template("squat").kind
+        'soft'
+        """
+        from kinedex.pipelines.api.template import Template
+        from kinedex.pipelines.templates.stored_templates import choose_template
+
+        learned = choose_template(self.stored, name, kind, stage)
+        return Template(learned, self.feature_set, self.rate_hz, lambda: self._clips(learned.clips))
+
+    def _clips(self, names: Sequence[str]) -> Mapping[str, U64]:
+        """Return the words of those of the clips that are still takes of the store."""
+        return {name: self.words(name) for name in names if name in self._rows}
+
+    def rank(
+        self,
+        template: Template | str | Sequence[Template | str],
+        top: int | None = 20,
+        *,
+        tau: float = 0.1,
+        delta: float = 0.1,
+        queries: Sequence[KeyframeQuery] | None = None,
+        where: str | None = None,
+        workers: int | None = None,
+    ) -> pl.DataFrame:
+        """Rank the places of the store by how well templates fit them.
+
+        Parameters
+        ----------
+        template : Template, str, or a sequence of them
+            Templates, names of learned templates, or paths of template files.
+        top : int, optional
+            The largest number of hits of a template; None returns all.
+        tau : float, optional
+            Distances below tau make a hit.
+        delta : float, optional
+            Entries of a template within delta of 0 or 1 count, the others are wildcards.
+        queries : sequence of Query, optional
+            A template is ranked within the hits of the queries whose target has its name; in all frames where there
+            are none.
+        where : str, optional
+            A SQL filter over the columns of takes.
+        workers : int, optional
+            The number of threads; that of the cores unless given. The hits do not depend on it.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per hit, the best of each template first: template, rank, take_id, take, start, stop (frames),
+            start_seconds, stop_seconds, cost.
+
+        Raises
+        ------
+        KinedexError
+            A template cannot be found or is wildcards alone, or no take is selected.
+
+        Warns
+        -----
+        UserWarning
+            Templates are excluded, or some have no query where others do.
+
+        Examples
+        --------
+        >>> hits = store.rank("squat", top=3)
+        >>> hits.columns[:4]
+        ['template', 'rank', 'take_id', 'take']
+        """
+        from kinedex.pipelines.api.template import Template
+        from kinedex.pipelines.ranking.store_ranking import rank_store
+
+        wanted = [template] if isinstance(template, Template | str) else list(template)
+        found = rank_store(
+            self.stored,
+            [one.named if isinstance(one, Template) else one for one in wanted],
+            queries=queries,
+            delta=delta,
+            tau=tau,
+            top=top,
+            where=where,
+            workers=workers,
+        )
+        for remark in found.remarks:
+            warnings.warn(remark, stacklevel=2)
+        return _frame(found.table()).drop("run")
+
+    def similar(
+        self,
+        take: str | int | Take,
+        start: int | str | None = None,
+        stop: int | str | None = None,
+        top: int | None = 20,
+        *,
+        tau: float = 0.1,
+        delta: float = 0.1,
+        where: str | None = None,
+        workers: int | None = None,
+    ) -> pl.DataFrame:
+        """Rank the places of the store by how similar they are to an example.
+
+        Parameters
+        ----------
+        take : str, int or Take
+            The take that is the example or holds it. A `Take` may be of no store, and then start and stop count its own
+            frames.
+        start, stop : int or str, optional
+            The frames of the example within the take, ``45`` or ``"1.5s"``, stop excluded; the whole take unless given.
+        top : int, optional
+            The largest number of hits; None returns all.
+        tau : float, optional
+            Distances below tau make a hit.
+        delta : float, optional
+            Entries of the template within delta of 0 or 1 count, the others are wildcards.
+        where : str, optional
+            A SQL filter over the columns of takes.
+        workers : int, optional
+            The number of threads; that of the cores unless given. The hits do not depend on it.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per hit as for `rank`, the best first; the example itself is among them where it is searched.
+
+        Raises
+        ------
+        KinedexError
+            There is no such take, the interval is not inside it, or it has invalid frames in the middle.
+
+        Examples
+        --------
+        >>> store.similar(take, 0, 30, top=1)["cost"][0]
+        0.0
+        """
+        from kinedex.pipelines.api.template import Template
+
+        whole = take if isinstance(take, Take) else self[take]
+        example = Template.from_clip(whole, start, stop)
+        return self.rank(example, top, tau=tau, delta=delta, where=where, workers=workers)
+
+
+class _StoredFrames:
+    """Frames that are read from the parts of a store when they are needed."""
+
+    def __init__(self, stored: StoredTakes, name: str, take_id: int, start: int, stop: int) -> None:
+        self._stored, self._name, self._take_id = stored, name, take_id
+        self._start, self._stop = start, stop
+
+    def frames(self) -> Frames:
+        """Read all columns."""
+        return stored_frames(self._stored, self._name, self._start, self._stop)
+
+    def words(self) -> U64:
+        """Read the words alone."""
+        return self._stored.words([self._take_id]).take(0)[self._start : self._stop]
+
+    def part(self, start: int, stop: int) -> _StoredFrames:
+        """Return the source of an interval of these frames."""
+        return _StoredFrames(self._stored, self._name, self._take_id, self._start + start, self._start + stop)
+
+
+def stored_frames(stored: StoredTakes, name: str, start: int, stop: int) -> Frames:
+    """Read the frames of a take from the parts of its store."""
+    from kinedex.storage.store.frames import words_of
+    from kinedex.storage.store.parts import joint_positions
+
+    table = stored.frames(name, start, stop)
+    positions = joint_positions(table, stored.feature_set.joints)
+    turned = table.column("root_orientation").combine_chunks().flatten()
+    return Frames(
+        np.ascontiguousarray(positions.transpose(2, 0, 1)),
+        np.stack([part.to_numpy(zero_copy_only=False) for part in turned], axis=1).astype(np.float32),
+        words_of(table),
+    )
+
+
+def _frame(table: pa.Table) -> pl.DataFrame:
+    """Return an Arrow table as a polars data frame."""
+    import polars as pl
+
+    frame = pl.from_arrow(table)
+    assert isinstance(frame, pl.DataFrame)
+    return frame

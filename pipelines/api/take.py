@@ -1,0 +1,524 @@
+"""Takes as Python objects: read from a motion file, made from an array, or opened from a store."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import NO_WORD, bits
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from kinedex.storage.formats.motion.bodies import Body
+
+ANALYSIS_RATE_HZ = 30.0
+"""The rate at which takes are analysed, in frames per second."""
+
+FEATURES = "body40"
+"""The feature set that is used where none is named."""
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+U64 = npt.NDArray[np.uint64]
+Bool = npt.NDArray[np.bool_]
+
+
+class Frames(NamedTuple):
+    """The frames of a take: positions (T, J, 3), orientation (T, 4) and words (T,)."""
+
+    positions: F32
+    orientation: F32
+    words: U64
+
+
+class FrameSource(Protocol):
+    """The place that the frames of a take come from."""
+
+    def frames(self) -> Frames:
+        """Return all frames."""
+        ...
+
+    def words(self) -> U64:
+        """Return the words alone, which can be quicker."""
+        ...
+
+    def part(self, start: int, stop: int) -> FrameSource:
+        """Return the source of the frames from start up to, but not including, stop."""
+        ...
+
+
+class LoadedFrames:
+    """Frames that are in memory."""
+
+    def __init__(self, frames: Frames) -> None:
+        self._frames = frames
+
+    def frames(self) -> Frames:
+        """Return all frames."""
+        return self._frames
+
+    def words(self) -> U64:
+        """Return the words alone."""
+        return self._frames.words
+
+    def part(self, start: int, stop: int) -> LoadedFrames:
+        """Return the frames from start up to, but not including, stop, without a copy."""
+        positions, orientation, words = self._frames
+        return LoadedFrames(Frames(positions[start:stop], orientation[start:stop], words[start:stop]))
+
+
+class Take:
+    """One recorded motion, at the analysis rate of 30 frames per second.
+
+    Takes come from `kinedex.read`, from `Take.from_positions`, and from a store: ``store["name"]``. A take of a store
+    reads its frames when they are first needed. ``take[30:90]`` is a take of the frames from 30 up to 89.
+
+    Attributes
+    ----------
+    name : str
+        The name of the take.
+    take_id : int or None
+        The id in its store; None for a take that is in no store.
+    interval : tuple of int or None
+        The frames [start, stop) of the whole take that this is an interval of; None for a whole take.
+    rate_hz : float
+        Frames per second of all arrays of the take.
+    feature_set : FeatureSet
+        The meaning of the bits of its words.
+    info : dict
+        The columns of the take in the view `takes` of SQL, as far as they are known: source, format, skeleton, unit,
+        source_rate_hz, source_frames, seconds, actor, class and others. Later versions may add entries.
+
+    Examples
+    --------
+    >>> take = kinedex.read(motion_file)
+    >>> take.positions.shape == (len(take), 24, 3)
+    True
+    >>> take.features()["rknee_bent"].sum() <= len(take)
+    True
+    """
+
+    def __init__(
+        self,
+        name: str,
+        source: FrameSource,
+        length: int,
+        feature_set: FeatureSet,
+        rate_hz: float,
+        info: Mapping[str, Any],
+        take_id: int | None = None,
+        interval: tuple[int, int] | None = None,
+    ) -> None:
+        self.name = name
+        self.interval = interval
+        self.take_id = take_id
+        self.rate_hz = rate_hz
+        self.feature_set = feature_set
+        self.info = dict(info)
+        self._source = source
+        self._length = length
+
+    @classmethod
+    def from_positions(
+        cls,
+        positions: npt.ArrayLike,
+        rate: float,
+        *,
+        name: str = "array",
+        joints: Sequence[str] | None = None,
+        orientation: npt.ArrayLike | None = None,
+        feature_set: str | Path = FEATURES,
+    ) -> Take:
+        """Make a take from an array of joint positions.
+
+        Parameters
+        ----------
+        positions : array_like of float, shape (T, J, 3)
+            Joint positions in metres, Y up. A frame in which a joint is NaN is invalid; a joint that is NaN in all
+            frames is unknown, and the features that need it are off.
+        rate : float
+            Frames per second of the array.
+        name : str, optional
+            The name of the take.
+        joints : sequence of str, optional
+            The names of the J joints, in any order; by default the 24 joints of the feature set in their order. Joints
+            of the feature set that are not among them are unknown.
+        orientation : array_like of float, shape (T, 4), optional
+            The root's orientation as unit quaternions w, x, y, z. By default it is estimated from hips and spine.
+        feature_set : str or Path, optional
+            A shipped feature set, or the path of a YAML file.
+
+        Returns
+        -------
+        Take
+            The motion at the analysis rate; positions between two frames of the array are interpolated linearly.
+
+        Raises
+        ------
+        ParameterError
+            An array has another shape, the rate is out of range, or a joint has no known name.
+
+        Examples
+        --------
+        >>> standing = np.repeat(take.positions[:1], 120, axis=0)
+        >>> len(Take.from_positions(standing, rate=60))
+        60
+        """
+        features = load_feature_set(feature_set)
+        body = _body_of_array(positions, rate, features, joints, orientation)
+        return take_of_body(name, body, features)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return self._length
+
+    def __getitem__(self, frames: slice) -> Take:
+        """Return the take of an interval of the frames.
+
+        Parameters
+        ----------
+        frames : slice
+            Start and stop, counted as in a list; the step must be 1.
+
+        Returns
+        -------
+        Take
+            A take of the same name whose frame 0 is the first frame of the interval.
+
+        Raises
+        ------
+        ParameterError
+            The index is no slice, or its step is not 1.
+
+        Examples
+        --------
+        >>> len(take[10:40])
+        30
+        """
+        if not isinstance(frames, slice) or frames.step not in (None, 1):
+            raise ParameterError("frames", "a slice with step 1, such as take[30:90]", frames)
+        start, stop, _ = frames.indices(self._length)
+        stop = max(start, stop)
+        info = {**self.info, "frames": stop - start, "seconds": (stop - start) / self.rate_hz}
+        source = self._source.part(start, stop)
+        first = self.interval[0] if self.interval else 0
+        of_whole = (first + start, first + stop)
+        return Take(self.name, source, stop - start, self.feature_set, self.rate_hz, info, self.take_id, of_whole)
+
+    def __repr__(self) -> str:
+        return f"Take({self.label!r}, {self._length} frames, {self.seconds:.2f} s)"
+
+    def _repr_html_(self) -> str:
+        from kinedex.pipelines.api.html import take_html
+
+        return take_html(self)
+
+    @property
+    def label(self) -> str:
+        """Return the name of the take, with its interval where it is not a whole take.
+
+        Returns
+        -------
+        str
+            For example ``"walk_01"``, or ``"walk_01[30:90]"``.
+        """
+        return self.name if self.interval is None else f"{self.name}[{self.interval[0]}:{self.interval[1]}]"
+
+    @property
+    def seconds(self) -> float:
+        """Return the duration in seconds.
+
+        Returns
+        -------
+        float
+            The number of frames divided by the rate.
+        """
+        return self._length / self.rate_hz
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Return the names of the joints, in the order of `positions`.
+
+        Returns
+        -------
+        tuple of str
+            24 names for the shipped feature set.
+        """
+        return self.feature_set.joints
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what a user should know about how the file was read.
+
+        Returns
+        -------
+        tuple of str
+            One sentence each; empty where nothing is remarkable.
+        """
+        return tuple(self.info.get("warnings") or ())
+
+    @cached_property
+    def _frames(self) -> Frames:
+        return self._source.frames()
+
+    @property
+    def positions(self) -> F32:
+        """Return the positions of the joints.
+
+        Returns
+        -------
+        float32 array (T, J, 3)
+            Metres, Y up; NaN where a joint is not known.
+        """
+        return self._frames.positions
+
+    @property
+    def orientation(self) -> F32:
+        """Return the orientation of the root.
+
+        Returns
+        -------
+        float32 array (T, 4)
+            Unit quaternions w, x, y, z; NaN where it is not known.
+        """
+        return self._frames.orientation
+
+    @property
+    def valid(self) -> Bool:
+        """Return which frames are valid; other frames have no word and take part in nothing.
+
+        Returns
+        -------
+        bool array (T,)
+            False where a joint that the body has is not known.
+        """
+        valid: Bool = self.words() != NO_WORD
+        return valid
+
+    def words(self) -> U64:
+        """Return the word of every frame: its features as bits.
+
+        Returns
+        -------
+        uint64 array (T,)
+            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` in invalid frames.
+
+        Examples
+        --------
+        >>> words = take.words()
+        >>> words.dtype, len(words) == len(take)
+        (dtype('uint64'), True)
+        """
+        return self._words
+
+    @cached_property
+    def _words(self) -> U64:
+        return self._source.words()
+
+    def features(self) -> pl.DataFrame:
+        """Return the features of every frame.
+
+        Returns
+        -------
+        polars.DataFrame
+            T rows and one Boolean column per feature (40 for the shipped feature set), named after it; null in invalid
+            frames. ``.to_numpy()`` is the array (T, 40).
+
+        Examples
+        --------
+        >>> take.features().shape == (len(take), 40)
+        True
+        """
+        import polars as pl
+
+        matrix = bits(self.words(), len(self.feature_set.features)).astype(np.bool_)
+        frame = pl.DataFrame(matrix, schema=[feature.name for feature in self.feature_set.features], orient="row")
+        valid = self.valid
+        return frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
+
+
+def read(
+    path: str | Path,
+    mapping: str | Path | None = None,
+    rate: float | None = None,
+    *,
+    feature_set: str | Path = FEATURES,
+) -> Take:
+    """Read one motion file of any supported format.
+
+    Parameters
+    ----------
+    path : str or Path
+        A motion file: AMC (its ASF skeleton is found beside it or in a folder above), BVH, C3D, TRC, CSV, NPZ or NPY.
+    mapping : str or Path, optional
+        The skeleton mapping: a shipped name, or the path of a YAML file. By default the skeleton is recognised by the
+        names of its joints.
+    rate : float, optional
+        Frames per second of the file, where it does not state them or states them wrongly.
+    feature_set : str or Path, optional
+        A shipped feature set, or the path of a YAML file.
+
+    Returns
+    -------
+    Take
+        The motion at the analysis rate of 30 frames per second, with the same words as in a store.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read; the message names file, line and reason.
+    KinedexError
+        There is no such file or mapping.
+    ParameterError
+        The rate is out of range.
+
+    Examples
+    --------
+    >>> take = kinedex.read(motion_file)
+    >>> take.joints[:3]
+    ('root', 'lhip', 'rhip')
+    >>> take.info["source_rate_hz"]
+    120.0
+    """
+    from kinedex.catalog.skeletons.mappings import load_mappings
+    from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
+    from kinedex.storage.formats.motion.bodies import Given, read_body
+
+    file = Path(path).expanduser()
+    if rate is not None:
+        _check_rate(rate)
+    asf = skeleton_beside(file) if motion_ending(file) == ".amc" else None
+    features = load_feature_set(feature_set)
+    mappings = load_mappings("auto" if mapping is None else str(mapping), features.joints)
+    body = read_body(file, asf, mappings, features.joints, Given(override_rate_hz=rate))
+    about = {"source": str(file), "format": file.suffix[1:].lower(), "skeleton_source": asf and str(asf)}
+    return take_of_body(file.stem, body, features, about)
+
+
+def features(
+    positions: npt.ArrayLike,
+    rate: float,
+    *,
+    joints: Sequence[str] | None = None,
+    orientation: npt.ArrayLike | None = None,
+    feature_set: str | Path = FEATURES,
+) -> pl.DataFrame:
+    """Compute the features of joint positions from anywhere.
+
+    Parameters
+    ----------
+    positions : array_like of float, shape (T, J, 3)
+        Joint positions in metres, Y up, as for `Take.from_positions`.
+    rate : float
+        Frames per second of the array.
+    joints : sequence of str, optional
+        The names of the J joints; by default the 24 joints of the feature set in their order.
+    orientation : array_like of float, shape (T, 4), optional
+        The root's orientation as unit quaternions w, x, y, z. By default it is estimated from hips and spine.
+    feature_set : str or Path, optional
+        A shipped feature set, or the path of a YAML file.
+
+    Returns
+    -------
+    polars.DataFrame
+        One row per frame at 30 frames per second and one Boolean column per feature; null in invalid frames.
+
+    Raises
+    ------
+    ParameterError
+        An array has another shape, the rate is out of range, or a joint has no known name.
+
+    Examples
+    --------
+    >>> kinedex.features(take.positions, rate=take.rate_hz).shape == (len(take), 40)
+    True
+    """
+    take = Take.from_positions(positions, rate, joints=joints, orientation=orientation, feature_set=feature_set)
+    return take.features()
+
+
+def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
+    """Analyse a body as ingest does, and return it as a take."""
+    from kinedex.pipelines.ingestion.analysis import analyse, blind
+
+    positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
+    frames = Frames(
+        np.ascontiguousarray(positions.transpose(2, 0, 1), np.float32),
+        np.ascontiguousarray(orientation.T, np.float32),
+        words,
+    )
+    info = {
+        "name": name,
+        **(about or {}),
+        "skeleton": body.skeleton,
+        "unit": body.unit,
+        "source_rate_hz": body.rate_hz,
+        "source_frames": body.frames,
+        "rate_hz": ANALYSIS_RATE_HZ,
+        "frames": len(words),
+        "seconds": body.frames / body.rate_hz,
+        "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
+        "warnings": [*body.warnings, *blind(feature_set, body)],
+    }
+    return Take(name, LoadedFrames(frames), len(words), feature_set, ANALYSIS_RATE_HZ, info)
+
+
+def _body_of_array(
+    positions: npt.ArrayLike,
+    rate: float,
+    feature_set: FeatureSet,
+    joints: Sequence[str] | None,
+    orientation: npt.ArrayLike | None,
+) -> Body:
+    """Return a body whose joints are placed by an array."""
+    from kinedex.storage.formats.motion.bodies import Body
+    from kinedex.storage.formats.motion.points import root_orientation
+
+    _check_rate(rate)
+    names = feature_set.joints if joints is None else tuple(joints)
+    given = np.asarray(positions, np.float64)
+    if given.ndim != 3 or given.shape[1:] != (len(names), 3) or not len(given):
+        raise ParameterError("positions", f"of shape (frames, {len(names)}, 3) with at least 1 frame", given.shape)
+    odd = sorted(set(names) - set(feature_set.joints))
+    if odd or len(set(names)) < len(names):
+        raise ParameterError("joints", f"different names among {', '.join(feature_set.joints)}", odd or list(names))
+    placed = np.full((len(feature_set.joints), 3, len(given)), np.nan)
+    placed[[feature_set.joints.index(name) for name in names]] = given.transpose(1, 2, 0)
+    lost = np.isnan(placed).any(axis=1)
+    unknown = lost.all(axis=1)
+    valid: Bool = ~lost[~unknown].any(axis=0)
+    if unknown.all() or not valid.any():
+        raise ParameterError("positions", "finite for every joint in at least one frame", "NaN in every frame")
+    warnings: list[str] = []
+    if orientation is None:
+        turned = root_orientation(placed, feature_set.joints, valid, warnings)
+    else:
+        turned = np.asarray(orientation, np.float64).T
+        if turned.shape != (4, len(given)):
+            raise ParameterError("orientation", f"of shape ({len(given)}, 4)", turned.T.shape)
+    return Body(
+        positions=placed,
+        orientation=np.ascontiguousarray(turned),
+        rate_hz=float(rate),
+        unit="1 m",
+        skeleton="array",
+        unknown=tuple(name for name, gone in zip(feature_set.joints, unknown, strict=True) if gone),
+        warnings=tuple(warnings),
+        valid=None if valid.all() else valid,
+    )
+
+
+def _check_rate(rate: float) -> None:
+    from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
+
+    if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
+        raise ParameterError("rate", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames per second", rate)
