@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from kinedex.catalog.queries.queries import KeyframeQuery
     from kinedex.ops.templates.templates import Kind
     from kinedex.pipelines.api.template import Template
-    from kinedex.storage.sql.duck import Connection
+    from kinedex.storage.duck import Connection
 
 Parameters = Sequence[Any] | dict[str, Any] | None
 
@@ -656,8 +656,8 @@ class _StoredFrames:
 
 def stored_frames(stored: StoredTakes, name: str, start: int, stop: int) -> Frames:
     """Read the frames of a take from the parts of its store."""
-    from kinedex.storage.store.frames import words_of
-    from kinedex.storage.store.parts import joint_positions
+    from kinedex.storage.snapshot.frames import words_of
+    from kinedex.storage.snapshot.parts import joint_positions
 
     table = stored.frames(name, start, stop)
     positions = joint_positions(table, stored.feature_set.joints)
