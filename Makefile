@@ -8,7 +8,7 @@ METHOD ?= thesis
 FUZZ_SECONDS ?= 20
 FUZZ_SEED    ?= 0
 
-.PHONY: setup demo test lint types check-kernels fuzz bench lock clean help
+.PHONY: setup demo test lint types check-kernels fuzz bench docs links wheel lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -18,6 +18,8 @@ help:
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
+	@echo "make docs                  the site in build/site, every warning an error; make links checks links to other sites"
+	@echo "make wheel                 dist/kinedex-*.whl, installed into an environment of its own and tried"
 	@echo "make lock                  resolve the dependencies anew (needs uv)"
 	@echo "make clean                 remove what make has built, .venv included"
 
@@ -66,9 +68,31 @@ $(VENV)/bench.stamp: requirements-bench.lock $(VENV)/run.stamp
 bench: setup $(VENV)/bench.stamp
 	$(BIN)/python -m benchmarks
 
+# ---- site and release ------------------------------------------------------------------------------------
+$(VENV)/docs.stamp: requirements-docs.lock $(VENV)/run.stamp
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	@touch $@
+
+docs: setup $(VENV)/docs.stamp
+	@$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs build/site
+	@echo "build/site/index.html"
+
+links: setup $(VENV)/docs.stamp
+	$(BIN)/sphinx-build --quiet -b linkcheck docs build/links
+
+# Run where nothing of the checkout is on the path: the wheel must do with what is in it.
+wheel: setup
+	rm -rf dist build/tried
+	$(BIN)/python -m hatchling build
+	$(PYTHON) -m venv build/tried
+	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/kinedex-*.whl
+	cd build/tried && bin/kinedex version && bin/kinedex demo --minutes 2 --store store && bin/kinedex verify store
+
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements.lock
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-dev.lock
+	uv pip compile pyproject.toml --group docs -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-docs.lock
 	uv pip compile pyproject.toml --group bench -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-bench.lock
 
 clean:

@@ -1,0 +1,17 @@
+# The demo in a container: docker build -t kinedex . && docker run --rm -v "$PWD/out:/out" kinedex
+FROM python:3.12-slim
+
+RUN useradd --create-home --uid 1000 kinedex && mkdir /out && chown kinedex /out
+WORKDIR /app
+COPY requirements.lock ./
+RUN pip install --no-cache-dir --require-hashes -r requirements.lock
+
+COPY . .
+RUN pip install --no-cache-dir . --no-deps \
+    && rm -rf /app/*
+
+USER 1000
+WORKDIR /out
+VOLUME /out
+ENTRYPOINT ["kinedex"]
+CMD ["demo", "--store", "/out/demo-store"]

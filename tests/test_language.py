@@ -1,0 +1,104 @@
+"""The language and shape of the code: docstrings are sentences, module names are nouns, functions are short."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("kinedex", "ops", "catalog", "storage", "pipelines", "benchmarks", "studies")
+ENFORCED = ("kinedex",)
+"""Rooms, or folders of rooms, that have been gone through; at the end of the redesign these are all of `ROOMS`."""
+
+MOST_LINES = 60
+"""The longest function: a screen of code, from `def` to its end, without its docstring."""
+
+FRAGMENT = re.compile(r"(What|Whether|How|Which|Where)\b")
+
+FIELD_TERMS = {
+    "averaging": "template learning averages aligned clips; the literature's word for the step",
+    "decoding": "labelling a sequence by its best path, as of hidden Markov models",
+    "indexing": "the subject of Section 3.3 and of what is measured",
+    "keyframe_learning": "the subject of Chapter 4",
+    "learning": "machine learning",
+    "mapping": "a noun: joints of a file mapped to those of the feature set",
+    "matching": "template matching",
+    "pruning": "leaving out what a lower bound excludes; the word of dynamic time warping's literature",
+    "ranking": "the order of an archive by a template's distance",
+    "reading": "what the benchmark times: files to words",
+    "scaling": "how cost grows with the number of workers or the size of the archive",
+    "searching": "what the benchmark times: keyframe search",
+    "sharing": "memory that processes share",
+    "string": "a noun",
+    "timing": "a noun",
+    "warping": "dynamic time warping",
+    "annotating": "what the benchmark times: labels for takes",
+}
+"""Names ending in -ing that are terms of the field, each with its reason."""
+
+
+def files(*rooms: str) -> list[Path]:
+    """Return the Python files of rooms or of folders of them, by their places in the repository."""
+    return sorted(path for room in rooms for path in (ROOT / room).rglob("*.py") if not _linked(path))
+
+
+def _linked(path: Path) -> bool:
+    """Say whether a path goes through one of the links of `kinedex/` to the rooms."""
+    return any(parent.is_symlink() for parent in path.parents)
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and text of every docstring: of module, classes, functions and attributes."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value
+
+
+def long_functions(path: Path) -> Iterator[str]:
+    """Yield the functions that are longer than a screen."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            first = node.body[0]
+            if ast.get_docstring(node) is not None:
+                lines -= (first.end_lineno or first.lineno) - first.lineno + 1
+            if lines > MOST_LINES:
+                yield f"{_name(path)}:{node.lineno}: {node.name} has {lines} lines"
+
+
+def fragments(path: Path) -> list[str]:
+    """Return the docstrings that begin as a fragment does."""
+    return [
+        f"{_name(path)}:{line}: {' '.join(text.split())[:60]}"
+        for line, text in docstrings(path)
+        if FRAGMENT.match(text.strip())
+    ]
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("room", ENFORCED)
+def test_a_docstring_is_a_sentence(room: str) -> None:
+    assert not [fault for path in files(room) for fault in fragments(path)]
+
+
+@pytest.mark.parametrize("room", ENFORCED)
+def test_a_function_fits_on_a_screen(room: str) -> None:
+    assert not [fault for path in files(room) for fault in long_functions(path)]
+
+
+@pytest.mark.parametrize("room", ENFORCED)
+def test_a_module_ending_in_ing_is_a_term_of_the_field(room: str) -> None:
+    names = {part for path in files(room) for part in (path.stem, *path.relative_to(ROOT).parts[:-1])}
+    assert {name for name in names if name.endswith("ing")} <= set(FIELD_TERMS)
+
+
+def test_every_room_that_is_enforced_is_there() -> None:
+    assert all(files(room) for room in ENFORCED)
+    assert {room.split("/")[0] for room in ENFORCED} <= set(ROOMS)
