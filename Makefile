@@ -36,7 +36,7 @@ setup: $(VENV)/run.stamp
 
 # ---- the main job ----------------------------------------------------------------------------------------
 demo: setup
-	@$(BIN)/kinedex demo --store "$(STORE)" $(if $(DATA),--data "$(DATA)") --method $(METHOD)
+	@$(BIN)/kinedex demo "$(STORE)" $(if $(DATA),--data "$(DATA)") --method $(METHOD)
 
 # ---- checks ----------------------------------------------------------------------------------------------
 lint: setup

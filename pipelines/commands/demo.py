@@ -1,4 +1,4 @@
-"""The demo: the main job on a synthetic archive, made where it is missing, or on an archive of the user's own."""
+"""The demo: the main job on a synthetic archive, which is made where it is missing, or on an archive of the user."""
 
 from __future__ import annotations
 
@@ -29,8 +29,30 @@ def run_demo(
 
     Parameters
     ----------
-    store: where the store goes. data: an archive of the user's own, or None. minutes: size of the synthetic archive.
-    executor, workers: as for `run_pipeline`. console: where to say what happens. method: of the stage `annotate`.
+    store : Path
+        Directory of the store.
+    data : Path or None
+        Archive of the user; None makes a synthetic one.
+    minutes : float
+        Minutes of motion in the synthetic archive.
+    executor : str
+        Executor, as for `run_pipeline`.
+    workers : int or None
+        Number of workers, as for `run_pipeline`.
+    console : Console
+        Where messages are printed.
+    method : str
+        Method of the stage `annotate`: thesis or best.
+
+    Returns
+    -------
+    Outcome
+        What the pipeline did.
+
+    Raises
+    ------
+    KinedexError
+        If `data` is no folder, or a stage fails.
     """
     settings = {"method": method}
     if data is None:
@@ -40,7 +62,7 @@ def run_demo(
     elif not data.is_dir():
         raise KinedexError(f"--data {data}: no such folder")
     settings["source"] = str(data)
-    console.print(f"store: {store}")
+    console.print(f"store: {store}", markup=False)
     return run_pipeline(
         "annotate", store, assignments=settings, executor=executor, workers=workers, terminal=Terminal(console)
     )
@@ -49,11 +71,12 @@ def run_demo(
 def make_archive(
     directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
 ) -> None:
-    """Make a synthetic archive, or finish one that was interrupted, and say what is in it.
+    """Make a synthetic archive, or finish one that was interrupted, and print what it holds.
 
     Raises
     ------
-    KinedexError: the folder holds something else already.
+    KinedexError
+        If the folder holds something else.
     """
     begin = time.perf_counter()
     console.print(f"synthetic archive of {minutes:g} minutes in {directory}", style="bold", markup=False)

@@ -1,4 +1,4 @@
-"""The commands about label files: labels export, labels read."""
+"""Commands about label files: labels export, labels read."""
 
 from __future__ import annotations
 
@@ -7,39 +7,40 @@ from typing import Annotated
 
 import typer
 
-from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, app, guard, show_table
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.commands.app import ASK, command, group
+from kinedex.pipelines.commands.options import FormatOption, OutputOption, StorePath, WhereOption
+from kinedex.pipelines.commands.output import show_table
 
-labels = typer.Typer(
-    name="labels", help="Annotations as label files for other tools, and label files as tables.", no_args_is_help=True
-)
-app.add_typer(labels, rich_help_panel="Ask a store")
+labels = group("labels", "Write annotations as label files, and read label files.", ASK)
 
 
+@command(of=labels)
 def export(
     store: StorePath,
     output: Annotated[
-        str, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="folder for a file per take, or one file")
+        str, typer.Option("--output", "-o", metavar="DIR_OR_FILE", help="Folder for one file per take, or one file.")
     ],
     form: Annotated[
         str | None,
         typer.Option(
             "--format",
-            help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); as FILE ends unless given, csv in a folder",
+            help="csv, json, eaf (ELAN), vtt (WebVTT) or txt (Audacity); the file's ending unless given, csv in a "
+            "folder.",
         ),
     ] = None,
-    take: Annotated[list[str] | None, typer.Option(help="only this take; may be repeated")] = None,
-    where: Where = None,
+    take: Annotated[list[str] | None, typer.Option(help="Only this take; may be given several times.")] = None,
+    where: WhereOption = None,
     stage: Annotated[
         str | None,
         typer.Option(
-            "--stage", metavar="STAGE", help="PIPELINE/STAGE, PIPELINE or run; the last to annotate unless given"
+            "--stage", metavar="STAGE", help="PIPELINE/STAGE, PIPELINE or run; the last annotation unless given."
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="overwrite files that are there")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
-    """Write annotations as label files: a file per take into a folder, or one file."""
+    """Write annotations as label files: one per take into a folder, or one file."""
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_of
+    from kinedex.pipelines.console.wording import counted
     from kinedex.storage.formats.labels.formats import write_labels
     from kinedex.storage.store.store import open_store
 
@@ -48,16 +49,19 @@ def export(
     found = labels_of(opened, chosen, take or (), where)
     paths = write_labels(found, form, output, force=force)
     count = sum(len(one.labels) for one in found)
-    where_to = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
-    print(f"{counted(count, 'segment')} of {counted(len(found), 'take')}, annotated by {chosen}: {where_to}")
+    place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
+    print(f"{counted(count, 'segment')} of {counted(len(found), 'take')}, annotated by {chosen}: {place}")
 
 
+@command(of=labels)
 def read(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="label files: .csv, .json, .eaf, .vtt, .txt")],
-    form: Format = "table",
-    output: Output = None,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Label files: .csv, .json, .eaf, .vtt or .txt.")
+    ],
+    form: FormatOption = "table",
+    output: OutputOption = None,
 ) -> None:
-    """Show what label files say, as ground truth would be read from them."""
+    """Show the segments of label files as they are read for ground truth."""
     import pyarrow as pa
 
     from kinedex.storage.formats.labels.formats import read_labels
@@ -70,13 +74,9 @@ def read(
             | {"unit": unit[one.in_seconds], "where": one.where}
             for one in file.segments
         ]
-        # takes that somebody looked at without finding anything
+        # takes in which a person found nothing
         labelled = {one.take for one in file.segments}
         rows += [{"take": take, "where": file.path} for take in file.takes if take not in labelled]
     text, number = pa.string(), pa.float64()
     kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
     show_table(pa.Table.from_pylist(rows, schema=pa.schema(list(kinds.items()))), form, output)
-
-
-for _function in (export, read):
-    labels.command()(guard(_function))

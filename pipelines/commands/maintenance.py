@@ -2,87 +2,125 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.shell import RateOption, StorePath, command
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.commands.app import FAILED, MAINTAIN, command
+from kinedex.pipelines.commands.options import JsonOption, RateOption, StorePath
+from kinedex.pipelines.commands.output import print_json
 
 
-@command
+@command(MAINTAIN)
 def inspect(
-    file: Annotated[Path, typer.Argument(help="a motion file")],
-    skeleton: Annotated[str, typer.Option(help="skeleton mapping: auto, a shipped name, or a .yaml file")] = "auto",
+    file: Annotated[Path, typer.Argument(help="Motion file.")],
+    skeleton: Annotated[
+        str, typer.Option(help="Skeleton mapping: auto, the name of a shipped one, or a .yaml file.")
+    ] = "auto",
     source: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="source root: the ASF of an AMC file is looked for up to there")
+        Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
     ] = None,
     rate: RateOption = None,
     fill_gap_frames: Annotated[
-        int | None, typer.Option(min=0, help="longest gap of a point that is closed; a tenth of a second unless given")
+        int | None, typer.Option(min=0, help="Longest gap of a point that is filled; 0.1 s unless given.")
     ] = None,
     body_model: Annotated[
-        str | None, typer.Option(help="body model of an AMASS file: model.npz of SMPL-H, or its joints at rest")
+        str | None, typer.Option(help="Body model of an AMASS file: model.npz of SMPL-H, or its joints at rest.")
     ] = None,
     features: Annotated[
-        bool,
-        typer.Option("--features", help="also how often each feature holds, and which are off for want of a joint"),
+        bool, typer.Option("--features", help="Also list how often each feature holds, and which lack a joint.")
     ] = False,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="picture to write; STEM.png in this folder unless given")
+        Path | None, typer.Option(metavar="PNG", help="Picture to write; STEM.png in this folder unless given.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Show what a motion file is and what becomes of it, and draw a few of its frames."""
+    """Show what a motion file holds, and draw a few of its frames."""
+    from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
     from kinedex.storage.formats.motion.bodies import Given
 
     found = inspect_file(file, skeleton, source, Given(None, rate, fill_gap_frames, body_model))
     path = picture or Path(f"{file.stem}.png")
-    if write_picture(found, path):
-        found.say("picture", str(path))
-    show(found, make_console(), features)
+    drawn = write_picture(found, path)
+    if drawn:
+        found.add("picture", str(path))
+    if as_json and found.fault is None:
+        facts = [{"name": name, "value": text} for name, text in found.lines]
+        print_json({"file": file, "facts": facts, "features": found.features, "picture": path if drawn else None})
+    elif not as_json:
+        show(found, make_console(), features)
     if found.fault is not None:
         raise found.fault
 
 
-@command
-def verify(store: StorePath) -> None:
-    """Check every file of a store against its manifest: sums, sizes, counts, order, and the index."""
+@command(MAINTAIN)
+def verify(store: StorePath, as_json: JsonOption = False) -> None:
+    """Check the files of a store against its manifest, and the index."""
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.verification import verify as check
 
     opened = open_store(store)
     findings = check(opened)
+    parts, takes = len(opened.manifest.parts), len(opened.manifest.live_takes)
+    faults = sum(finding.fault for finding in findings)
+    if as_json:
+        rows = [
+            {"file": one.file, "problem": one.problem, "remedy": one.remedy, "fault": one.fault} for one in findings
+        ]
+        document = {"store": store, "version": opened.manifest.version, "takes": takes, "parts": parts}
+        print_json({**document, "faults": faults, "findings": rows})
+        if faults:
+            raise typer.Exit(FAILED)
+        return
     for finding in findings:
         print(f"{'✗' if finding.fault else '·'} {finding}")
-    parts = len(opened.manifest.parts)
-    faults = sum(finding.fault for finding in findings)
     if faults:
         raise KinedexError(f"{store}: {faults} of {parts} parts or files are damaged")
-    print(
-        f"{store}: version {opened.manifest.version}, {len(opened.manifest.live_takes)} takes, {parts} parts: all sound"
-    )
+    print(f"{store}: version {opened.manifest.version}, {takes} takes, {parts} parts: all sound")
 
 
-@command
+@command(MAINTAIN)
 def gc(
     store: StorePath,
-    keep: Annotated[int, typer.Option(min=1, help="how many of the newest versions stay readable")] = 2,
-    dry_run: Annotated[bool, typer.Option(help="only say what would go")] = False,
+    keep: Annotated[int, typer.Option(min=1, help="Number of the newest versions that stay readable.")] = 2,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List what would be removed, and remove nothing.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Remove old versions of a store, and the files that only they need."""
+    """Remove old versions of a store."""
     from kinedex.storage.store.garbage_collection import collect, summary
 
-    for line in summary(collect(store, keep=keep, dry_run=dry_run)):
+    found = collect(store, keep=keep, dry_run=dry_run)
+    if as_json:
+        rows = [{"path": one.path, "bytes": one.bytes, "kind": one.what} for one in found]
+        print_json({"store": store, "dry_run": dry_run, "removed": rows})
+        return
+    for line in summary(found):
         print(f"would remove {line}" if dry_run else f"removed {line}")
 
 
-@command
-def version() -> None:
-    """Print the versions of kinedex and of what it computes with."""
-    from importlib.metadata import version as installed
+@command(MAINTAIN)
+def version(as_json: JsonOption = False) -> None:
+    """Print the versions of kinedex and of its libraries, and its path."""
+    from importlib.metadata import version as version_of
 
-    for package in ("kinedex", "numpy", "numba", "pyarrow", "duckdb", "polars"):
-        print(f"{package:10} {installed(package)}")
+    from kinedex.pipelines.commands.installation import installed_package, running_package
+
+    versions = {name: version_of(name) for name in ("kinedex", "numpy", "numba", "pyarrow", "duckdb", "polars")}
+    path, installed = running_package(), installed_package()
+    if as_json:
+        print_json({"versions": versions, "path": path, "installed_path": installed})
+        return
+    for name, number in versions.items():
+        print(f"{name:10} {number}")
+    print(f"{'path':10} {path}")
+    if path != installed:
+        place = f"the installed one is {installed}" if installed else "none is installed"
+        print(
+            f"kinedex: this is the package of a checkout; {place}. The command `kinedex` takes the installed one, "
+            "`python -m kinedex` that of the folder it starts in.",
+            file=sys.stderr,
+        )

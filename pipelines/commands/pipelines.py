@@ -7,9 +7,12 @@ from typing import Annotated
 
 import typer
 
-from kinedex.pipelines.commands.shell import (
+from kinedex.pipelines.commands.app import RUN, command
+from kinedex.pipelines.commands.options import (
     ExecutorOption,
     ForceOption,
+    JsonOption,
+    PipelineArgument,
     RateOption,
     SchedulerOption,
     SetOption,
@@ -17,67 +20,94 @@ from kinedex.pipelines.commands.shell import (
     StorePath,
     WorkersOption,
     assignments_of,
-    command,
-    finish,
-    run_to_the_end,
 )
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.commands.output import print_json, show_outcome
 
 
-@command
+@command(RUN)
 def demo(
-    store: StoreOption = Path("build/demo-store"),
+    store: Annotated[
+        Path, typer.Argument(metavar="[STORE]", help="Directory of the store; created where it is missing.")
+    ] = Path("build/demo-store"),
     data: Annotated[
-        Path | None, typer.Option(help="an archive of your own; a synthetic one is made without it")
+        Path | None, typer.Option(help="Archive of motion files; a synthetic one is made unless given.")
     ] = None,
-    minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in the synthetic archive")] = 30.0,
-    method: Annotated[str, typer.Option(help="how takes are labelled: thesis, or best")] = "thesis",
+    minutes: Annotated[float, typer.Option(min=1, help="Minutes of motion in the synthetic archive.")] = 30.0,
+    method: Annotated[str, typer.Option(help="Method of annotation: thesis or best.")] = "thesis",
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
 ) -> None:
-    """Run the main job, from motion files to a report, on a synthetic archive or on your own."""
+    """Run everything, from motion files to a report.
+
+    The archive is synthetic, and made where it is missing; --data runs the same on an archive of your own.
+    """
     from kinedex.pipelines.commands.demo import run_demo
+    from kinedex.pipelines.console.terminal import message_console
 
-    console = make_console()
-    outcome = run_demo(store, data, minutes, executor, workers, console, method)
-    finish(outcome, store, console)
+    show_outcome(run_demo(store, data, minutes, executor, workers, message_console(), method), store)
 
 
-@command
+@command(RUN)
 def run(
-    pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
+    pipeline: PipelineArgument,
     store: StoreOption,
     assign: SetOption = None,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Run a pipeline: every stage whose code, parameters or inputs changed since it last ran."""
-    run_to_the_end(pipeline, store, assignments_of(assign), executor, workers, scheduler, force)
+    """Run the stages of a pipeline that are not up to date.
+
+    A stage runs where its code, its parameters or its inputs changed since it last ran.
+    """
+    from kinedex.pipelines.engine.runner import run_pipeline
+
+    outcome = run_pipeline(
+        pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
+        force=frozenset(force or ()),
+    )  # fmt: skip
+    show_outcome(outcome, store, as_json)
 
 
-@command
+@command(RUN)
 def plan(
-    pipeline: Annotated[str, typer.Argument(help="a shipped pipeline (annotate, ingest), or a path ending in .yaml")],
+    pipeline: PipelineArgument,
     store: StoreOption,
     assign: SetOption = None,
     force: ForceOption = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Show what `run` would do, and why, without doing it."""
-    from rich import box
-    from rich.table import Table
-
+    """Show which stages `run` would run, and why."""
     from kinedex.pipelines.engine.config import load_pipeline
     from kinedex.pipelines.engine.plan import make_plan
 
     loaded = load_pipeline(pipeline, assignments_of(assign))
+    steps = make_plan(loaded, store, frozenset(force or ()))
+    if as_json:
+        stages = [
+            {
+                "stage": step.stage.name,
+                "inputs": sorted(set(step.stage.inputs.values())),
+                "runs_because": step.reason,
+                "last_finished": step.record and step.record.finished,
+                "last_seconds": step.record and step.record.seconds,
+            }
+            for step in steps
+        ]
+        print_json({"pipeline": loaded.name, "description": loaded.description, "store": store, "stages": stages})
+        return
+    from rich import box
+    from rich.table import Table
+
+    from kinedex.pipelines.console.terminal import make_console
+
     table = Table(
         box=box.SIMPLE_HEAD, pad_edge=False, title=f"{loaded.name}: {loaded.description}", title_justify="left"
     )
     for column in ("stage", "inputs", "runs because", "last run"):
         table.add_column(column)
-    steps = make_plan(loaded, store, frozenset(force or ()))
     for step in steps:
         last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
         inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
@@ -86,42 +116,48 @@ def plan(
     make_console().print(table)
 
 
-@command
+@command(RUN)
 def ingest(
     store: StorePath,
-    source: Annotated[Path, typer.Argument(help="folder that holds the motion files")],
+    source: Annotated[Path, typer.Argument(help="Folder of motion files.")],
     rate: RateOption = None,
-    prune: Annotated[bool, typer.Option("--prune", help="drop takes whose file is no longer in the source")] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="stop at the first file that does not come in, and fail with its message")
-    ] = False,
+    prune: Annotated[bool, typer.Option("--prune", help="Drop takes whose file is no longer in the source.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first file that cannot be read.")] = False,
     assign: SetOption = None,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Bring motion files into a store and index them (the pipeline `ingest`).
+    """Read motion files into a store and index them.
 
-    What comes in is committed batch by batch: stopped in the middle, the same command goes on where it was.
+    This is the pipeline `ingest`. Takes are committed batch by batch: after an interruption the same command continues
+    where it was.
     """
+    from kinedex.pipelines.engine.runner import run_pipeline
+
     assignments = {"source": str(source), **assignments_of(assign)}
     for name, wanted in (("prune", prune), ("strict", strict)):
         if wanted:
             assignments[f"ingest.{name}"] = "true"
     if rate is not None:
         assignments["ingest.override_rate_hz"] = str(rate)
-    run_to_the_end("ingest", store, assignments, executor, workers, scheduler)
+    outcome = run_pipeline(
+        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
+    )
+    show_outcome(outcome, store, as_json)
 
 
-@command
+@command(RUN)
 def synth(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder to make; must be empty or missing")],
-    minutes: Annotated[float, typer.Option(min=1, help="minutes of motion in all")] = 30.0,
-    actors: Annotated[int, typer.Option(min=2, help="how many actors")] = 5,
-    seed: Annotated[int, typer.Option(help="the same seed makes the same bytes")] = 2026,
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create; empty or missing.")],
+    minutes: Annotated[float, typer.Option(min=1, help="Minutes of motion in all.")] = 30.0,
+    actors: Annotated[int, typer.Option(min=2, help="Number of actors.")] = 5,
+    seed: Annotated[int, typer.Option(help="Seed; the same seed makes the same bytes.")] = 2026,
     workers: WorkersOption = None,
 ) -> None:
-    """Make a synthetic archive: ASF/AMC files of example clips and long takes, with ground truth."""
+    """Make a synthetic archive of ASF/AMC files with ground truth."""
     from kinedex.pipelines.commands.demo import make_archive
+    from kinedex.pipelines.console.terminal import message_console
 
-    make_archive(directory, minutes, actors, seed, workers, make_console())
+    make_archive(directory, minutes, actors, seed, workers, message_console())

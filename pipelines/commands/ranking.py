@@ -1,70 +1,72 @@
-"""The command `kinedex rank`: where a template, or an example, fits best."""
+"""The command `rank`, which lists where templates or an example fit best."""
 
 from __future__ import annotations
 
 import time
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, command, show_table
-from kinedex.pipelines.console.terminal import make_console
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.commands.app import SEARCH, command
+from kinedex.pipelines.commands.options import (
+    FormatOption,
+    JsonOption,
+    KindOption,
+    OutputOption,
+    StageOption,
+    StorePath,
+    WhereOption,
+)
+from kinedex.pipelines.commands.output import print_json, print_message, show_table
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.ranking.ranking import Ranking
 
 
-@command
+@command(SEARCH)
 def rank(
     store: StorePath,
     templates: Annotated[
         list[str] | None,
-        typer.Argument(metavar="TEMPLATE", help="classes of learned templates, or template files (.yaml, .csv)"),
+        typer.Argument(metavar="[TEMPLATE...]", help="Classes of learned templates, or template files (.yaml, .csv)."),
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="by all learned templates of the store")] = False,
-    take: Annotated[str | None, typer.Option(help="query by example: a take, or the stretch of it to look for")] = None,
-    start: Annotated[str | None, typer.Option(help="first frame of the example, or seconds (1.5s)")] = None,
-    stop: Annotated[str | None, typer.Option(help="the frame after its last, or seconds")] = None,
-    top: Annotated[int, typer.Option(min=1, help="how many hits a template at most")] = 20,
-    tau: Annotated[float, typer.Option(min=1e-6, max=1, help="distances below tau make a hit")] = 0.1,
+    every: Annotated[bool, typer.Option("--all", help="Rank by all learned templates of the store.")] = False,
+    take: Annotated[str | None, typer.Option(help="Rank by an example: a take, or an interval of it.")] = None,
+    start: Annotated[str | None, typer.Option(help="First frame of the example (45), or seconds (1.5s).")] = None,
+    stop: Annotated[str | None, typer.Option(help="Frame after its last, or seconds.")] = None,
+    top: Annotated[int, typer.Option(min=1, help="Largest number of hits of a template.")] = 20,
+    tau: Annotated[float, typer.Option(min=1e-6, max=1, help="Threshold: distances below it are hits.")] = 0.1,
     delta: Annotated[
         float,
-        typer.Option(min=0, max=0.4999, help="template values within delta of 0 or 1 count, others are wildcards"),
+        typer.Option(min=0, max=0.4999, help="Template values within δ of 0 or 1 count, others are wildcards."),
     ] = 0.1,
-    kind: Annotated[str, typer.Option("--kind", help="soft or hard template")] = "soft",
-    stage: Annotated[
-        str | None,
-        typer.Option("--stage", metavar="STAGE", help="templates of this stage: PIPELINE/STAGE, or PIPELINE"),
-    ] = None,
+    kind: KindOption = "soft",
+    stage: StageOption = None,
     queries: Annotated[
         str | None,
         typer.Option(
             metavar="FILE",
-            help="only within the hits of this query file's queries for each TEMPLATE; in all frames without one",
+            help="Query file; a template is ranked within the hits of its queries, in all frames where it has none.",
         ),
     ] = None,
-    where: Where = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="threads; all cores unless given")] = None,
-    form: Format = "table",
-    output: Output = None,
+    where: WhereOption = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
+    form: FormatOption = "table",
+    output: OutputOption = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Rank the places of an archive by how well templates fit them, the best of each template first."""
+    """Rank the places of an archive by how well templates fit."""
     from kinedex.catalog.queries.query_files import read_queries
     from kinedex.pipelines.commands.templates import kind_of
     from kinedex.pipelines.ranking.store_ranking import rank_store
     from kinedex.pipelines.templates.stored_templates import template_from_clip
     from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
     names = list(dict.fromkeys(templates or ()))
-    ways = [said for said, given in (("TEMPLATE", names), ("--all", every), ("--take", take is not None)) if given]
-    if len(ways) > 1:
-        raise KinedexError(
-            f"{' and '.join(ways)} exclude each other: rank by the names of templates, by --all, or by an example"
-        )
-    if not ways:
-        raise KinedexError("rank by the names of TEMPLATES, by --all, or by an example: --take NAME --start … --stop …")
-    if take is None and (start is not None or stop is not None):
-        raise KinedexError("--start and --stop say which stretch of --take is the example")
+    _check_source(names, every, take, start, stop)
+    opened = open_store(store)
     asked = None if queries is None else read_queries(queries, opened.feature_set, opened.rate_hz)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()
@@ -73,23 +75,47 @@ def rank(
         workers=workers,
     )  # fmt: skip
     seconds = time.perf_counter() - begin
+    rankings, table = found.rankings, found.table()
+    if as_json:
+        document = {"store": store, "templates": [one.name for one in rankings], "tau": tau, "delta": delta}
+        document |= {"frames": rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
+        print_json({**document, "hits": table.drop_columns(["run"])})
+        return
     for remark in found.remarks:
         typer.echo(remark, err=True)
-    rankings, table = found.rankings, found.table()
     plain = form == "table" and output is None
     hidden = ["run", "take_id"] if len(rankings) > 1 else ["run", "template", "take_id"]
     show_table(table.drop_columns(hidden) if plain else table, form, output)
     if output is not None:
         print(output)
     if plain:
-        kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
-        shares = [one.skipped for one in rankings if one.skipped is not None]
-        make_console().print(
-            f"{counted(table.num_rows, 'hit')} below {tau:g}"
-            + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
-            + f"; {rankings[0].frames:,} frames"
-            + (f", {kept:.1%} of them within keyframe hits" if queries is not None else "")
-            + (f", {sum(shares) / len(shares):.0%} skipped as provably without one" if shares else "")
-            + f"; {seconds:.2f} s",
-            markup=False,
+        print_message(_summary(rankings, table.num_rows, tau, queries is not None, seconds))
+
+
+def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:
+    """Raise where not exactly one source of templates is given."""
+    sources = [text for text, given in (("TEMPLATE", names), ("--all", every), ("--take", take is not None)) if given]
+    if len(sources) > 1:
+        raise KinedexError(
+            f"{' and '.join(sources)} exclude each other: rank by the names of templates, by --all, or by an example"
         )
+    if not sources:
+        raise KinedexError("rank by the names of TEMPLATES, by --all, or by an example: --take NAME --start … --stop …")
+    if take is None and (start is not None or stop is not None):
+        raise KinedexError("--start and --stop need --take: they are the interval of the example in a take")
+
+
+def _summary(rankings: Sequence[Ranking], hits: int, tau: float, preselected: bool, seconds: float) -> str:
+    """Return the line below the table: hits, frames, the shares that were not searched, and the time."""
+    from kinedex.pipelines.console.wording import counted
+
+    kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
+    shares = [one.skipped for one in rankings if one.skipped is not None]
+    return (
+        f"{counted(hits, 'hit')} below {tau:g}"
+        + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
+        + f"; {rankings[0].frames:,} frames"
+        + (f", {kept:.1%} of them within keyframe hits" if preselected else "")
+        + (f", {sum(shares) / len(shares):.0%} skipped as provably without one" if shares else "")
+        + f"; {seconds:.2f} s"
+    )

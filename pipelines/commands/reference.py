@@ -1,4 +1,4 @@
-"""docs/reference.md, made from the code (`python -m kinedex.pipelines.commands.reference`)."""
+"""The page docs/reference.md, generated from the code (`python -m kinedex.pipelines.commands.reference`)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperArgument
 
 from kinedex.catalog.configs import KINDS, config_names, config_path, load_yaml
-from kinedex.pipelines.commands.cli import PANELS
-from kinedex.pipelines.commands.shell import app
+from kinedex.pipelines.commands.app import COMMON_OPTIONS, PANELS
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.commands.json_documents import DOCUMENTS
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 from kinedex.pipelines.evaluation.scheme import Method, Split
@@ -27,7 +28,7 @@ from kinedex.pipelines.templates.recipes import Combination
 INTRODUCTION = """\
 # Reference
 
-Made from the code by `python -m kinedex.pipelines.commands.reference`, and tested to be what the code says. Do not
+Generated from the code by `python -m kinedex.pipelines.commands.reference`; a test compares it with the code. Do not
 edit it.
 
 Views and macros of SQL are in [sql.md](sql.md), formats of motion files in [formats.md](formats.md), label files in
@@ -36,14 +37,15 @@ Views and macros of SQL are in [sql.md](sql.md), formats of motion files in [for
 
 SECTIONS = {
     "Commands": "and their options",
+    "JSON output": "and its keys",
     "Stages": "and their parameters, the same in a pipeline file and by `--set STAGE.PARAMETER=VALUE`",
     "Pipelines": "that come along, and their settings, by `--set SETTING=VALUE`",
     "Configuration files": "and the keys of each kind",
 }
-"""Sections of the page, and what is in them."""
+"""The sections of the page, and the words that follow each in the contents."""
 
 MODELS = (("Combination", Combination), ("Method", Method), ("Split", Split), ("Fold", Fold))
-"""What stands inside of parameters."""
+"""The models that parameters of stages hold."""
 
 PARTS = {
     "skeletons": (
@@ -68,7 +70,7 @@ PARTS = {
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
     ),
 }
-"""Kind of configuration file → its models: what each stands for (nothing: the whole file), module and name."""
+"""Kind of configuration file → its models: part of the file that each describes (empty: all of it), module, name."""
 
 WHERE = {
     "skeletons": "`ingest.skeleton`. [How to read files with a skeleton of your own](howto/own-skeleton.md).",
@@ -81,9 +83,10 @@ WHERE = {
 
 
 def reference() -> str:
-    """The whole page as Markdown."""
-    parts = ["## Commands\n", _exit_codes(), *_commands()]
-    parts += ["## Stages\n", "A bound that a value must keep to stands behind its type.\n"]
+    """Return the whole page as Markdown."""
+    parts = ["## Commands\n", _common(), *_commands()]
+    parts += ["## JSON output\n", *_documents()]
+    parts += ["## Stages\n", "The bounds of a value follow its type.\n"]
     parts += [_stage(name) for name in BUILT_IN]
     parts += [f"### Inside of parameters: {name}\n\n{_summary(model)}\n\n{_fields(model)}" for name, model in MODELS]
     parts += ["## Pipelines\n", *(_pipeline(name) for name in config_names("pipelines"))]
@@ -93,7 +96,7 @@ def reference() -> str:
 
 
 def _contents(body: str) -> str:
-    """A list of the sections, each with links to all that is in it."""
+    """Return a list of the sections, each with links to its parts."""
     seen: Counter[str] = Counter()
     lines: list[str] = []
     for level, title in re.findall(r"^(##+) (.*)$", body, re.MULTILINE):
@@ -109,25 +112,43 @@ def _contents(body: str) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _exit_codes() -> str:
-    return f"{app.info.epilog}\n"
+def _common() -> str:
+    """Return what holds for all commands: exit codes and common options."""
+    root: Any = typer.main.get_command(app)
+    options = [one for one in root.commands["takes"].params if one.name in COMMON_OPTIONS]
+    rows = [(_option(one), one.help) for one in options]
+    return f"{app.info.epilog}\n\nEvery command has these options:\n\n{_table(('option', 'what it does'), rows)}"
+
+
+def _documents() -> list[str]:
+    introduction = (
+        "With `--json` these commands print one JSON object to standard output, and nothing else; messages go to "
+        "standard error. A command that fails prints `error` with its `type`, `message` and `exit_code`, and exits "
+        "with that code.\n"
+    )
+    return [introduction] + [
+        f"### kinedex {command} --json\n\n"
+        + _table(("key", "value"), [(f"`{key}`", meaning) for key, meaning in keys.items()])
+        for command, keys in DOCUMENTS.items()
+    ]
 
 
 def _commands() -> list[str]:
     root: Any = typer.main.get_command(app)
     found = []
-    for panel in dict.fromkeys(PANELS.values()):
+    for panel in PANELS:
         of_panel = [(name, one) for name, one in root.commands.items() if one.rich_help_panel == panel]
         found += [text for name, one in of_panel for text in _command(one, f"kinedex {name}")]
     return found
 
 
 def _command(one: Any, name: str) -> list[str]:
-    """A command, or every command of a group; typer's classes are those of the click that it brings along."""
+    """Return the sections of a command, or of every command of a group."""
     if hasattr(one, "commands"):
         return [text for inner, each in one.commands.items() for text in _command(each, f"{name} {inner}")]
     arguments = [each for each in one.params if isinstance(each, TyperArgument)]
-    options = [each for each in one.params if not isinstance(each, TyperArgument) and each.name != "help"]
+    options = [each for each in one.params if not isinstance(each, TyperArgument)]
+    options = [each for each in options if each.name not in ("help", *COMMON_OPTIONS)]
     usage = " ".join([name, *(_usage(each) for each in arguments)])
     rows = [(f"`{_usage(each).strip('[]')}`", _shown(each), each.help or "") for each in arguments]
     rows += [(_option(each), _shown(each), each.help or "") for each in options]
@@ -202,7 +223,7 @@ _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
 def _type(annotation: Any, metadata: Iterable[object] = ()) -> str:
-    """A type in words, with its bounds."""
+    """Return a type in words, with its bounds."""
     bounds = [
         f"{sign} {_yaml(getattr(one, key))}" for one in metadata for key, sign in _BOUNDS.items() if hasattr(one, key)
     ]
@@ -257,7 +278,7 @@ def _pipeline(name: str) -> str:
 
 
 def _comment(lines: Sequence[str], number: int | None) -> str:
-    """The remark at the end of a line that is counted from 1."""
+    """Return the comment at the end of a line, counted from 1."""
     found = re.search(r"\s# ?(.*)$", lines[number - 1]) if number else None
     return found[1].strip() if found else ""
 

@@ -8,15 +8,14 @@ from typing import Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.shell import app, guard
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.commands.app import RUN, command, group
 
-report = typer.Typer(name="report", help="Compare evaluations.", no_args_is_help=True)
-app.add_typer(report, rich_help_panel="Run pipelines")
+report = group("report", "Compare evaluations.", RUN)
 
 FORMATS = (".md", ".html", ".json")
-RunArgument = Annotated[
-    str, typer.Argument(help="a store, a folder of its reports, or a JSON file of them; ::METHOD chooses a method")
+EvaluationArgument = Annotated[
+    str,
+    typer.Argument(help="Store, folder of its reports, or JSON file of them; ::METHOD at the end chooses a method."),
 ]
 
 
@@ -25,22 +24,21 @@ def _group() -> None:
     """Compare evaluations."""
 
 
-@report.command("compare")
-@guard
+@command(of=report)
 def compare(
-    a: RunArgument,
-    b: RunArgument,
-    split: Annotated[str | None, typer.Option(help="only this split of evaluations of several methods")] = None,
+    a: EvaluationArgument,
+    b: EvaluationArgument,
+    split: Annotated[str | None, typer.Option(help="Only this split of evaluations of several methods.")] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="write to this file: .md, .html or .json")
+        Path | None, typer.Option("--output", "-o", help="Write to this file: .md, .html or .json.")
     ] = None,
 ) -> None:
-    """What got better and what got worse from A to B: in all, class by class and take by take.
+    """List what improved and what got worse from A to B, by class and by take.
 
     Two methods of one evaluation: kinedex report compare STORE::thesis STORE::best
     """
-    import json
-
+    from kinedex.pipelines.console.json_text import json_text
+    from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.evaluation.difference_tables import markdown, page, rich_comparison
     from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
@@ -53,16 +51,14 @@ def compare(
     if output is None:
         for one in comparisons:
             make_console().print(rich_comparison(one))
-        return
-    if output.suffix == ".json":
-        text = json.dumps(content(comparisons), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    elif output.suffix == ".json":
+        write_page(json_text(content(comparisons)), output)
     else:
-        text = page(comparisons) if output.suffix == ".html" else markdown(comparisons)
-    write_page(text, output)
+        write_page(page(comparisons) if output.suffix == ".html" else markdown(comparisons), output)
 
 
 def _names(a: str, b: str, one: str, other: str) -> tuple[str, str]:
-    """What A and B are called: by what they are where that differs, by where they are where it does not."""
+    """Return the names of the two evaluations in tables; equal names are followed by their arguments."""
     if one != other:
         return one, other
     return f"{one} ({a})", f"{other} ({b})"

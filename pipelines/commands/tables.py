@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.commands.shell import Format, Output, StorePath, Where, app, command, guard, show_table
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.commands.app import ASK, Command, command
+from kinedex.pipelines.commands.options import FormatOption, JsonOption, OutputOption, StorePath, WhereOption
+from kinedex.pipelines.commands.output import print_json, print_message, show_table
 
 
-class _SqlCommand(TyperCommand):
-    """A statement may begin with a comment: where white space follows two dashes before any =, they are no option."""
+class _SqlCommand(Command):
+    """A command whose statement may begin with a comment: two dashes and white space before any = are no option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if "--" not in args:
@@ -26,81 +26,94 @@ class _SqlCommand(TyperCommand):
         return super().parse_args(ctx, args)
 
 
-@app.command(cls=_SqlCommand)
-@guard
+@command(ASK, cls=_SqlCommand)
 def sql(
     store: StorePath,
     query: Annotated[
-        str | None, typer.Argument(help="one SQL statement; without it, standard input or a prompt")
+        str | None, typer.Argument(help="One SQL statement; standard input or a prompt unless given.")
     ] = None,
-    file: Annotated[Path | None, typer.Option("--file", "-f", help="read the statement from this file")] = None,
+    file: Annotated[Path | None, typer.Option("--file", "-f", help="Read the statement from this file.")] = None,
     path: Annotated[
-        bool, typer.Option("--path", help="print the index file, which any DuckDB client opens, and do nothing else")
+        bool, typer.Option("--path", help="Print the path of the index file, which any DuckDB client opens.")
     ] = False,
-    form: Format = "table",
-    output: Output = None,
+    form: FormatOption = "table",
+    output: OutputOption = None,
 ) -> None:
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
     from kinedex.storage.store.store import open_store
 
     if path:
         if query is not None or file is not None:
-            raise KinedexError("--path prints the index file and runs no SQL; leave the statement out")
+            raise KinedexError("--path prints the path of the index file and runs no SQL: give no statement")
         print(open_store(store).index_path().absolute())
         return
     if query is not None and file is not None:
         raise KinedexError("give the SQL as an argument or with --file, not both")
     if file is not None:
-        if not file.is_file():
-            raise KinedexError(f"--file {file}: no such file")
-        try:
-            query = file.read_text(encoding="utf-8")
-        except UnicodeDecodeError as fault:
-            raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
+        query = _statement_of(file)
     opened = open_store(store)
     if query is None and sys.stdin.isatty():
         from kinedex.pipelines.console.sql_prompt import run_prompt
+        from kinedex.pipelines.console.terminal import make_console
 
         run_prompt(opened, make_console())
         return
     show_table(opened.sql(query if query is not None else sys.stdin.read()), form, output)
 
 
-@command
+def _statement_of(file: Path) -> str:
+    if not file.is_file():
+        raise KinedexError(f"--file {file}: no such file")
+    try:
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as fault:
+        raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
+
+
+@command(ASK)
 def takes(
     store: StorePath,
-    where: Where = None,
-    columns: Annotated[str, typer.Option(help="columns to show, separated by commas; * for all")] = (
+    where: WhereOption = None,
+    columns: Annotated[str, typer.Option(help="Columns to show, separated by commas; * for all.")] = (
         "name,actor,class,clip,frames,seconds,source_rate_hz,warnings"
     ),
-    form: Format = "table",
-    output: Output = None,
+    form: FormatOption = "table",
+    output: OutputOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """List the takes of a store."""
     from kinedex.storage.store.store import open_store
 
-    frame = open_store(store).takes(where)
-    wanted = frame.columns if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
+    table = open_store(store).takes_table(where)
+    names = table.column_names
+    wanted = names if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
     for column in wanted:
-        if column not in frame.columns:
-            raise KinedexError(f"--columns: takes have no column '{column}'{did_you_mean(column, frame.columns)}")
-    show_table(frame.select(wanted).to_arrow(), form, output)
+        if column not in names:
+            raise KinedexError(f"--columns: takes have no column '{column}'{did_you_mean(column, names)}")
+    seconds = sum(table.column("seconds").to_pylist())
+    if as_json:
+        print_json({"store": store, "seconds": seconds, "takes": table.select(wanted)})
+        return
+    show_table(table.select(wanted), form, output)
     if form == "table" and output is None:
-        make_console().print(f"{len(frame)} takes, {frame['seconds'].sum() / 60:.1f} minutes")
+        print_message(f"{table.num_rows} takes, {seconds / 60:.1f} minutes")
 
 
-@command
+@command(ASK)
 def export(
     store: StorePath,
-    take: Annotated[str, typer.Argument(help="name of the take")],
+    take: Annotated[str, typer.Argument(help="Name of the take.")],
     form: Annotated[
-        str, typer.Option("--format", help="bvh, csv or parquet; by default what the output's ending says")
+        str, typer.Option("--format", help="bvh, csv or parquet; the ending of the output unless given, else csv.")
     ] = "",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="file to write; TAKE.FORMAT unless given")
+        Path | None, typer.Option("--output", "-o", help="File to write; TAKE.FORMAT in this folder unless given.")
     ] = None,
 ) -> None:
-    """Write a take's joint positions (metres, Y up) as BVH, CSV or Parquet."""
+    """Write the joint positions of a take as BVH, CSV or Parquet.
+
+    Positions are in metres; Y is up.
+    """
     from kinedex.storage.formats.motion.export import export_take
     from kinedex.storage.store.store import open_store
 

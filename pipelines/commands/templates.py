@@ -8,33 +8,30 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.shell import Format, Output, StorePath, app, guard, show_table
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.pipelines.commands.app import ASK, command, group
+from kinedex.pipelines.commands.options import FormatOption, KindOption, OutputOption, StageOption, StorePath
+from kinedex.pipelines.commands.output import print_message, show_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from kinedex.ops.templates.templates import Kind
 
-template = typer.Typer(name="template", help="Look at motion templates, compare them, make them.", no_args_is_help=True)
-app.add_typer(template, rich_help_panel="Ask a store")
+template = group("template", "Show, compare and make motion templates.", ASK)
 
-KindOption = Annotated[str, typer.Option("--kind", help="soft or hard")]
 DeltaOption = Annotated[
-    float, typer.Option("--delta", min=0, max=0.4999, help="values within δ of 0 or 1 count as off and on")
+    float, typer.Option("--delta", min=0, max=0.4999, help="Values within δ of 0 or 1 count as off and on.")
 ]
-StageOption = Annotated[
-    str | None, typer.Option("--stage", metavar="STAGE", help="of this stage: PIPELINE/STAGE, or the pipeline alone")
-]
-Name = Annotated[str, typer.Argument(metavar="CLASS", help="class (subclass) of the template")]
+ClassArgument = Annotated[str, typer.Argument(metavar="CLASS", help="Class (subclass) of the template.")]
 
 
+@command(of=template, name="list")
 def list_(
     store: StorePath,
     delta: DeltaOption = 0.05,
     stage: StageOption = None,
-    form: Format = "table",
-    output: Output = None,
+    form: FormatOption = "table",
+    output: OutputOption = None,
 ) -> None:
     """List the templates of a store."""
     from kinedex.pipelines.templates.stored_templates import stored_templates, templates_overview
@@ -47,27 +44,31 @@ def list_(
         table.drop_columns(["stage", "remarks"] if one_stage(table) else ["remarks"]) if plain else table, form, output
     )
     if plain:
-        console = make_console()
-        said = {
+        remarks = {
             (each.one.subclass, remark): None for each in stored_templates(opened, stage) for remark in each.one.remarks
         }
-        for subclass, remark in said:
-            console.print(f"! {subclass}: {remark}", markup=False)
+        for subclass, remark in remarks:
+            print_message(f"! {subclass}: {remark}")
 
 
+@command(of=template)
 def show(
     store: StorePath,
-    name: Name,
+    name: ClassArgument,
     kind: KindOption = "soft",
     delta: DeltaOption = 0.05,
     stage: StageOption = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="a figure (.svg, .png), or the template as a file to edit (.yaml, .csv)"),
+        typer.Option("--output", "-o", help="Figure to write (.svg, .png), or template file to edit (.yaml, .csv)."),
     ] = None,
 ) -> None:
-    """Show a template: how it was learned, and every feature over time, with how much the clips agree about it."""
+    """Show a template: every feature over time.
+
+    The page names the origin of the template, and how much the clips agree about each feature.
+    """
     from kinedex.catalog.template_files import NamedTemplate
+    from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.report.matrix import write_figure
     from kinedex.pipelines.report.template_figures import template_figure
     from kinedex.pipelines.templates.stored_templates import choose_template
@@ -93,19 +94,22 @@ def show(
         print(output)
 
 
+@command(of=template)
 def diff(
     store: StorePath,
-    first: Annotated[str, typer.Argument(metavar="CLASS", help="one class")],
-    second: Annotated[str, typer.Argument(metavar="CLASS", help="the other class")],
+    first: Annotated[str, typer.Argument(metavar="CLASS", help="First class.")],
+    second: Annotated[str, typer.Argument(metavar="CLASS", help="Second class.")],
     kind: KindOption = "soft",
     delta: DeltaOption = 0.05,
     stage: StageOption = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="a figure (.svg, .png) instead of words")
+        Path | None,
+        typer.Option("--output", "-o", help="Figure to write (.svg, .png); text unless given."),
     ] = None,
 ) -> None:
-    """Say what distinguishes two templates: features that contradict each other, and when."""
+    """List the features in which two templates contradict each other."""
     from kinedex.ops.templates.derived_templates import contrast
+    from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.report.matrix import write_figure
     from kinedex.pipelines.report.template_figures import contrast_figure
     from kinedex.pipelines.templates.stored_templates import choose_template
@@ -126,17 +130,20 @@ def diff(
     print(output)
 
 
+@command(of=template, name="from-clip")
 def from_clip(
     store: StorePath,
-    take: Annotated[str, typer.Argument(help="name of the take")],
-    start: Annotated[str | None, typer.Argument(help="first frame (45), or seconds (1.5s); the take's first")] = None,
-    stop: Annotated[str | None, typer.Argument(help="the frame behind the last, or seconds; the take's end")] = None,
-    name: Annotated[str, typer.Option("--name", help="name of the template")] = "",
+    take: Annotated[str, typer.Argument(help="Name of the take.")],
+    start: Annotated[
+        str | None, typer.Argument(help="First frame (45) or seconds (1.5s); else the take's first.")
+    ] = None,
+    stop: Annotated[str | None, typer.Argument(help="Frame after the last, or seconds; else the end.")] = None,
+    name: Annotated[str, typer.Option("--name", help="Name of the template; that of the take unless given.")] = "",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="file to write (.yaml, .csv); the terminal unless given")
+        Path | None, typer.Option("--output", "-o", help="File to write (.yaml, .csv); standard output unless given.")
     ] = None,
 ) -> None:
-    """Make a template from one example: a take, or a stretch of it. `template_files` of learn_templates reads it."""
+    """Make a template from one example: a take or an interval of it. `learn_templates.template_files` reads it."""
     from kinedex.catalog.template_files import write_yaml
     from kinedex.pipelines.templates.stored_templates import template_from_clip
     from kinedex.pipelines.templates.template_output import write_template
@@ -152,18 +159,12 @@ def from_clip(
 
 
 def one_stage(table: pa.Table) -> bool:
-    """Whether all templates of an overview are of one stage, which then need not be said."""
+    """Return whether all templates of an overview are of one stage, so that the column can be omitted."""
     return len(set(table.column("stage").to_pylist())) == 1
 
 
 def kind_of(text: str) -> Kind:
-    """The kind that an option names."""
+    """Return the kind of template that an option names."""
     if text not in ("soft", "hard"):
         raise KinedexError(f"--kind {text}: expected soft or hard")
     return cast("Kind", text)
-
-
-template.command("list")(guard(list_))
-for _function in (show, diff):
-    template.command()(guard(_function))
-template.command("from-clip")(guard(from_clip))

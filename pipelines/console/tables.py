@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import textwrap
 from collections.abc import Iterable, Iterator
-from decimal import Decimal
 from typing import Any
 
 import pyarrow as pa
@@ -20,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.console.json_text import json_text, json_value
 
 FORMATS = ("table", "csv", "json", "parquet")
 
@@ -131,8 +130,7 @@ def encode(table: pa.Table, form: str) -> bytes:
         return sink.getvalue()
     if form == "json":
         names = _distinct(table.column_names)
-        rows = [dict(zip(names, map(_json, row), strict=True)) for row in _rows(table)]
-        return (json.dumps(rows, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        return json_text([dict(zip(names, row, strict=True)) for row in _rows(table)]).encode()
     if form == "csv":
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -178,22 +176,4 @@ def _distinct(names: list[str]) -> list[str]:
 
 def _nested(value: Any) -> str:
     """A list or a struct as JSON in a cell."""
-    return json.dumps(_json(value), ensure_ascii=False, allow_nan=False)
-
-
-def _json(value: Any) -> Any:
-    """A value as JSON has it."""
-    match value:
-        case None | bool() | int() | str():
-            return value
-        case float():
-            return value if math.isfinite(value) else None
-        case Decimal():
-            return int(value) if value == value.to_integral_value() else float(value)
-        case dict():
-            return {str(name): _json(part) for name, part in value.items()}
-        case list() | tuple():
-            return [_json(part) for part in value]
-        case bytes():
-            return value.hex()
-    return str(value)
+    return json.dumps(json_value(value), ensure_ascii=False, allow_nan=False)

@@ -1,27 +1,57 @@
-"""What the user sees while a pipeline runs: lines, progress bars, tables."""
+"""Results and messages on the terminal: lines, progress bars, tables."""
 
 from __future__ import annotations
 
+import logging
 import textwrap
 from types import TracebackType
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bars
 
-WIDE = 160  # columns of a table that goes to a file or a pipe: wide enough that cells stay whole
+WIDE = 160
+"""Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
+
+_LOGGER = logging.getLogger(__name__)
+_messages = {"quiet": False, "to_stderr": False}
+
+
+def configure_messages(*, quiet: bool = False, to_stderr: bool = False) -> None:
+    """Choose whether messages and progress are printed, and where; results always go to standard output.
+
+    Parameters
+    ----------
+    quiet : bool
+        Print no messages.
+    to_stderr : bool
+        Print messages to standard error, so that standard output holds the result alone.
+    """
+    _messages.update(quiet=quiet, to_stderr=to_stderr)
 
 
 def make_console() -> Console:
-    """The console that kinedex prints on."""
-    console = Console(highlight=False, soft_wrap=True)
-    return console if console.is_terminal else Console(highlight=False, soft_wrap=True, width=WIDE)
+    """Return a console that prints results to standard output."""
+    return _console(stderr=False, quiet=False)
+
+
+def message_console() -> Console:
+    """Return a console that prints messages as `configure_messages` has chosen."""
+    return _console(stderr=_messages["to_stderr"], quiet=_messages["quiet"])
+
+
+def _console(*, stderr: bool, quiet: bool) -> Console:
+    console = Console(highlight=False, soft_wrap=True, stderr=stderr, quiet=quiet)
+    if console.is_terminal:
+        return console
+    return Console(highlight=False, soft_wrap=True, stderr=stderr, quiet=quiet, width=WIDE)
 
 
 class Progress:
     """One progress bar; a context manager. Where the output is no terminal it prints nothing."""
 
     def __init__(self, console: Console, description: str, total: int | None) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bars
+
         self._bars = Bars(
             TextColumn("    {task.description}"),
             BarColumn(bar_width=30),
@@ -29,7 +59,7 @@ class Progress:
             TimeElapsedColumn(),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=console.quiet or not console.is_terminal,
         )
         self._task = self._bars.add_task(description, total=total)
 
@@ -48,13 +78,14 @@ class Progress:
 
 
 class Terminal:
-    """Where stages speak."""
+    """Messages, tables and progress bars of a pipeline run; every message is a log record as well."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self.console = console or make_console()
+        self.console = console or message_console()
 
     def say(self, text: str) -> None:
         """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
+        _LOGGER.info(text)
         if self.console.is_terminal:
             text = "\n".join(self._wrapped(line) for line in text.splitlines())
         self.console.print(f"    {text}", markup=False)
@@ -68,6 +99,7 @@ class Terminal:
 
     def heading(self, text: str) -> None:
         """Print one line that begins a step."""
+        _LOGGER.info(text)
         self.console.print(text, markup=False, style="bold")
 
     def show(self, table: RenderableType) -> None:
@@ -75,5 +107,5 @@ class Terminal:
         self.console.print(table)
 
     def progress(self, description: str, total: int | None = None) -> Progress:
-        """A progress bar, to be used in a `with` statement."""
+        """Return a progress bar, to be used in a `with` statement."""
         return Progress(self.console, description, total)

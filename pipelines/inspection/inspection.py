@@ -60,7 +60,7 @@ class Inspection:
     figure: Figure | None = None
     features: pa.Table | None = None
 
-    def say(self, what: str, text: str) -> None:
+    def add(self, what: str, text: str) -> None:
         """Add a line."""
         self.lines.append((what, text))
 
@@ -92,12 +92,12 @@ def inspect_file(
     feature_set = load_feature_set()
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
-    found.say("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    found.say("format", "NPZ, joint angles (AMASS)" if form_of(file) == "amass" else _FORMATS[ending])
+    found.add("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
+    found.add("format", "NPZ, joint angles (AMASS)" if form_of(file) == "amass" else _FORMATS[ending])
     try:
         asf = skeleton_beside(file, source) if ending == ".amc" else None
         if asf is not None:
-            found.say("skeleton file", str(asf))
+            found.add("skeleton file", str(asf))
         raw = _raw(found, file, asf, mappings, given)
         _say_mapping(found, raw, mappings)
         found.figure = raw.figure
@@ -164,11 +164,11 @@ def _raw_poses(found: Inspection, file: Path, given: Given) -> _Skeleton:
     poses = parse_amass(file)
     names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
     _say_nodes(found, names)
-    found.say("figure", f"{poses.gender}, {len(poses.shape)} numbers of shape")
+    found.add("figure", f"{poses.gender}, {len(poses.shape)} numbers of shape")
     if poses.rate_hz is not None:
         _say_time(found, poses.rate_hz, len(poses.turns))
     else:
-        found.say("length", f"{len(poses.turns)} frames; the file does not say how many a second")
+        found.add("length", f"{len(poses.turns)} frames; the file does not say how many a second")
     return _Skeleton("amass", {name: i for i, name in enumerate(names)})
 
 
@@ -180,18 +180,18 @@ def _raw_points(
     if points.names:
         _say_nodes(found, points.names)
     else:
-        found.say("nodes", f"{count}, which the file does not name")
+        found.add("nodes", f"{count}, which the file does not name")
     seen = np.flatnonzero(np.isfinite(points.positions[:, 0]).any(axis=0))
     shown = seen[_shown(len(seen))].tolist() if len(seen) else _shown(frames)
     times = _times(shown, points.rate_hz) if points.rate_hz else [f"frame {frame}" for frame in shown]
     if points.rate_hz:
         _say_time(found, points.rate_hz, frames)
     else:
-        found.say("length", f"{frames} frames; the file does not say how many a second")
+        found.add("length", f"{frames} frames; the file does not say how many a second")
     gaps = find_gaps(points.positions)
     if gaps:
         longest = max(gap.frames for gap in gaps)
-        found.say("gaps", f"{len(gaps)} in {len({gap.point for gap in gaps})} points, the longest of {longest} frames")
+        found.add("gaps", f"{len(gaps)} in {len({gap.point for gap in gaps})} points, the longest of {longest} frames")
     dots = [(i, i, MIDDLE) for i in range(count)]
     return _Skeleton(form, nodes, _raw_figure(file, points.positions[:, :, shown], dots, times, axes))
 
@@ -219,12 +219,12 @@ def _raw_figure(
 def _say_nodes(found: Inspection, nodes: Iterable[str]) -> None:
     names = list(nodes)
     more = f" and {len(names) - 80} more" if len(names) > 80 else ""
-    found.say("nodes", f"{len(names)}: {', '.join(names[:80])}{more}")
+    found.add("nodes", f"{len(names)}: {', '.join(names[:80])}{more}")
 
 
 def _say_time(found: Inspection, rate_hz: float, frames: int, note: str = "") -> None:
-    found.say("rate", f"{rate_hz:.6g} Hz{note}")
-    found.say("length", f"{frames} frames, {frames / rate_hz:.2f} s")
+    found.add("rate", f"{rate_hz:.6g} Hz{note}")
+    found.add("length", f"{frames} frames, {frames / rate_hz:.2f} s")
 
 
 def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
@@ -236,15 +236,15 @@ def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
         fit = None
     if fit is not None:
         how = "the one for its format" if len(mappings.of_format[raw.form]) == 1 else "told by the names of its joints"
-        found.say("mapping", f"{fit.mapping.name} ({how}): {fit.mapping.path}")
+        found.add("mapping", f"{fit.mapping.name} ({how}): {fit.mapping.path}")
     elif clause := mappings.stripped(raw.form, raw.nodes):
-        found.say("mapping", f"none fits{clause}")
+        found.add("mapping", f"none fits{clause}")
     elif near is not None and not near.known:
-        found.say("mapping", "none fits; none is near: none knows any of its names")
+        found.add("mapping", "none fits; none is near: none knows any of its names")
     elif near is not None:
-        found.say("mapping", f"none fits; the nearest is {near.called}: {near.mapping.path}")
+        found.add("mapping", f"none fits; the nearest is {near.called}: {near.mapping.path}")
         for what, node in near.missing.items():
-            found.say("", f"lacks {node}, for {what}")
+            found.add("", f"lacks {node}, for {what}")
 
 
 def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
@@ -253,28 +253,28 @@ def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Giv
         said = given.rate_hz or given.override_rate_hz
         how = "given" if said else "assumed: Acclaim files do not say it"
         _say_time(found, body.rate_hz, body.frames, f" ({how})")
-    found.say("unit", body.unit)
+    found.add("unit", body.unit)
     valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
     if len(valid) < body.frames:
-        found.say("valid frames", f"{len(valid)} of {body.frames}; the others have no word")
+        found.add("valid frames", f"{len(valid)} of {body.frames}; the others have no word")
     height = body_height(body.positions[:, :, valid], feature_set.joints)
     if height is not None:
-        found.say("height", f"{height:.2f} m, legs and trunk stretched out")
+        found.add("height", f"{height:.2f} m, legs and trunk stretched out")
     low = float(np.nanmin(body.positions[:, 1]))
-    found.say("lowest point", f"{low:.2f} m")
+    found.add("lowest point", f"{low:.2f} m")
     warnings = [*body.warnings, *blind(feature_set, body)]
     for i, warning in enumerate(warnings or ["none"]):
-        found.say("warnings" if i == 0 else "", warning)
+        found.add("warnings" if i == 0 else "", warning)
     _, _, words = analyse(body, feature_set, _RATE_HZ)
     found.features = holding(words, _RATE_HZ, feature_set, body.unknown)
     shares = dict(zip(*(found.features.column(name).to_pylist() for name in ("feature", "percent")), strict=True))
     names = {f"F{feature.number}": feature.name for feature in feature_set.features}
     on = sorted((name for name, share in shares.items() if share > 0), key=lambda name: -shares[name])
     text = ", ".join(f"{name} {names[name]} {_percent(shares[name])}" for name in on)
-    found.say("features on", text or "none in any frame")
+    found.add("features on", text or "none in any frame")
     never = [name for name, share in shares.items() if share == 0]
     if never:
-        found.say("never on", " ".join(never))
+        found.add("never on", " ".join(never))
 
 
 def _percent(share: float) -> str:

@@ -1,0 +1,229 @@
+"""The application `kinedex`: its help page, the options that every command has, and the report of errors."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from kinedex.ops.errors import KinedexError
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+FAILED, LEFT_OUT, INTERRUPTED = 1, 3, 130
+"""Exit codes: the command failed; it is done, but the ingest excluded source files; Ctrl-C stopped it."""
+
+RUN, ASK, SEARCH, MAINTAIN = "Run pipelines", "Ask a store", "Search for motion", "Look after files and stores"
+PANELS = (RUN, ASK, SEARCH, MAINTAIN)
+"""The groups of commands in the help, in its order."""
+
+Function = TypeVar("Function", bound=Callable[..., None])
+
+
+class HelpPage(TyperGroup):
+    """A group of commands whose help lists them by subject, and whose errors of usage are JSON after `--json`."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands, then the options in one paragraph: the page is one screen."""
+        self.format_commands(ctx, formatter)
+        options = ", ".join(one.opts[0] for one in self.get_params(ctx))
+        formatter.write_paragraph()
+        formatter.write_text(f"Options: {options}. Options of a command: {ctx.command_path} COMMAND --help")
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section of commands for each subject; a group within a group has one section."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        width = max(len(name) for name, _ in commands)
+        for panel in (*PANELS, None):
+            rows = [
+                (name.ljust(width), one.get_short_help_str(formatter.width - width - 4))
+                for name, one in commands
+                if one is not None and one.rich_help_panel == panel  # type: ignore[attr-defined]
+            ]
+            if rows:
+                with formatter.section(panel or "Commands"):
+                    formatter.write_dl(rows)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that the arguments name."""
+        with _UsageErrors(args):
+            return super().resolve_command(ctx, args)
+
+
+class Command(TyperCommand):
+    """A command whose errors of usage are JSON after `--json`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments and options of the command."""
+        with _UsageErrors(args):
+            return super().parse_args(ctx, args)
+
+
+class _UsageErrors:
+    """Report an error of usage as JSON where the arguments ask for JSON."""
+
+    def __init__(self, args: list[str]) -> None:
+        self._json = "--json" in args
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, _: TracebackType | None) -> None:
+        if self._json and isinstance(fault, Exception) and hasattr(fault, "format_message"):
+            code = int(getattr(fault, "exit_code", 2))
+            print_error(str(fault.format_message()), "UsageError", code, as_json=True)
+            raise typer.Exit(code) from None
+
+
+app = typer.Typer(
+    name="kinedex",
+    cls=HelpPage,
+    help="A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out.",
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were excluded.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"kinedex {version('kinedex')}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out."""
+
+
+def group(name: str, title: str, panel: str) -> typer.Typer:
+    """Add a group of commands to the application.
+
+    Parameters
+    ----------
+    name : str
+        Name of the group on the command line.
+    title : str
+        Help of the group.
+    panel : str
+        Section of the help that lists the group, one of `PANELS`.
+    """
+    made = typer.Typer(name=name, cls=HelpPage, help=title, no_args_is_help=True, rich_markup_mode=None)
+    app.add_typer(made, rich_help_panel=panel)
+    return made
+
+
+def command(
+    panel: str | None = None, *, of: typer.Typer = app, name: str | None = None, cls: type[Command] = Command
+) -> Callable[[Function], Function]:
+    """Register a function as a command that has the common options and reports its errors in one message.
+
+    Parameters
+    ----------
+    panel : str or None
+        Section of the help that lists the command, one of `PANELS`; None in a group.
+    of : typer.Typer
+        Group that the command belongs to.
+    name : str or None
+        Name of the command; the function's name unless given.
+    cls : type of Command
+        Class of the command.
+    """
+
+    def register(function: Function) -> Function:
+        of.command(name, cls=cls, rich_help_panel=panel)(_guarded(function))
+        return function
+
+    return register
+
+
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print results and errors only.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print log records to standard error.")]
+LogOption = Annotated[
+    Path | None, typer.Option("--log-file", metavar="FILE", help="Append log records to this file as JSON lines.")
+]
+COMMON_OPTIONS = {"quiet": (QuietOption, False), "verbose": (VerboseOption, False), "log_file": (LogOption, None)}
+"""The options that every command has: parameter → its type and its default."""
+
+
+def _guarded(function: Callable[..., None]) -> Callable[..., None]:
+    """Return the command with the common options, which ends with one message where it fails."""
+
+    @functools.wraps(function)
+    def guarded(**arguments: Any) -> None:
+        from kinedex.pipelines.console.logs import configure_logging
+        from kinedex.pipelines.console.terminal import configure_messages
+
+        quiet, verbose, log_file = (arguments.pop(name) for name in COMMON_OPTIONS)
+        as_json = bool(arguments.get("as_json"))
+        configure_messages(quiet=quiet, to_stderr=as_json)
+        try:
+            configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
+            function(**arguments)
+        except KinedexError as fault:
+            print_error(str(fault), type(fault).__name__, FAILED, as_json)
+        except KeyboardInterrupt:
+            message = "stopped; the same command continues where it was"
+            print_error(message, "KeyboardInterrupt", INTERRUPTED, as_json)
+            raise typer.Exit(INTERRUPTED) from None
+        except BrokenPipeError:
+            # The reader of the pipe is gone: nothing can be written to it, not even at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(0) from None
+        except OSError as fault:
+            message = f"{fault.filename}: {fault.strerror}" if fault.filename else str(fault)
+            print_error(message, type(fault).__name__, FAILED, as_json)
+        except MemoryError:
+            print_error("out of memory; fewer --workers need less", "MemoryError", FAILED, as_json)
+        else:
+            return
+        raise typer.Exit(FAILED)
+
+    signature = inspect.signature(function, eval_str=True)
+    common = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in COMMON_OPTIONS.items()
+    ]
+    guarded.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *common])  # type: ignore[attr-defined]
+    guarded.__annotations__ = {
+        **{name: one.annotation for name, one in signature.parameters.items()},
+        **{one.name: one.annotation for one in common},
+    }
+    return guarded
+
+
+def print_error(message: str, kind: str, code: int, as_json: bool) -> None:
+    """Print an error: one message on standard error, or one JSON object on standard output.
+
+    Parameters
+    ----------
+    message : str
+        What was found, what was expected, and the way out.
+    kind : str
+        Class of the error.
+    code : int
+        Exit code of the command.
+    as_json : bool
+        Print `{"error": {"type", "message", "exit_code"}}`.
+    """
+    if as_json:
+        error = {"type": kind, "message": message, "exit_code": code}
+        print(json.dumps({"error": error}, indent=1, ensure_ascii=False))
+    else:
+        print(f"kinedex: {message}", file=sys.stderr)

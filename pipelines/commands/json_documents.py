@@ -1,0 +1,78 @@
+"""The JSON objects that commands print with `--json`: their keys, for the reference and its test."""
+
+from __future__ import annotations
+
+_STORE = {"store": "path of the store"}
+_RUN = {
+    "pipeline": "name of the pipeline",
+    **_STORE,
+    "ran": "names of the stages that ran",
+    "skipped": "names of the stages that were up to date",
+    "report": "path of the report, or null",
+    "excluded_files": "number of source files that the ingest excluded (exit code 3 where there are any)",
+}
+
+DOCUMENTS: dict[str, dict[str, str]] = {
+    "run": _RUN,
+    "ingest": _RUN,
+    "plan": {
+        "pipeline": "name of the pipeline",
+        "description": "its description",
+        **_STORE,
+        "stages": "for each stage its `stage`, `inputs`, `runs_because` (null where it is up to date), "
+        "`last_finished` and `last_seconds` (null where it never ran)",
+    },
+    "takes": {
+        **_STORE,
+        "seconds": "length of all these takes",
+        "takes": "rows with the columns of `--columns`",
+    },
+    "search": {
+        **_STORE,
+        "query_file": "the argument QUERIES",
+        "takes": "number of takes with hits",
+        "saved_as": "name given with `--save`, or null",
+        "run": "run of the saved hits, or null",
+        "hits": "rows of the view `hits`",
+    },
+    "search --explain": {
+        **_STORE,
+        "query_file": "the argument QUERIES",
+        "explanation": "for each keyframe the sizes of its lists, the frames that survive it, and times",
+    },
+    "rank": {
+        **_STORE,
+        "templates": "names of the templates ranked by",
+        "tau": "threshold of hits",
+        "delta": "threshold of wildcards",
+        "frames": "frames of the takes ranked",
+        "seconds": "time of the ranking",
+        "remarks": "templates that were excluded, or ranked in all frames for want of a query",
+        "hits": "rows of the view `ranked_hits`",
+    },
+    "inspect": {
+        "file": "path of the motion file",
+        "facts": "what was found out, each with `name` and `value`",
+        "features": "for each feature its `feature`, `name`, `percent`, `runs`, `longest_seconds` and `remark`",
+        "picture": "path of the picture, or null",
+    },
+    "verify": {
+        **_STORE,
+        "version": "version of the store that was checked",
+        "takes": "number of takes",
+        "parts": "number of parts",
+        "faults": "number of findings that are damage (exit code 1 where there are any)",
+        "findings": "for each its `file`, `problem`, `remedy`, and `fault`: true for damage",
+    },
+    "gc": {
+        **_STORE,
+        "dry_run": "true where nothing was removed",
+        "removed": "for each file its `path`, `bytes` and `kind`",
+    },
+    "version": {
+        "versions": "version of kinedex and of its libraries",
+        "path": "folder of the package that runs",
+        "installed_path": "folder of the installed package, or null",
+    },
+}
+"""Command → key → meaning. A command that fails prints `error` with `type`, `message` and `exit_code` instead."""

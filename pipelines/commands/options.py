@@ -1,0 +1,73 @@
+"""Arguments and options that several commands have; each has one meaning everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinedex.ops.errors import KinedexError
+
+StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Directory of the store.")]
+StoreOption = Annotated[
+    Path, typer.Option("--store", metavar="DIR", help="Directory of the store; created where it is missing.")
+]
+PipelineArgument = Annotated[
+    str, typer.Argument(help="Name of a shipped pipeline (annotate, ingest, …) or path of a .yaml file.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="Setting of the pipeline, or STAGE.PARAMETER; may be given several times."
+    ),
+]
+ForceOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="STAGE", help="Run this stage even where nothing changed; may be given several times."),
+]
+ExecutorOption = Annotated[str, typer.Option(help="serial, processes or dask.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per core unless given.")]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Running Dask scheduler, for instance tcp://host:8786; with --executor dask."),
+]
+RateOption = Annotated[
+    float | None,
+    typer.Option("--rate", metavar="HZ", help="Frames per second of every file; overrides what the files contain."),
+]
+WhereOption = Annotated[
+    str | None, typer.Option(help="SQL filter over the columns of takes, for instance \"actor = 'bk'\".")
+]
+KindOption = Annotated[str, typer.Option("--kind", help="soft or hard template.")]
+StageOption = Annotated[
+    str | None,
+    typer.Option("--stage", metavar="STAGE", help="Stage that learned the templates: PIPELINE/STAGE, or PIPELINE."),
+]
+FormatOption = Annotated[str, typer.Option("--format", help="table, csv, json or parquet.")]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--output", "-o", help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given."
+    ),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object and nothing else to standard output; errors too.")
+]
+
+
+def assignments_of(pairs: list[str] | None) -> dict[str, str]:
+    """Return the NAME=VALUE pairs of `--set` as a dictionary.
+
+    Raises
+    ------
+    KinedexError
+        If a pair has no name or no equals sign.
+    """
+    result = {}
+    for pair in pairs or ():
+        name, equals, value = pair.partition("=")
+        if not equals or not name:
+            raise KinedexError(f"--set {pair}: expected NAME=VALUE")
+        result[name] = value
+    return result

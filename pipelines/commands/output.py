@@ -1,0 +1,118 @@
+"""Results on standard output: tables in the format asked for, JSON objects, and how a pipeline ended."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.commands.app import LEFT_OUT
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from kinedex.pipelines.engine.runner import Outcome
+
+
+def print_json(document: Mapping[str, object]) -> None:
+    """Print a result as one JSON object; Arrow tables in it become lists of rows."""
+    from kinedex.pipelines.console.json_text import json_text
+
+    sys.stdout.write(json_text(document))
+
+
+def print_message(text: str) -> None:
+    """Print a line about a result, which `--quiet` suppresses and `--json` sends to standard error."""
+    from kinedex.pipelines.console.terminal import message_console
+
+    message_console().print(text, markup=False)
+
+
+def show_table(table: pa.Table, form: str, output: Path | None) -> None:
+    """Print a table, or write it to a file.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        The result.
+    form : str
+        Format: table, csv, json or parquet. For a file, "table" stands for the format of the file's ending, CSV where
+        it has none.
+    output : Path or None
+        File to write; standard output for None.
+
+    Raises
+    ------
+    KinedexError
+        If the format is unknown, or is Parquet on a terminal.
+    """
+    from kinedex.pipelines.console.tables import Shown, encode
+    from kinedex.pipelines.console.terminal import make_console
+
+    if output is not None and form == "table":
+        form = _form_of(output)
+    if form == "table":
+        make_console().print(Shown(table))
+        return
+    data = encode(table, form)
+    if output is not None:
+        output.write_bytes(data)
+    elif form == "parquet" and sys.stdout.isatty():
+        raise KinedexError("a terminal cannot show Parquet: write it to a file with --output FILE")
+    else:
+        sys.stdout.buffer.write(data)
+
+
+def _form_of(output: Path) -> str:
+    form = output.suffix.lower().removeprefix(".") or "csv"
+    if form not in ("csv", "json", "parquet"):
+        raise KinedexError(
+            f"--output {output}: no format has the ending '{output.suffix}'; expected .csv, .json or .parquet, or "
+            "choose a format with --format"
+        )
+    return form
+
+
+def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
+    """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` where source files were excluded.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        What `run_pipeline` returned.
+    store : Path
+        Directory of the store.
+    as_json : bool
+        Print the JSON object of `run` (docs/reference.md, "JSON output").
+    """
+    from kinedex.pipelines.console.terminal import make_console
+
+    if as_json:
+        print_json(
+            {
+                "pipeline": outcome.pipeline.name,
+                "store": store,
+                "ran": outcome.ran,
+                "skipped": outcome.skipped,
+                "report": outcome.report,
+                "excluded_files": outcome.left_out,
+            }
+        )
+    console = make_console()
+    if not as_json and not outcome.ran:
+        console.print(f"everything was done already: {len(outcome.skipped)} stages, nothing to do", style="bold")
+    if not as_json and outcome.report is not None:
+        console.print(f"report: {outcome.report}", style="bold", markup=False)
+    if outcome.left_out:
+        if not as_json:
+            console.print(
+                f"{outcome.left_out} source files were excluded; list them: "
+                f'kinedex sql {shlex.quote(str(store))} "SELECT * FROM ingest_log"',
+                markup=False,
+            )
+        raise typer.Exit(LEFT_OUT)

@@ -1,0 +1,38 @@
+"""Values of Arrow, DuckDB and Python as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import Any
+
+
+def json_text(document: object) -> str:
+    """Return a value as indented JSON text that ends with a line break."""
+    return json.dumps(json_value(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def json_value(value: Any) -> Any:
+    """Return a value as JSON has it.
+
+    ∞ and NaN become null; decimals (also what sums of integers are in SQL) become numbers; Arrow tables become lists of
+    rows; paths, dates, times and other values without a form of their own in JSON become text.
+    """
+    match value:
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else None
+        case Decimal():
+            return int(value) if value == value.to_integral_value() else float(value)
+        case Mapping():
+            return {str(name): json_value(part) for name, part in value.items()}
+        case list() | tuple():
+            return [json_value(part) for part in value]
+        case bytes():
+            return value.hex()
+    if hasattr(value, "to_pylist"):
+        return json_value(value.to_pylist())
+    return str(value)

@@ -1,0 +1,71 @@
+"""Log records of kinedex on standard error and in files of JSON lines.
+
+The library only emits records, below the logger `kinedex`; the command line decides who gets them.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError
+
+_STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
+"""The attributes that every record has; all others are fields that the code which logged has added."""
+
+
+class JsonLines(logging.Formatter):
+    """Format a record as one line of JSON: time, level, logger, message, and the fields added with `extra=`."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        line: dict[str, object] = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        line |= {name: value for name, value in vars(record).items() if name not in _STANDARD}
+        if record.exc_info:
+            line["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(line, ensure_ascii=False, default=str)
+
+
+def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: Path | None = None) -> None:
+    """Choose where the records of kinedex go; an earlier choice is undone.
+
+    Parameters
+    ----------
+    quiet : bool
+        Print errors only to standard error; warnings and errors unless given.
+    verbose : bool
+        Print all records to standard error.
+    log_file : Path or None
+        File to append all records to, one JSON object a line.
+
+    Raises
+    ------
+    KinedexError
+        If the file cannot be written.
+    """
+    logger = logging.getLogger("kinedex")
+    for handler in [one for one in logger.handlers if one.name == "kinedex-command"]:
+        logger.removeHandler(handler)
+        handler.close()
+    shown = logging.StreamHandler(sys.stderr)
+    shown.setLevel(logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING)
+    shown.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s" if verbose else "kinedex: %(message)s"))
+    handlers: list[logging.Handler] = [shown]
+    if log_file is not None:
+        try:
+            handlers.append(logging.FileHandler(log_file, encoding="utf-8"))
+        except OSError as fault:
+            raise KinedexError(f"--log-file {log_file}: cannot be written: {fault.strerror}") from None
+        handlers[-1].setFormatter(JsonLines())
+    for handler in handlers:
+        handler.name = "kinedex-command"
+        logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG if verbose or log_file is not None else logging.WARNING)
