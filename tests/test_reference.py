@@ -26,7 +26,7 @@ def test_every_parameter_of_a_stage_says_what_it_is(stage: str) -> None:
 
 
 def test_every_command_has_its_options_and_a_summary() -> None:
-    commands = PAGE.split("## Commands")[1].split("## Stages")[0].split("### ")[1:]
+    commands = PAGE.split("\n## Commands")[1].split("\n## JSON output")[0].split("\n### ")[1:]
     assert len(commands) >= 25
     for text in commands:
         lines = text.splitlines()

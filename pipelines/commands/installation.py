@@ -8,12 +8,10 @@ from pathlib import Path
 from urllib.parse import urlparse
 from urllib.request import url2pathname
 
-import kinedex
-
 
 def running_package() -> Path:
     """Return the folder of the package that runs."""
-    return Path(kinedex.__file__).resolve().parent
+    return Path(__file__).parents[2].resolve()
 
 
 def installed_package() -> Path | None:

@@ -1,13 +1,17 @@
-"""The command line: what it prints, how it exits, and what a stranger reads when something is wrong."""
+"""The command line: output, exit codes, messages of errors, JSON, logs."""
 
 from __future__ import annotations
 
+import ast
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import pyarrow.parquet as pq
@@ -15,6 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.commands.json_documents import DOCUMENTS
 from tests.pipelines.archives import write_archive
 
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
@@ -57,7 +62,7 @@ def store(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_process_ends_with_the_code_and_says_its_faults_where_they_belong(store: Path) -> None:
+def test_a_process_exits_with_the_code_and_prints_errors_to_standard_error(store: Path) -> None:
     done = process("takes", store, "--columns", "name", "--format", "csv")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == kinedex("takes", store, "--columns", "name", "--format", "csv").stdout
@@ -68,14 +73,14 @@ def test_a_process_ends_with_the_code_and_says_its_faults_where_they_belong(stor
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_says_what_a_command_does(command: str) -> None:
+def test_help_shows_usage_and_options(command: str) -> None:
     done = kinedex(command, "--help")
     assert done.returncode == 0
     assert "Usage:" in done.stdout
     assert "--help" in done.stdout
 
 
-def test_a_second_ingest_does_nothing_and_says_so(store: Path, source: Path) -> None:
+def test_a_second_ingest_does_nothing(store: Path, source: Path) -> None:
     done = kinedex("ingest", store, source, "--executor", "serial")
     assert done.returncode == 0
     assert "everything was done already" in done.stdout
@@ -99,7 +104,7 @@ def test_sql_prints_the_file_for_other_clients(store: Path) -> None:
         assert client.execute("SELECT count(*) FROM takes").fetchall() == [(3,)]
     done = kinedex("sql", store, "SELECT 1", "--path")
     assert done.returncode == 1
-    assert "--path prints the index file and runs no SQL" in done.stderr
+    assert "runs no SQL" in done.stderr
 
 
 def test_sql_answers_from_an_argument_a_file_and_standard_input(store: Path, tmp_path: Path) -> None:
@@ -126,7 +131,7 @@ def test_output_is_written_by_its_ending_and_refused_by_an_unknown_one(store: Pa
         assert (tmp_path / name).read_bytes().startswith(begins)
     refused = kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / "x.xlsx")
     assert refused.returncode == 1
-    assert "no format has the ending '.xlsx'; known are .csv, .json and .parquet" in refused.stderr
+    assert "no format has the ending '.xlsx'; expected .csv, .json or .parquet" in refused.stderr
     assert not (tmp_path / "x.xlsx").exists()
     assert kinedex("sql", store, "SELECT 1 AS a", "-o", tmp_path / "x.txt", "--format", "csv").returncode == 0
 
@@ -150,7 +155,7 @@ def test_output_is_written_by_its_ending_and_refused_by_an_unknown_one(store: Pa
         (["ingest", "STORE", "/no/such/folder"], "is not a folder"),
     ],
 )
-def test_what_goes_wrong_is_said_in_one_message_with_a_way_out(store: Path, words: list[str], message: str) -> None:
+def test_an_error_is_one_message_with_a_way_out(store: Path, words: list[str], message: str) -> None:
     done = kinedex(*(str(store) if word == "STORE" else word for word in words))
     assert done.returncode == 1
     assert done.stderr.startswith("kinedex: ")
@@ -158,7 +163,7 @@ def test_what_goes_wrong_is_said_in_one_message_with_a_way_out(store: Path, word
     assert "Traceback" not in done.stderr
 
 
-def test_takes_that_nobody_has_labelled_are_annotated_and_reported(source: Path, tmp_path: Path) -> None:
+def test_takes_without_ground_truth_are_annotated_and_reported(source: Path, tmp_path: Path) -> None:
     words = ("run", "annotate", "--store", tmp_path / "store", "--set", f"source={source}", "--executor", "serial")
     done = kinedex(*words)
     assert done.returncode == 0, done.stderr
@@ -169,7 +174,7 @@ def test_takes_that_nobody_has_labelled_are_annotated_and_reported(source: Path,
     assert "no file '**/ground_truth.csv' below" in given.stderr
 
 
-def test_a_failed_stage_says_how_to_go_on(store: Path, source: Path) -> None:
+def test_a_failed_stage_prints_the_command_that_continues(store: Path, source: Path) -> None:
     settings = [f"source={source}", "train=actor = 'nobody'", "evaluate.ground_truth=none"]
     words = [word for setting in settings for word in ("--set", setting)]
     done = kinedex("run", "annotate", "--store", store, *words, "--executor", "serial")
@@ -178,18 +183,18 @@ def test_a_failed_stage_says_how_to_go_on(store: Path, source: Path) -> None:
     assert "go on with:\n    kinedex run annotate --store" in done.stderr
 
 
-def test_files_left_out_show_in_the_exit_code_every_time(tmp_path: Path) -> None:
+def test_excluded_files_show_in_the_exit_code_every_time(tmp_path: Path) -> None:
     source = write_archive(tmp_path / "source", {"x_1.amc": 20})
     (source / "x_2.amc").write_text("1\nroot 0 0 zero 0 0 0\n")
     for _ in range(2):
         done = kinedex("ingest", tmp_path / "store", source, "--executor", "serial")
         assert done.returncode == 3
-        assert "1 source files were left out" in done.stdout
+        assert "1 source files were excluded" in done.stdout
     log = kinedex("sql", tmp_path / "store", "SELECT source, line FROM ingest_log", "--format", "csv")
     assert log.stdout == "source,line\nx_2.amc,2\n"
 
 
-def test_an_ingest_may_be_strict_and_drop_what_is_gone(tmp_path: Path) -> None:
+def test_an_ingest_can_be_strict_and_drop_missing_files(tmp_path: Path) -> None:
     source = write_archive(tmp_path / "source", {"x_1.amc": 9, "x_2.amc": 9, "x_3.amc": 9})
     whole = (source / "x_2.amc").read_text()
     (source / "x_2.amc").write_text(whole[:-40])
@@ -221,8 +226,6 @@ def test_search_prints_hits_and_explains(store: Path) -> None:
 
 def test_verify_finds_a_damaged_part(store: Path, tmp_path: Path) -> None:
     assert kinedex("verify", store).returncode == 0
-    import shutil
-
     copy = Path(shutil.copytree(store, tmp_path / "copy"))
     part = next((copy / "frames").glob("part-*.parquet"))
     data = bytearray(part.read_bytes())
@@ -231,3 +234,136 @@ def test_verify_finds_a_damaged_part(store: Path, tmp_path: Path) -> None:
     done = kinedex("verify", copy)
     assert done.returncode == 1
     assert part.name in done.stdout
+
+
+def document(*words: str | Path, code: int = 0) -> dict[str, Any]:
+    """Run a command with --json and return the object on standard output, which holds nothing else."""
+    done = kinedex(*words, "--json")
+    assert done.returncode == code, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path, tmp_path: Path) -> None:
+    settings = ["--set", f"source={source}", "--set", "evaluate.ground_truth=none"]
+    found = {
+        "run": document("run", "ingest", "--store", store, *settings[:2], "--executor", "serial"),
+        "ingest": document("ingest", store, source, "--executor", "serial"),
+        "plan": document("plan", "annotate", "--store", store, *settings),
+        "takes": document("takes", store),
+        "search": document("search", store, "example"),
+        "search --explain": document("search", store, "example", "--explain"),
+        "rank": document("rank", store, "--take", "x_aa_wave_001_120", "--tau", "1"),
+        "inspect": document("inspect", source / "takes/x_aa_take01.amc", "--picture", tmp_path / "x.png"),
+        "verify": document("verify", store),
+        "gc": document("gc", store, "--dry-run"),
+        "version": document("version"),
+    }
+    assert {command: list(keys) for command, keys in DOCUMENTS.items()} == {
+        command: list(keys) for command, keys in found.items()
+    }
+    assert found["ingest"]["ran"] == []
+    assert len(found["takes"]["takes"]) == 3
+    assert found["plan"]["stages"][0]["stage"] == "ingest"
+    assert found["rank"]["hits"][0]["take"] == "x_aa_wave_001_120"
+    assert (found["verify"]["faults"], found["verify"]["findings"]) == (0, [])
+    assert found["inspect"]["facts"][0]["name"] == "file"
+    assert Path(found["version"]["path"]).is_dir()
+
+
+def test_errors_are_json_objects_with_the_exit_code(store: Path, tmp_path: Path) -> None:
+    for words, code, kind in (
+        (("takes", tmp_path), 1, "StoreError"),
+        (("takes", store, "--columns", "nam"), 1, "KinedexError"),
+        (("takes",), 2, "UsageError"),
+        (("taks", store), 2, "UsageError"),
+        (("takes", store, "--colums", "name"), 2, "UsageError"),
+        (("inspect", tmp_path / "none.amc"), 1, "KinedexError"),
+    ):
+        error = document(*words, code=code)["error"]
+        assert (error["type"], error["exit_code"]) == (kind, code)
+    assert "did you mean" in error["message"] or "no such file" in error["message"]
+
+
+def test_a_run_with_json_exits_with_the_code_of_excluded_files(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 20})
+    (source / "x_2.amc").write_text("1\nroot 0 0 zero 0 0 0\n")
+    found = document("ingest", tmp_path / "store", source, "--executor", "serial", code=3)
+    assert (found["excluded_files"], found["ran"]) == (1, ["ingest", "index"])
+
+
+def test_quiet_prints_results_alone_and_a_log_file_holds_json_lines(store: Path, source: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    words = ("run", "ingest", "--store", store, "--set", f"source={source}", "--executor", "serial", "--log-file", log)
+    assert "[1/2] ingest" in kinedex(*words).stdout
+    assert kinedex(*words, "--quiet").stdout == "everything was done already: 2 stages, nothing to do\n"
+    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    assert {"time", "level", "logger", "message"} <= set(lines[0])
+    assert any("ingest" in line["message"] for line in lines)
+    assert all(line["logger"].startswith("kinedex") for line in lines)
+    shown = kinedex("takes", store, "--quiet").stdout
+    assert "x_aa_take01" in shown
+    assert "3 takes" not in shown
+    assert "ingest" in kinedex(*words, "--verbose").stderr
+    refused = kinedex("takes", store, "--log-file", tmp_path)
+    assert refused.returncode == 1
+    assert "--log-file" in refused.stderr
+
+
+def test_the_help_fits_on_one_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = kinedex("--help").stdout.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    assert not [line for line in lines[3:] if line.endswith("...")], "a summary is cut"
+
+
+def test_the_program_prints_its_version_and_the_path_of_its_package() -> None:
+    assert re.fullmatch(r"kinedex \d+\.\d+\.\d+\S*\n", kinedex("--version").stdout)
+    assert re.search(r"^path +/.*kinedex$", kinedex("version").stdout, re.MULTILINE)
+
+
+def test_a_checkout_beside_the_installed_package_is_reported(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[3]
+    rooms = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(root / "kinedex", tmp_path / "kinedex", ignore=rooms)
+    done = subprocess.run(
+        [sys.executable, "-m", "kinedex", "version"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert f"path       {tmp_path.resolve() / 'kinedex'}" in done.stdout
+    assert "this is the package of a checkout; the installed one is" in done.stderr
+
+
+def test_shells_get_a_completion_script_and_names_of_commands() -> None:
+    shells = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "_KINEDEX_COMPLETE": ""}
+    script = subprocess.run(
+        [sys.executable, "-m", "kinedex", "--show-completion", "bash"],
+        env=os.environ | shells, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "complete -o default -F _kinedex_completion kinedex" in script.stdout
+    asked = {"_KINEDEX_COMPLETE": "complete_bash", "COMP_WORDS": "kinedex ver", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "kinedex"], env=os.environ | asked, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["verify", "version"]
+
+
+@pytest.mark.parametrize("words", [["--help"], ["takes", "--help"], ["--version"]])
+def test_help_imports_no_library_that_computes(words: list[str]) -> None:
+    code = (
+        "import sys\nfrom kinedex.pipelines.commands.cli import app\n"
+        f"try:\n    app({words!r}, prog_name='kinedex')\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numba', 'numpy', 'dask', 'polars', 'pyarrow', 'duckdb', 'rich', 'yaml', 'jinja2', 'kinedex.storage'}\n"
+        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_commands_import_nothing_that_only_posix_has() -> None:
+    posix = {"readline", "termios", "fcntl", "resource", "pwd", "grp", "tty", "pty"}
+    root = Path(__file__).resolve().parents[3] / "pipelines"
+    for path in [*root.glob("commands/*.py"), *root.glob("console/*.py")]:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert not posix & {*names, getattr(node, "module", None)}, path

@@ -104,7 +104,7 @@ def test_the_command_writes_a_file_that_search_reads(store: Store, tmp_path: Pat
     kept = open_store(store.path).sql("SELECT DISTINCT query, take FROM hits").to_pylist()
     assert {"query": "proposed", "take": "dull"} in kept
     shown = CliRunner().invoke(app, ["search", str(store.path), str(file)])
-    assert "ranges in" in shown.output.splitlines()[-1]
+    assert "intervals in" in shown.output.splitlines()[-1]
     nothing = CliRunner().invoke(app, ["search", str(store.path), str(file), "--where", "name = 'x'"])
     assert "0 ranges in 0 takes; --explain" in nothing.output
     refused = CliRunner().invoke(app, ["search", str(store.path), str(file), "--save", "x", "--explain"])
