@@ -91,7 +91,7 @@ def test_a_template_goes_to_a_file_and_one_example_makes_one(store: Path, tmp_pa
     run("show", store, "kick", "-o", tmp_path / "mine.yaml")
     (kick,) = read_templates(tmp_path / "mine.yaml", BODY)
     assert kick.name == "kick"
-    assert "expected kick.csv" in run("show", store, "kick", "-o", tmp_path / "other.csv", code=1)
+    assert "call it kick.csv" in run("show", store, "kick", "-o", tmp_path / "other.csv", code=1)
     run("from-clip", store, "ann_kick_002", 5, 20, "--name", "middle", "-o", tmp_path / "middle.csv")
     (middle,) = read_templates(tmp_path / "middle.csv", BODY)
     assert np.array_equal(middle.template.values, kick.template.values[5:20])
