@@ -95,7 +95,7 @@ def gc(
 
     found = collect(store, keep=keep, dry_run=dry_run)
     if as_json:
-        rows = [{"path": one.path, "bytes": one.bytes, "kind": one.what} for one in found]
+        rows = [{"path": one.path, "bytes": one.bytes, "kind": one.kind} for one in found]
         print_json({"store": store, "dry_run": dry_run, "removed": rows})
         return
     for line in summary(found):
