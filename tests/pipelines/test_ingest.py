@@ -18,7 +18,7 @@ from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.acclaim import read_amc, read_asf
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.index.generations import Generation, current, read_generation
+from kinedex.storage.index.generations import Generation, current_generation, read_generation
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests import killing
@@ -34,7 +34,7 @@ def bring_in(store: Path, source: Path, **params: object) -> dict[str, object]:
 def indexed(store: Path) -> Generation | None:
     """What stands as the index of the store's takes; None where it is stale."""
     opened = open_store(store)
-    found = current(opened.path, opened.manifest)
+    found = current_generation(opened.path, opened.manifest)
     return None if found is None else read_generation(found)
 
 
