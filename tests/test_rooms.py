@@ -1,8 +1,9 @@
-"""The rooms of the house: imports go pipelines → storage → catalog → ops, and never back."""
+"""The rooms of the house: imports go pipelines → storage → catalog → ops, never back, and in no circle."""
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Container
 from pathlib import Path
 
 import pytest
@@ -55,3 +56,91 @@ def test_stages_are_imported_by_nobody() -> None:
         assert "kinedex.pipelines.stages" not in source or (path.name == "stage.py" and path.parent.name == "engine"), (
             path
         )
+
+
+def module_name(path: Path) -> str:
+    """Return the dotted name of a module below `kinedex`; a package has the name of its folder."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == "kinedex" else ("kinedex", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+PRODUCT = {module_name(path): path for path in [*FILES, *sorted((ROOT / "kinedex").glob("*.py"))]}
+
+
+def imported_modules(name: str, source: str, known: Container[str]) -> set[str]:
+    """Return the modules of kinedex that a module imports: at its top, in functions, and for types alike."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {part if part in known else node.module for part in whole}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("kinedex."):
+            found.add(node.value)  # import_module("kinedex.…")
+    return {module for module in found if module in known and module != name}
+
+
+def circles(imports: dict[str, set[str]]) -> set[frozenset[str]]:
+    """Return the sets of modules that import each other in a circle (the strongly connected components; Tarjan)."""
+    order: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    stack: list[str] = []
+    found = set()
+
+    def visit(module: str) -> None:
+        order[module] = lowest[module] = len(order)
+        stack.append(module)
+        for other in imports[module]:
+            if other not in order:
+                visit(other)
+                lowest[module] = min(lowest[module], lowest[other])
+            elif other in stack:
+                lowest[module] = min(lowest[module], order[other])
+        if lowest[module] == order[module]:
+            members = stack[stack.index(module) :]
+            del stack[stack.index(module) :]
+            if len(members) > 1:
+                found.add(frozenset(members))
+
+    for module in imports:
+        if module not in order:
+            visit(module)
+    return found
+
+
+def test_modules_import_each_other_in_no_circle() -> None:
+    imports = {
+        name: imported_modules(name, path.read_text(encoding="utf-8"), PRODUCT) for name, path in PRODUCT.items()
+    }
+    assert circles(imports) == ALLOWED_CIRCLES
+
+
+def test_folders_of_the_store_import_each_other_in_no_circle() -> None:
+    folders: dict[str, set[str]] = {}
+    for name, path in PRODUCT.items():
+        if name.startswith("kinedex.storage."):
+            inside = imported_modules(name, path.read_text(encoding="utf-8"), PRODUCT)
+            folders.setdefault(name.split(".")[2], set()).update(
+                module.split(".")[2] for module in inside if module.count(".") > 1 and ".storage." in module
+            )
+    assert not circles({folder: others - {folder} for folder, others in folders.items()})
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from kinedex.b import thing",
+        "import kinedex.b",
+        "from kinedex import b",
+        "def f():\n    from kinedex.b import thing",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from kinedex.b import Thing",
+        "from importlib import import_module\nb = import_module('kinedex.b')",
+    ],
+)
+def test_every_way_to_import_counts_in_a_circle(source: str) -> None:
+    known = ("kinedex.a", "kinedex.b")
+    back = imported_modules("kinedex.b", "import kinedex.a", known)
+    imports = {"kinedex.a": imported_modules("kinedex.a", source, known), "kinedex.b": back}
+    assert circles(imports) == {frozenset(known)}
