@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 
-from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching, sharing
+from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching, sharing, startup
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import Figure, calibrate, show, write
 from kinedex.ops.errors import did_you_mean
@@ -13,6 +13,7 @@ from kinedex.pipelines.console.terminal import make_console
 from kinedex.storage.store.store import Store
 
 PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
+    "startup": lambda opened: list(startup.figures(opened)),
     "reading": lambda _: list(reading.figures()),
     "indexing": indexing.figures,
     "searching": searching.figures,
