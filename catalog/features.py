@@ -168,12 +168,27 @@ class _FeatureEntry(BaseModel):
 
 @lru_cache(maxsize=8)
 def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
-    """Read a feature set from `configs/features/` or from a file of the user's own.
+    """Read a feature set.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A shipped name of `configs/features`, or the path of a YAML file.
+
+    Returns
+    -------
+    FeatureSet
+        The features, their names, rules and bits.
 
     Raises
     ------
     ConfigError
         At the first fault, with its file, line and key.
+
+    Examples
+    --------
+    >>> kinedex.load_feature_set().feature("rknee_bent").number
+    21
     """
     located = load_yaml(config_path("features", name_or_path))
     located.mapping()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
     from kinedex.pipelines.api.picture import Picture
+    from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.store import Store, open_store
     from kinedex.pipelines.api.take import Take, features, read
     from kinedex.pipelines.api.template import Difference, Template
@@ -43,6 +44,7 @@ __all__ = [
     "Outcome",
     "ParameterError",
     "Picture",
+    "Query",
     "SourceError",
     "Store",
     "StoreError",
@@ -67,6 +69,7 @@ _HOMES = {
     "Outcome": "pipelines.engine.runner",
     "ParameterError": "ops.errors",
     "Picture": "pipelines.api.picture",
+    "Query": "pipelines.api.query",
     "SourceError": "ops.errors",
     "Store": "pipelines.api.store",
     "StoreError": "ops.errors",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -66,6 +66,35 @@ def parse_queries(
 ) -> tuple[KeyframeQuery, ...]:
     """Like `read_queries`, for text that is already read; `path` is what errors name."""
     return _queries(parse_yaml(text, path), feature_set, rate_hz)
+
+
+def build_queries(
+    content: Mapping[str, Any], feature_set: FeatureSet, path: str | Path, rate_hz: float = ANALYSIS_RATE_HZ
+) -> tuple[KeyframeQuery, ...]:
+    """Build queries from mappings that say the same as a query file.
+
+    Parameters
+    ----------
+    content : mapping
+        The name of each query, and its keys as in a query file.
+    feature_set : FeatureSet
+        The features that the queries refer to.
+    path : str or Path
+        The name that errors give to the content.
+    rate_hz : float
+        The analysis rate, by which seconds become frames.
+
+    Returns
+    -------
+    tuple of KeyframeQuery
+        The queries that are no parts.
+
+    Raises
+    ------
+    ConfigError
+        At the first fault, with its key, what was expected, and the nearest valid name.
+    """
+    return _queries(Located(Path(path), dict(content)), feature_set, rate_hz)
 
 
 def part_names(name_or_path: str | Path) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ def _written(query: KeyframeQuery, feature_set: FeatureSet) -> str:
 
 
 def _chain(query: KeyframeQuery, feature_set: FeatureSet) -> list[str]:
-    groups = _frames_shared(query, feature_set)
+    groups = frames_shared(query, feature_set)
     lines = ["keyframes:"]
     lines += [f"  - {_keyframe_text([query.keyframes[i] for i in group], feature_set)}" for group in groups]
     if len(groups) > 1:
@@ -61,8 +61,8 @@ def _chain(query: KeyframeQuery, feature_set: FeatureSet) -> list[str]:
     return lines
 
 
-def _frames_shared(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[int]]:
-    """Group the keyframes that one keyframe of named features would be split into."""
+def frames_shared(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[int]]:
+    """Return the places of the keyframes pose by pose; features of several sets are several keyframes of one pose."""
     order = list(feature_set.sets)
     groups = [[0]]
     for i, (before, here) in enumerate(zip(query.keyframes, query.keyframes[1:], strict=False), start=1):

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import polars as pl
@@ -18,6 +18,7 @@ from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
 from kinedex.pipelines.annotation.tables import annotations_table
+from kinedex.pipelines.api.query import Query, keyframe_queries
 from kinedex.pipelines.api.store import Store
 from kinedex.pipelines.api.take import Take
 from kinedex.pipelines.api.template import Template
@@ -25,9 +26,6 @@ from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_w
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
-
-if TYPE_CHECKING:
-    from kinedex.catalog.queries.queries import KeyframeQuery
 
 Method = Literal["best", "thesis"]
 
@@ -41,7 +39,7 @@ def annotate(
     delta: float = 0.05,
     tau: float = 0.13,
     min_seconds: float = 0.0,
-    queries: Sequence[KeyframeQuery] = (),
+    queries: Query | Iterable[Query] = (),
     where: str | None = None,
 ) -> pl.DataFrame:
     """Annotate takes with the classes of templates; the takes need not be in a store.
@@ -63,7 +61,7 @@ def annotate(
         Of the method "thesis": distances below tau make an annotation.
     min_seconds : float, optional
         The shortest annotation.
-    queries : sequence of Query, optional
+    queries : Query or sequence of Query, optional
         A template is matched within the hits of the queries for its class, and in all frames where there are none.
     where : str, optional
         A SQL filter over the columns of takes, for a store; by default all takes are annotated.
@@ -104,7 +102,7 @@ def annotate(
         load_classes(classes, {one.name for one in given} | (set() if classes == OWN else chosen.labels)),
         delta,
         tau,
-        queries,
+        keyframe_queries(queries),
         usual,
     )
     annotator = replace(annotator, min_frames=math.ceil(round(min_seconds * chosen.rate_hz, 9)))

@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kinedex.catalog.queries.queries import Gap, features_of
+from kinedex.catalog.queries.query_writer import frames_shared
+from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack
 from kinedex.storage.formats.motion.export import TREE
 
 if TYPE_CHECKING:
+    from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.store import Store
     from kinedex.pipelines.api.take import Take
 
@@ -100,6 +104,28 @@ def store_html(store: Store) -> str:
     rows = takes.select(columns).head(SHOWN_TAKES).rows()
     more = f"<p>and {takes.height - SHOWN_TAKES:,} more</p>" if takes.height > SHOWN_TAKES else ""
     return f"<div><b>kinedex store</b>{_pairs(about)}{_table(columns, rows)}{more}</div>"
+
+
+def query_html(query: Query) -> str:
+    """Return a query as HTML: of every pose the time since the one before, and its features."""
+    rows: list[tuple[str, str, str, str]] = []
+    for number, chain in enumerate(query.keyframe_query.chains):
+        for group in frames_shared(chain, query.feature_set):
+            parts = [chain.keyframes[place] for place in group]
+            on, off = (
+                [name for part in parts for name in features_of(part, query.feature_set)[side]] for side in (0, 1)
+            )
+            gap = _gap(chain.gaps[group[0] - 1]) if group[0] else "or" if number else ""
+            rows.append((gap, parts[0].name, ", ".join(on), ", ".join(off)))
+    about = [("finds", query.target), *([("about", text)] if (text := query.keyframe_query.description) else [])]
+    table = _table(["after", "pose", "on", "off"], rows)
+    return f"<div><b>{escape(query.name)}</b>{_pairs(about)}{table}</div>"
+
+
+def _gap(gap: Gap) -> str:
+    if gap.high >= UNBOUNDED:
+        return f"at least {gap.low} frames" if gap.low else "any time"
+    return f"{gap.low} to {gap.high} frames"
 
 
 def _pairs(rows: Iterable[tuple[str, str]]) -> str:

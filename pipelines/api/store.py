@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from kinedex.catalog.queries.queries import KeyframeQuery
     from kinedex.ops.templates.templates import Kind
+    from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.template import Template
     from kinedex.storage.duck import Connection
 
@@ -404,9 +405,7 @@ class Store:
 
     # ---- search and ranking ------------------------------------------------------------------------------
 
-    def search(
-        self, query: KeyframeQuery | Iterable[KeyframeQuery] | str | Path, *, where: str | None = None
-    ) -> pl.DataFrame:
+    def search(self, query: Query | Iterable[Query] | str | Path, *, where: str | None = None) -> pl.DataFrame:
         """Search keyframe queries.
 
         Parameters
@@ -433,16 +432,16 @@ class Store:
 
         Examples
         --------
-        >>> store.search("example")["query"].unique().sort().to_list()[:1]
-        ['kick']
+        >>> "squat" in store.search("example")["query"]
+        True
         """
-        from kinedex.catalog.queries.queries import KeyframeQuery
+        from kinedex.pipelines.api.query import keyframe_queries
         from kinedex.pipelines.search.search import load_query_file, search_store
 
         if isinstance(query, str | Path):
             queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
         else:
-            queries = [query] if isinstance(query, KeyframeQuery) else list(query)
+            queries = keyframe_queries(query)
         return _frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
 
     def templates(self, *, stage: str | None = None) -> pl.DataFrame:
@@ -496,7 +495,7 @@ class Store:
 
         Examples
         --------
-        >>> store.template("squat").kind
+        >>> store.template("squat1Reps").kind
         'soft'
         """
         from kinedex.pipelines.api.template import Template
@@ -516,7 +515,7 @@ class Store:
         *,
         tau: float = 0.1,
         delta: float = 0.1,
-        queries: Sequence[KeyframeQuery] | None = None,
+        queries: Query | Iterable[Query] | None = None,
         where: str | None = None,
         workers: int | None = None,
     ) -> pl.DataFrame:
@@ -532,7 +531,7 @@ class Store:
             Distances below tau make a hit.
         delta : float, optional
             Entries of a template within delta of 0 or 1 count, the others are wildcards.
-        queries : sequence of Query, optional
+        queries : Query or sequence of Query, optional
             A template is ranked within the hits of the queries whose target has its name; in all frames where there
             are none.
         where : str, optional
@@ -558,10 +557,11 @@ class Store:
 
         Examples
         --------
-        >>> hits = store.rank("squat", top=3)
+        >>> hits = store.rank("squat1Reps", top=3)
         >>> hits.columns[:4]
         ['template', 'rank', 'take_id', 'take']
         """
+        from kinedex.pipelines.api.query import keyframe_queries
         from kinedex.pipelines.api.template import Template
         from kinedex.pipelines.ranking.store_ranking import rank_store
 
@@ -569,7 +569,7 @@ class Store:
         found = rank_store(
             self.stored,
             [one.named if isinstance(one, Template) else one for one in wanted],
-            queries=queries,
+            queries=None if queries is None else keyframe_queries(queries),
             delta=delta,
             tau=tau,
             top=top,

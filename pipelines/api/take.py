@@ -385,7 +385,7 @@ def read(
     --------
     >>> take = kinedex.read(motion_file)
     >>> take.joints[:3]
-    ('root', 'lhip', 'rhip')
+    ('root', 'lhip', 'lknee')
     >>> take.info["source_rate_hz"]
     120.0
     """
