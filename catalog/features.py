@@ -188,7 +188,7 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     Examples
     --------
     >>> kinedex.load_feature_set().feature("rknee_bent").number
-    21
+    20
     """
     located = load_yaml(config_path("features", name_or_path))
     located.mapping()

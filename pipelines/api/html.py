@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from html import escape
 from importlib import resources
-from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
-from kinedex.catalog.queries.queries import Gap, features_of
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries.queries import Gap, KeyframeQuery, features_of
 from kinedex.catalog.queries.query_writer import frames_shared
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack
 from kinedex.storage.formats.motion.export import TREE
-
-if TYPE_CHECKING:
-    from kinedex.pipelines.api.query import Query
-    from kinedex.pipelines.api.store import Store
-    from kinedex.pipelines.api.take import Take
-
-PLAYED_SECONDS = 120.0
-"""The longest part of a take that a notebook carries: some 200 kB."""
-
-SHOWN_TAKES = 10
-"""The rows of the table of takes."""
 
 _STYLE = """:root { color-scheme: light dark; --line: #8884; --accent: #d2691e; }
 body { margin: 0; font: 13px system-ui, sans-serif; color: #222; background: #fff; }
@@ -48,39 +38,45 @@ _CONTROLS = """<div id="player" hidden>
 <button type="button" class="close">close</button></div></div>"""
 
 
-def take_html(take: Take) -> str:
-    """Return a take as HTML: its facts, its warnings, and a player in a frame of its own."""
-    about = [
-        ("frames", f"{len(take):,} at {take.rate_hz:g} Hz, {take.seconds:.2f} s"),
-        ("invalid frames", f"{int((~take.valid).sum()):,}"),
-        *((name, str(take.info[name])) for name in ("class", "actor", "source", "skeleton") if take.info.get(name)),
-        *(("warning", warning) for warning in take.warnings),
-    ]
-    return f"<div><b>{escape(take.label)}</b>{_pairs(about)}{_frame(take)}</div>"
+@dataclass(frozen=True)
+class Shown:
+    """A take as its HTML shows it.
+
+    label : the name. facts: (what, text) in order. joints: J names. positions: float array (T, J, 3) in metres, of the
+    frames that are played; frames: how many the take has. rate_hz: frames per second.
+    """
+
+    label: str
+    facts: Sequence[tuple[str, str]]
+    joints: tuple[str, ...]
+    positions: npt.NDArray[np.float32]
+    frames: int
+    rate_hz: float
 
 
-def _frame(take: Take) -> str:
-    """Return the player as a frame that shares neither style nor script with the notebook."""
+def take_html(take: Shown) -> str:
+    """Return a take as HTML: its facts, and a player in a frame that shares neither style nor script with the page."""
     page = escape(player_page(take), quote=True)
-    return (
+    player = (
         f'<iframe srcdoc="{page}" sandbox="allow-scripts" title="Player of {escape(take.label, quote=True)}" '
         'style="width: 440px; height: 350px; border: 0"></iframe>'
     )
+    return f"<div><b>{escape(take.label)}</b>{_pairs(take.facts)}{player}</div>"
 
 
-def player_page(take: Take) -> str:
-    """Return a whole page that plays a take, at most the first `PLAYED_SECONDS`."""
+def player_page(take: Shown) -> str:
+    """Return a whole page that plays a take."""
     joints = [joint for joint in take.joints if joint in TREE]
     parents = [joints.index(parent) if (parent := TREE[joint]) in joints else -1 for joint in joints]
-    shown = take[: round(PLAYED_SECONDS * take.rate_hz)]
     columns = [take.joints.index(joint) for joint in joints]
-    motion = pack(take.label, shown.positions[:, columns].transpose(1, 2, 0), take.rate_hz)
+    motion = pack(take.label, take.positions[:, columns].transpose(1, 2, 0), take.rate_hz)
     data = json.dumps({"joints": joints, "parents": parents, "motions": [asdict(motion)]}).replace("<", "\\u003c")
     script = resources.files("kinedex.pipelines.report").joinpath("pages", "player.js").read_text("utf-8")
-    what = "the take" if len(shown) == len(take) else f"the first {PLAYED_SECONDS:g} of {take.seconds:.0f} s"
+    shown = len(take.positions)
+    what = "the take" if shown == take.frames else f"the first {shown / take.rate_hz:.0f} seconds"
     start = (
         f'<svg class="start" data-take="{escape(take.label, quote=True)}">'
-        f'<rect data-start="0" data-stop="{len(shown)}" data-what="{what}"></rect></svg>'
+        f'<rect data-start="0" data-stop="{shown}" data-what="{what}"></rect></svg>'
     )
     return (
         f'<!doctype html><meta charset="utf-8"><style>{_STYLE}</style>{start}{_CONTROLS}'
@@ -89,37 +85,30 @@ def player_page(take: Take) -> str:
     )
 
 
-def store_html(store: Store) -> str:
-    """Return a store as HTML: its size, its classes, and its first takes."""
-    takes = store.takes()
-    classes = takes["class"].drop_nulls().unique().sort().to_list()
-    about = [
-        ("path", str(store.path)),
-        ("version", str(store.version)),
-        ("takes", f"{len(store):,}, {float(takes['seconds'].sum() or 0) / 3600:.2f} hours at {store.rate_hz:g} Hz"),
-        ("classes", ", ".join(classes[:20]) + (f" and {len(classes) - 20} more" if len(classes) > 20 else "")),
-        ("features", f"{len(store.feature_set.features)} ({store.feature_set.name})"),
-    ]
-    columns = ["name", "class", "actor", "frames", "seconds"]
-    rows = takes.select(columns).head(SHOWN_TAKES).rows()
-    more = f"<p>and {takes.height - SHOWN_TAKES:,} more</p>" if takes.height > SHOWN_TAKES else ""
-    return f"<div><b>kinedex store</b>{_pairs(about)}{_table(columns, rows)}{more}</div>"
+def table_html(
+    title: str,
+    facts: Iterable[tuple[str, str]],
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    note: str = "",
+) -> str:
+    """Return facts and a table as HTML, with a note below where there is one."""
+    below = f"<p>{escape(note)}</p>" if note else ""
+    return f"<div><b>{escape(title)}</b>{_pairs(facts)}{_table(columns, rows)}{below}</div>"
 
 
-def query_html(query: Query) -> str:
+def query_html(query: KeyframeQuery, feature_set: FeatureSet) -> str:
     """Return a query as HTML: of every pose the time since the one before, and its features."""
     rows: list[tuple[str, str, str, str]] = []
-    for number, chain in enumerate(query.keyframe_query.chains):
-        for group in frames_shared(chain, query.feature_set):
+    for number, chain in enumerate(query.chains):
+        for group in frames_shared(chain, feature_set):
             parts = [chain.keyframes[place] for place in group]
-            on, off = (
-                [name for part in parts for name in features_of(part, query.feature_set)[side]] for side in (0, 1)
-            )
+            named = [features_of(part, feature_set) for part in parts]
+            on, off = ([name for both in named for name in both[side]] for side in (0, 1))
             gap = _gap(chain.gaps[group[0] - 1]) if group[0] else "or" if number else ""
             rows.append((gap, parts[0].name, ", ".join(on), ", ".join(off)))
-    about = [("finds", query.target), *([("about", text)] if (text := query.keyframe_query.description) else [])]
-    table = _table(["after", "pose", "on", "off"], rows)
-    return f"<div><b>{escape(query.name)}</b>{_pairs(about)}{table}</div>"
+    about = [("finds", query.target), *([("about", query.description)] if query.description else [])]
+    return table_html(query.name, about, ["after", "pose", "on", "off"], rows)
 
 
 def _gap(gap: Gap) -> str:

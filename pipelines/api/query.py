@@ -266,7 +266,7 @@ class Query:
     def _repr_html_(self) -> str:
         from kinedex.pipelines.api.html import query_html
 
-        return query_html(self)
+        return query_html(self.keyframe_query, self.feature_set)
 
 
 def keyframe_queries(queries: Query | Iterable[Query]) -> list[KeyframeQuery]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 Parameters = Sequence[Any] | dict[str, Any] | None
 
+_SHOWN_TAKES = 10
 _BESIDE_HITS = ("run", "saved_as")
 
 
@@ -101,9 +102,21 @@ class Store:
         return f"Store({str(self.path)!r}, version {self.version}, {len(self)} takes)"
 
     def _repr_html_(self) -> str:
-        from kinedex.pipelines.api.html import store_html
+        from kinedex.pipelines.api.html import table_html
 
-        return store_html(self)
+        takes = self.takes()
+        classes = takes["class"].drop_nulls().unique().sort().to_list()
+        facts = [
+            ("path", str(self.path)),
+            ("version", str(self.version)),
+            ("takes", f"{len(self):,}, {float(takes['seconds'].sum() or 0) / 3600:.2f} hours at {self.rate_hz:g} Hz"),
+            ("classes", ", ".join(classes[:20]) + (f" and {len(classes) - 20} more" if len(classes) > 20 else "")),
+            ("features", f"{len(self.feature_set.features)} ({self.feature_set.name})"),
+        ]
+        columns = ["name", "class", "actor", "frames", "seconds"]
+        rows = takes.select(columns).head(_SHOWN_TAKES).rows()
+        note = f"and {takes.height - _SHOWN_TAKES:,} more takes" if takes.height > _SHOWN_TAKES else ""
+        return table_html("kinedex store", facts, columns, rows, note)
 
     def __enter__(self) -> Store:
         return self

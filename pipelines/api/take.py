@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 ANALYSIS_RATE_HZ = 30.0
 """The rate at which takes are analysed, in frames per second."""
 
+PLAYED_SECONDS = 120.0
+"""The longest part of a take that a notebook carries for its player: some 200 kB."""
+
 FEATURES = "body40"
 """The feature set that is used where none is named."""
 
@@ -218,9 +221,16 @@ class Take:
         return f"Take({self.label!r}, {self._length} frames, {self.seconds:.2f} s)"
 
     def _repr_html_(self) -> str:
-        from kinedex.pipelines.api.html import take_html
+        from kinedex.pipelines.api.html import Shown, take_html
 
-        return take_html(self)
+        facts = [
+            ("frames", f"{len(self):,} at {self.rate_hz:g} Hz, {self.seconds:.2f} s"),
+            ("invalid frames", f"{int((~self.valid).sum()):,}"),
+            *((name, str(self.info[name])) for name in ("class", "actor", "source", "skeleton") if self.info.get(name)),
+            *(("warning", warning) for warning in self.warnings),
+        ]
+        played = self[: round(PLAYED_SECONDS * self.rate_hz)].positions
+        return take_html(Shown(self.label, facts, self.joints, played, len(self), self.rate_hz))
 
     @property
     def label(self) -> str:
