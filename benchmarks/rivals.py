@@ -1,4 +1,4 @@
-"""What keyframe search is compared with: the printed recursion, compiled; and one SQL statement in DuckDB."""
+"""Rivals of keyframe search to compare with: the printed recursion, compiled; and one SQL statement in DuckDB."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from numba import njit
 
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.ranges import extend_and_unite
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.segments import Segments, merge
+from kinedex.ops.search.segments import TAKE_BITS
+from kinedex.ops.words import I64
 
 _ROOM = 4_000_000
 
 
-def recursion(lists: list[Segments], gaps: list[tuple[int, int]]) -> Segments:
-    """Algorithm 1 of the thesis as printed, over merged lists; the ranges of its matches are united at the end."""
-    starts = np.concatenate([one.starts for one in lists])
-    stops = np.concatenate([one.stops for one in lists])
+def recursion(lists: list[I64], gaps: list[tuple[int, int]]) -> I64:
+    """Run Algorithm 1 of the thesis as printed, over merged lists, and unite the ranges of its matches at the end."""
+    starts, stops = (np.ascontiguousarray(column) for column in np.concatenate(lists).T)
     offsets = np.cumsum([0, *(len(one) for one in lists)])
     low = np.array([gap[0] for gap in gaps], np.int64)
     high = np.minimum(np.array([gap[1] for gap in gaps], np.int64), UNBOUNDED)
@@ -24,7 +25,8 @@ def recursion(lists: list[Segments], gaps: list[tuple[int, int]]) -> Segments:
     count = _all_matches(starts, stops, offsets, low, high, found)
     if count > _ROOM:
         raise ParameterError("matches", f"at most {_ROOM}", count)
-    return merge(found[0, :count].copy(), found[1, :count].copy())
+    takes = int(starts.max(initial=0) >> TAKE_BITS) + 1
+    return extend_and_unite(found[:, :count].T, np.arange(takes + 1, dtype=np.int64) << TAKE_BITS)
 
 
 # Not cached, either of them: what calls itself does not survive being read from numba's cache.
@@ -70,7 +72,7 @@ def _visit(k, starts, stops, offsets, low, high, pointers, cut, found, n):  # ty
 
 
 def sql(chain: KeyframeQuery) -> str:
-    """One SELECT that finds the hits of a chain: lists joined under their gaps, and the ranges of all matches united.
+    """Return one SELECT that finds the hits of a chain: lists joined under their gaps, and united ranges of matches.
 
     Forwards, a joined row knows the frames of each run that the gaps admit ([a, b]); backwards, where a hit can begin.
     """

@@ -1,9 +1,9 @@
 """Words to runs, and keyframe queries over them on one core: warm, cold, from 4 to 400 hours, beside other ways.
 
-A query's Σ counts the word runs of all its keyframes' lists before any are united, and "ns a run" is the time of
-queries over their Σ. The search of the product starts from bit slices and not from lists: its time is that of the
-whole query, from the pattern to the ranges, and nothing is taken off for lists that would have been made. The
-recursion beside it is given its lists, already united, for nothing.
+The Σ of a query counts the word runs of the lists of all its keyframes, before any are united, and "ns a run" is the
+time of queries over their Σ. The search of the product starts from bit slices and not from lists: its time is that of
+the whole query, from the pattern to the ranges, and nothing is subtracted for lists that would have been made. The
+recursion beside it gets its lists, already united, for nothing.
 
 The queries are the 62 of the papers' authors where `../shared/reference` has them, with motion drawn at random from the
 takes there; else the shipped ones, with the takes of the synthetic archive.
@@ -30,12 +30,13 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import KeyframeQuery, word_pattern
 from kinedex.catalog.queries.query_files import read_queries
 from kinedex.catalog.queries.query_writer import write_queries
-from kinedex.ops.search.keyframes import search
+from kinedex.ops.search.bit_slice_search import search_slices
+from kinedex.ops.search.bit_slices import BitSlices, slice_words
+from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
+from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
 from kinedex.ops.search.runs import word_runs
-from kinedex.ops.search.segments import Segments
-from kinedex.ops.words import TakeWords
-from kinedex.pipelines.search.inverted_lists import RunLists, lists_of_words
-from kinedex.pipelines.search.resident_slices import ResidentWords, resident_words
+from kinedex.ops.words import I64, TakeWords
+from kinedex.pipelines.search.bit_slices import sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from tests.oracles import runs as naive_runs
@@ -53,7 +54,8 @@ class _Case:
     """Motion of some hours, and the chains of keyframes that are searched in it, each with its Σ."""
 
     words: TakeWords
-    resident: ResidentWords
+    feature_set: FeatureSet
+    slices: BitSlices
     chains: list[KeyframeQuery]
     runs: F64
 
@@ -62,7 +64,7 @@ def figures(store: Store) -> list[Figure]:
     """Time run building and search on four hours of motion and more."""
     pool, queries, what = _material(store)
     case = _case(pool, HOURS, queries, store.feature_set)
-    lists = lists_of_words(case.words, store.feature_set, store.feature_set.sets)
+    lists = _lists(case)
     _check(case, lists)
     return [
         _runs(_tile(store.words(), HOURS)),
@@ -122,31 +124,39 @@ def _draw(pool: TakeWords, hours: float) -> TakeWords:
 
 def _case(pool: TakeWords, hours: float, queries: list[KeyframeQuery], feature_set: FeatureSet) -> _Case:
     words = _draw(pool, hours)
-    return _Case(words, resident_words(words, feature_set), queries, _sigma(words, queries, feature_set))
+    slices = slice_words(words.words, words.offsets, len(feature_set.features))
+    return _Case(words, feature_set, slices, queries, _sigma(words, queries, feature_set))
 
 
 def _sigma(words: TakeWords, chains: list[KeyframeQuery], feature_set: FeatureSet) -> F64:
     """The word runs of all lists of each chain, set by set, so that only one set's runs are in memory."""
     total = np.zeros(len(chains))
-    for name in feature_set.sets:
-        postings = lists_of_words(words, feature_set, [name]).postings[name]
+    for name, one in feature_set.sets.items():
+        lists = inverted_lists(words.words, words.offsets, one.first, one.count)
         for i, chain in enumerate(chains):
-            total[i] += sum(postings.runs(one.mask, one.value) for one in chain.keyframes if one.set == name)
+            own = [keyframe for keyframe in chain.keyframes if keyframe.set == name]
+            total[i] += sum(lists.runs[lists.matching(keyframe.mask, keyframe.value)].sum() for keyframe in own)
     return total
 
 
-def _check(case: _Case, lists: RunLists) -> None:
-    """What is timed must be right: slices, lists and the recursion find the same."""
+def _lists(case: _Case) -> dict[str, InvertedLists]:
+    sets = case.feature_set.sets
+    return {
+        name: inverted_lists(case.words.words, case.words.offsets, one.first, one.count) for name, one in sets.items()
+    }
+
+
+def _keyframe_lists(lists: dict[str, InvertedLists], chain: KeyframeQuery) -> list[I64]:
+    return [keyframe_list(lists[one.set], one.mask, one.value) for one in chain.keyframes]
+
+
+def _check(case: _Case, lists: dict[str, InvertedLists]) -> None:
+    """Check that slices, lists and the recursion find the same."""
     for chain in case.chains:
-        expected = lists.chain(chain)
-        others = (case.resident.pattern(word_pattern(chain, case.resident.feature_set)), _recursion(lists, chain))
-        for other in others:
-            np.testing.assert_array_equal(other.starts, expected.starts)
-            np.testing.assert_array_equal(other.stops, expected.stops)
-
-
-def _recursion(lists: RunLists, chain: KeyframeQuery) -> Segments:
-    return recursion([lists.keyframe(keyframe) for keyframe in chain.keyframes], chain.bounds)
+        made = _keyframe_lists(lists, chain)
+        expected = search_lists(made, chain.bounds)
+        np.testing.assert_array_equal(_answer(case, chain), expected)
+        np.testing.assert_array_equal(recursion(made, chain.bounds), expected)
 
 
 # ---- warm ------------------------------------------------------------------------------------------------
@@ -166,18 +176,16 @@ def _each(chains: Iterable[KeyframeQuery], work: Callable[[KeyframeQuery], objec
     return np.array([_best(lambda chain=chain: work(chain), repeats) for chain in chains])  # type: ignore[misc]
 
 
-def _warm(case: _Case, lists: RunLists, what: str) -> list[Figure]:
-    takes, million = len(case.words), float(case.runs.mean()) / 1e6
+def _warm(case: _Case, lists: dict[str, InvertedLists], what: str) -> list[Figure]:
+    million = float(case.runs.mean()) / 1e6
+    made = {chain.name: _keyframe_lists(lists, chain) for chain in case.chains}
 
-    def first_time(chain: KeyframeQuery) -> object:
-        fresh = RunLists(takes, lists.postings)
-        return fresh.chain(chain)
-
-    def repeated(chain: KeyframeQuery) -> object:
-        return search([lists.keyframe(keyframe) for keyframe in chain.keyframes], chain.bounds)
+    def from_lists(chain: KeyframeQuery) -> object:
+        return search_lists(_keyframe_lists(lists, chain), chain.bounds)
 
     warm = _each(case.chains, lambda chain: _answer(case, chain))
-    naive = _each(case.chains, lambda chain: _recursion(lists, chain), 3)
+    naive = _each(case.chains, lambda chain: recursion(made[chain.name], chain.bounds), 3)
+    repeated = _each(case.chains, lambda chain: search_lists(made[chain.name], chain.bounds))
     slope = _slope(case.runs, warm)
     write_plot(BUILD / "search-cost.svg", case.runs, warm, f"{what}, {HOURS:g} hours: slope {slope:.2f}")
     worst = int(warm.argmax())
@@ -192,8 +200,8 @@ def _warm(case: _Case, lists: RunLists, what: str) -> list[Figure]:
         _a_run("their time over their Σ, nothing taken off", case.runs, warm, "asked of the core: at most 1.5", 1.5),
         _a_run("the same", case.runs, warm, "the recursion, from its lists to ranges", _ns(case.runs, naive)),
         Figure(
-            "inverted lists and two pointers, mean", million, "M runs", float(_each(case.chains, first_time, 3).mean()),
-            "its lists made before", float(_each(case.chains, repeated).mean()),
+            "inverted lists and two passes, mean", million, "M runs", float(_each(case.chains, from_lists, 3).mean()),
+            "its lists made before", float(repeated.mean()),
         ),
         _a_slope("slope of log time over log Σ", slope),
     ]  # fmt: skip
@@ -232,7 +240,7 @@ def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
 
     path = BUILD / f"search-store-{len(case.words.words)}"
     if not (path / "manifest").is_dir():
-        _add(path, case.resident.feature_set, case.words, "take")
+        _add(path, case.feature_set, case.words, "take")
     store = open_store(path)
     build_index(store)
     order = np.argsort(case.runs)
@@ -259,22 +267,22 @@ def _in_sql(store: Store, queries: list[KeyframeQuery]) -> list[Figure]:
     """The same queries as one SQL statement each, on the store of twelve minutes; both must find the same."""
     chosen = queries[:: max(len(queries) // 6, 1)]
     ids = store.takes().sort("take_id")["take_id"].to_numpy().astype(np.int64)
-    resident = resident_words(store.words(ids.tolist()), store.feature_set)
+    sliced = sliced_words(store.words(ids.tolist()), store.feature_set)
     connection = store.connect(threads=1)
     try:
         slow, fast = [], []
         for chain in chosen:
             text = sql(chain)
             rows = connection.sql(text).to_arrow_table()
-            ours = resident.search(chain)
+            (ours,) = sliced.search([chain])
             takes = np.repeat(ids, np.diff(ours.offsets))
             for name, column in (("take_id", takes), ("start", ours.starts), ("stop", ours.stops)):
                 np.testing.assert_array_equal(rows.column(name).to_numpy(), column)
             slow.append(_best(lambda text=text: connection.sql(text).to_arrow_table(), 2))  # type: ignore[misc]
-            fast.append(_best(lambda chain=chain: resident.search(chain)))  # type: ignore[misc]
+            fast.append(_best(lambda chain=chain: sliced.search([chain])))  # type: ignore[misc]
     finally:
         connection.close()
-    minutes = len(resident.slices.frames) and float(resident.slices.frames.sum()) / 1800
+    minutes = float(sliced.shards[0].slices.frames.sum()) / 1800
     return [
         Figure(
             f"{len(chosen)} of these queries on {minutes:.0f} minutes", float(len(chosen)), "queries", sum(fast),
@@ -300,13 +308,13 @@ def _larger(pool: TakeWords, queries: list[KeyframeQuery], feature_set: FeatureS
     return [*found, _a_slope(f"slope from {HOURS:g} to {LARGER[-1]:g} hours", slope)]
 
 
-def _answer(case: _Case, chain: KeyframeQuery) -> Segments:
-    return case.resident.pattern(word_pattern(chain, case.resident.feature_set))
+def _answer(case: _Case, chain: KeyframeQuery) -> I64:
+    pattern = word_pattern(chain, case.feature_set)
+    return search_slices(case.slices, pattern.masks, pattern.values, pattern.gaps)
 
 
 def _memory(case: _Case, hours: float) -> Figure:
-    slices = case.resident.slices
     words = float(case.words.words.nbytes) / 2**20
     return Figure(
-        f"bit slices of {hours:g} hours", slices.bytes / 2**20, "MiB", None, "their words", other_amount=words
+        f"bit slices of {hours:g} hours", case.slices.bytes / 2**20, "MiB", None, "their words", other_amount=words
     )

@@ -16,7 +16,7 @@ from benchmarks.harness import Figure
 from benchmarks.indexing import HOURS, twenty_hours
 from kinedex.catalog.queries.query_files import read_queries
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.search.resident_slices import resident_store, resident_words
+from kinedex.pipelines.search.bit_slices import sliced_store, sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 
@@ -69,16 +69,13 @@ def main(path: str, how: str) -> None:
     store = open_store(path)
     queries = read_queries("example", store.feature_set)
     few = TakeWords(np.zeros(1, np.int64), np.array([0, 1]), np.zeros(1, np.uint64))
-    for query in queries:
-        resident_words(few, store.feature_set).search(query)  # compiled before memory is looked at
+    sliced_words(few, store.feature_set).search(queries)  # compiled before memory is measured
     before = _pss_mib()
     if how == "mapped":
-        shared = resident_store(store)
-        shared.search(queries)
+        sliced = sliced_store(store)
     else:
-        own = resident_words(store.words(), store.feature_set)
-        for query in queries:
-            own.search(query)
+        sliced = sliced_words(store.words(), store.feature_set)
+    sliced.search(queries)
     print("searched", flush=True)
     sys.stdin.readline()
     print(_pss_mib() - before, flush=True)

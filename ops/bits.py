@@ -1,4 +1,4 @@
-"""Counting the bits of words in compiled code."""
+"""Kernels that count and locate the bits of a word."""
 
 from __future__ import annotations
 
@@ -19,3 +19,23 @@ def count_bits(bits: np.uint64) -> np.int64:
     bits = (bits & _PAIRS) + ((bits >> _2) & _PAIRS)
     bits = (bits + (bits >> _4)) & _NIBBLES
     return np.int64((bits * _ONES) >> _56)
+
+
+@nb.njit(cache=True, nogil=True)
+def lowest_bit(bits: np.uint64) -> np.int64:
+    """Return the position of the lowest bit that is set; there must be one."""
+    return count_bits((bits - _1) & ~bits)
+
+
+@nb.njit(cache=True, nogil=True)
+def highest_bit(bits: np.uint64) -> np.int64:
+    """Return the position of the highest bit that is set; there must be one."""
+    return count_bits(filled_below(bits)) - 1
+
+
+@nb.njit(cache=True, nogil=True)
+def filled_below(bits: np.uint64) -> np.uint64:
+    """Return all bits up to the highest one that is set."""
+    for width in (1, 2, 4, 8, 16, 32):
+        bits |= bits >> np.uint64(width)
+    return bits

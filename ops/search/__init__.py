@@ -1,1 +1,1 @@
-"""Keyframe search: runs, inverted lists, bitmaps, and what is done with hits."""
+"""Keyframe search: runs, inverted lists, bit slices, and the ranges around hits in which templates are matched."""

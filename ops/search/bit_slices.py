@@ -1,8 +1,7 @@
-"""Bit slices: the words of an archive as one bitmap per feature, 64 frames to a word of memory.
+"""Bit slices: the words of an archive as one bitmap per feature, with 64 frames in a word of memory.
 
-Each take begins in a block of its own (64 frames, one uint64) and ends with at least one frame to spare, so that
-nothing of two takes ever touches. A coarser copy says what occurs in a few frames at a time.
-`ops.search.bit_slice_search` searches them.
+Each take begins in a block of its own (64 frames, one uint64) and ends with at least one spare frame, so that nothing
+of two takes ever touches. A coarse copy has one bit for every 8 frames. `ops.search.bit_slice_search` searches both.
 """
 
 from __future__ import annotations
@@ -19,13 +18,14 @@ from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
 I32 = npt.NDArray[np.int32]
 
 BLOCK = 64
+"""The number of frames in a block."""
 SHIFT = 6
-"""Frames become blocks when they are moved by so many bits."""
+"""A frame number shifted right by so many bits is a block number."""
 GRANULE = 8
-"""How many frames have one bit of the coarse copy. Chosen by measurement: with 16 it is half as large, but twice as
-many blocks have to be looked at."""
+"""The number of frames in a granule, which has one bit of the coarse copy. It was chosen by measurement: with 16 the
+copy is half as large, but twice as many blocks have to be searched."""
 GRANULES = BLOCK // GRANULE
-"""How many of them a block has: as many as a byte has bits, so that those of one block can be read as a byte."""
+"""The number of granules in a block: as many as a byte has bits, so that those of one block can be read as a byte."""
 
 _VALID = MOST_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)
@@ -37,17 +37,25 @@ _GATHER = np.uint64(sum(1 << (BLOCK - GRANULES) - (GRANULE - 1) * i for i in ran
 
 @dataclass(frozen=True)
 class BitSlices:
-    """The words of T takes, sliced by feature: flat arrays that may lie in a file and be shared by many processes.
+    """The words of T takes, sliced by feature: flat, read-only arrays that may be pages of a file shared by processes.
 
-    bits: uint64 (B · (f + 1),), block after block: bit j of word n of a block is feature F_(n + 1) in its frame j, and
-    the last word says which frames are valid (no feature is on in the others). What is read together lies together.
-    coarse: uint64 ((2 f + 1) · ⌈B / 8⌉,), row after row, bitmaps over stretches of 8 frames (`GRANULE`; block b has the
-    bits 8 b .. 8 b + 8 of a row): row n, whether F_(n + 1) is on in some frame of the stretch; row f + n, whether it is
-    off in some valid one; the last row, whether some frame is valid.
-    first: int64 (T + 1,), take t has the blocks first[t] .. first[t + 1]. frames: int64 (T,), the length of each take.
-    left: int32 (B,), how many blocks of its take follow a block. features: f.
-
-    Nobody writes to the arrays: they may be a file's pages, which all processes of a machine share.
+    Parameters
+    ----------
+    bits : uint64 array (B * (f + 1),)
+        Block after block: bit j of word n of a block is feature F_(n + 1) in its frame j. The last word of a block
+        marks the valid frames; no feature is on in the others. What is read together lies together.
+    coarse : uint64 array ((2 f + 1) * ceil(B / 8),)
+        Row after row, bitmaps over granules of 8 frames (`GRANULE`); block b has the bits 8 b to 8 b + 8 of a row. Row
+        n marks where F_(n + 1) is on in some frame of the granule, row f + n where it is off in some valid frame, and
+        the last row where some frame is valid.
+    first : int64 array (T + 1,)
+        Take t has the blocks first[t] to first[t + 1].
+    frames : int64 array (T,)
+        The length of each take.
+    left : int32 array (B,)
+        The number of blocks of its take that follow each block.
+    features : int
+        The number of features f.
     """
 
     bits: U64
@@ -63,7 +71,7 @@ class BitSlices:
             raise ParameterError("bits", f"{self.features + 1} for each of the blocks", self.bits.shape)
         if self.coarse.shape != ((2 * self.features + 1) * coarse_words(blocks),):
             raise ParameterError("coarse", f"{2 * self.features + 1} rows over all blocks", self.coarse.shape)
-        # also those in memory: kernels would be compiled once more for arrays that can be written to
+        # arrays in memory are made read-only as well: for writable ones the kernels would be compiled a second time
         for array in self.arrays.values():
             array.flags.writeable = False
 
@@ -72,28 +80,28 @@ class BitSlices:
 
     @property
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
-        """What there is to keep, by name: `BitSlices(**arrays, features=f)` is the same again."""
+        """The arrays by name, so that `BitSlices(**arrays, features=f)` is equal."""
         return {name: getattr(self, name) for name in ("bits", "coarse", "first", "frames", "left")}
 
     @property
     def bytes(self) -> int:
-        """The memory that the arrays take."""
+        """The memory that the arrays take, in bytes."""
         return sum(array.nbytes for array in self.arrays.values())
 
     @property
     def rows(self) -> U64:
-        """uint64 (f + 1, B): a bitmap over all blocks for each feature, and that of the valid frames."""
+        """A bitmap over all blocks for each feature, and that of the valid frames, uint64 (f + 1, B)."""
         return self.bits.reshape(-1, self.features + 1).T
 
     @property
     def granules(self) -> npt.NDArray[np.uint8]:
-        """uint8 (2 f + 1, B or more): the coarse copy by blocks; zeros after the last."""
+        """The coarse copy by blocks, uint8 (2 f + 1, B or more), with zeros after the last block."""
         little = self.coarse.reshape(2 * self.features + 1, -1).astype("<u8", copy=False)
         return little.view(np.uint8)
 
 
 def coarse_words(blocks: int) -> int:
-    """How many uint64 one row of the coarse copy has."""
+    """Return the number of uint64 in one row of the coarse copy."""
     return -(-blocks * GRANULES // BLOCK)
 
 
@@ -102,13 +110,21 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
 
     Parameters
     ----------
-    words: uint64 (N,), whole words of T takes, one take after the other; `NO_WORD` for an invalid frame.
-    offsets: int64 (T + 1,), take t has the words offsets[t] .. offsets[t + 1].
-    features: number of features f, 1 to 63.
+    words : uint64 array (N,)
+        Whole words of T takes, laid end to end; `NO_WORD` for an invalid frame.
+    offsets : int64 array (T + 1,)
+        Take t has the words offsets[t] to offsets[t + 1].
+    features : int
+        The number of features f, 1 to 63.
+
+    Returns
+    -------
+    BitSlices
 
     Raises
     ------
-    ParameterError: offsets that do not fit the words, or a number of features out of range.
+    ParameterError
+        If the offsets do not fit the words, or the number of features is out of range.
     """
     if not 1 <= features <= MOST_FEATURES:
         raise ParameterError("features", f"from 1 to {MOST_FEATURES}", features)
@@ -157,8 +173,11 @@ def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def _coarsened(bits):  # type: ignore[no-untyped-def]
-    # One bit for each granule, whether any of its bits is set: folded onto its lowest, and these gathered at the top by
-    # a product in which no two sums fall on one place.
+    """Return one bit for each granule that has any bit set.
+
+    The bits of a granule are folded onto its lowest one, and these are gathered at the top by a product in which no two
+    terms fall on one place.
+    """
     width = GRANULE // 2
     while width:
         bits |= bits >> np.uint64(width)
@@ -168,7 +187,7 @@ def _coarsened(bits):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _transpose(square):  # type: ignore[no-untyped-def]
-    # Bit j of row i changes places with bit i of row j, by swapping quarters of ever smaller squares.
+    """Exchange bit j of row i with bit i of row j, by swapping quarters of ever smaller squares."""
     width = 32
     mask = _LOW_HALF
     while width:

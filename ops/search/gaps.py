@@ -1,4 +1,4 @@
-"""Gaps between the keyframes of a query: in frames, both bounds included, or as a distance and a stiffness."""
+"""Gaps between keyframes: ranges of frames, or a distance and a stiffness (thesis, Sections 3.4 and 4.1)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,24 @@ UNBOUNDED = 2**31 - 1
 def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:
     """Return the admissible gap of a distance and a stiffness (thesis, Eq. 3.3, 4.5 and 4.6).
 
+    Products are rounded to 1e-9 first: in plain float64, floor(7 / 0.07) is 99.
+
     Parameters
     ----------
-    distance: d in analysis frames, 0 to `UNBOUNDED`.
-    stiffness: sigma, 0 (any later frame) to 1 (exactly d frames later).
+    distance : int
+        The distance d in analysis frames, 0 to `UNBOUNDED`.
+    stiffness : float
+        The stiffness sigma, from 0 (any later frame) to 1 (exactly d frames later).
 
     Returns
     -------
-    (d_min, d_max) = (ceil(sigma d), floor(d / sigma)), both included; (0, `UNBOUNDED`) for sigma = 0.
-    Products are rounded to 1e-9 first: in plain float64, floor(7 / 0.07) is 99.
+    (int, int)
+        (d_min, d_max) = (ceil(sigma d), floor(d / sigma)), both included; (0, `UNBOUNDED`) for sigma = 0.
 
     Raises
     ------
-    ParameterError: a distance or a stiffness out of its domain.
+    ParameterError
+        If the distance or the stiffness is out of its domain.
     """
     if isinstance(distance, bool) or distance != int(distance) or not 0 <= distance <= UNBOUNDED:
         raise ParameterError("distance", f"a whole number of frames from 0 to {UNBOUNDED}", distance)
@@ -43,16 +48,18 @@ def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:
 
 
 def nominal_gap(low: int, high: int) -> tuple[float, float]:
-    """Return the distance and stiffness that a gap range stands for (thesis, Eq. 4.7 and 4.8).
+    """Return the distance and the stiffness of a gap given as a range (thesis, Eq. 4.7 and 4.8).
 
     Parameters
     ----------
-    low, high: the admissible gap in frames, both included; `UNBOUNDED` is no upper bound.
+    low, high : int
+        The admissible gap in frames, both ends included; `UNBOUNDED` is no upper bound.
 
     Returns
     -------
-    (distance, stiffness): sqrt(low high) and sqrt(low / high); (inf, 0) without an upper bound, and (0, 1)
-    for the gap [0, 0], where the equation divides nothing by nothing and only the same frame is admitted.
+    (float, float)
+        Distance sqrt(low high) and stiffness sqrt(low / high); (inf, 0) without an upper bound; and (0, 1) for the gap
+        [0, 0], where the equation divides zero by zero and only the same frame is admitted.
     """
     _check_gap(low, high)
     if high >= UNBOUNDED:
@@ -67,15 +74,19 @@ def checked_gaps(gaps: Sequence[tuple[int, int]], keyframes: int) -> I64:
 
     Parameters
     ----------
-    gaps: admissible gaps (low, high) in frames, both included. keyframes: K.
+    gaps : sequence of (int, int)
+        Admissible gaps (low, high) in frames, both ends included.
+    keyframes : int
+        The number of keyframes K.
 
     Returns
     -------
-    int64 (K - 1, 2).
+    int64 array (K - 1, 2)
 
     Raises
     ------
-    ParameterError: a number of gaps other than K - 1, or a gap that is no range.
+    ParameterError
+        If the number of gaps is not K - 1, or a gap is not a range.
     """
     if len(gaps) != keyframes - 1:
         raise ParameterError("gaps", f"{keyframes - 1}, one fewer than keyframes", len(gaps))

@@ -1,4 +1,4 @@
-"""From the hits of a keyframe query to the frames in which a template is matched: margins, and where keyframes sit."""
+"""Preselection for templates: margins around the hits of a keyframe query, and the columns that its keyframes fit."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.segments import Segments, from_axis
 from kinedex.ops.words import I64
 
 _COST_UNIT = 2**40
@@ -21,10 +19,16 @@ _COST_UNIT = 2**40
 
 @dataclass(frozen=True)
 class KeyframeFit:
-    """Where the keyframes of a query fit a template best.
+    """The template columns that the keyframes of a query fit best.
 
-    positions: template columns, one for each keyframe. cost: mean share of mismatching fixed entries. admissible: False
-    where no placement keeps the query's gaps inside the template; the keyframes are then only in order.
+    Parameters
+    ----------
+    positions : tuple of int
+        Template columns, one for each keyframe.
+    cost : float
+        The mean share of fixed entries that mismatch.
+    admissible : bool
+        False where no placement keeps the gaps of the query inside the template; the keyframes are then only in order.
     """
 
     positions: tuple[int, ...]
@@ -32,44 +36,31 @@ class KeyframeFit:
     admissible: bool
 
 
-def ranges_of_takes(segments: Segments, takes: int) -> TakeRanges:
-    """Sort segments on the axis of positions by take.
+def template_margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
+    """Return the margins by which a template may reach beyond a hit of its keyframe query.
+
+    A query covers the motion from its first to its last keyframe (thesis, Section 5.3). The template's columns before
+    and after these take as many frames as the query's softest gap allows, but no more than a warping path can (two
+    frames a column).
 
     Parameters
     ----------
-    segments: ranges, for instance those that `search` returns.
-    takes: number of takes T.
-
-    Raises
-    ------
-    ParameterError: a segment of a take beyond the last.
-    """
-    index, starts, stops = from_axis(segments)
-    if len(index) and index[-1] >= takes:
-        raise ParameterError("takes", f"at least {int(index[-1]) + 1}, as the segments tell", takes)
-    offsets = np.searchsorted(index, np.arange(takes + 1)).astype(np.int64)
-    return TakeRanges(offsets, np.stack([starts, stops], axis=1))
-
-
-def margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
-    """Return how far a template may reach out of a hit of its keyframe query.
-
-    A query covers the motion from its first to its last keyframe; before and after it lie the template's columns, as
-    slow as the query's softest gap allows, but no slower than a warping path can be (two frames a column).
-
-    Parameters
-    ----------
-    first, last: template columns of the first and the last keyframe, from 0.
-    columns: number of columns N of the template.
-    stiffness: the query's smallest stiffness.
+    first, last : int
+        The template columns of the first and the last keyframe, from 0.
+    columns : int
+        The number of columns N of the template.
+    stiffness : float
+        The smallest stiffness of the query, 0 to 1.
 
     Returns
     -------
-    (left, right) in frames: ceil(first / s) + 2 and ceil((N - last) / s) + 2 with s = max(stiffness, 0.5).
+    (int, int)
+        Frames before and after a hit: ceil(first / s) + 2 and ceil((N - last) / s) + 2 with s = max(stiffness, 0.5).
 
     Raises
     ------
-    ParameterError: positions outside the template or out of order, or a stiffness out of its domain.
+    ParameterError
+        If the positions lie outside the template or out of order, or the stiffness is out of its domain.
     """
     if not 0 <= first <= last < columns:
         raise ParameterError("positions", f"in order and within 0 to {columns - 1}", (first, last))
@@ -87,22 +78,30 @@ def fit_keyframes(
 ) -> KeyframeFit:
     """Find the template columns at which the keyframes of a query fit best under its gaps.
 
+    The cost of a keyframe in a column is the mean of |template - value| over its fixed entries: the share of those that
+    mismatch, where a wildcard counts half.
+
     Parameters
     ----------
-    template: float64 (N, f), columns of values in [0, 1]; a quantised template has 0, 1 and one half for wildcards.
-    masks: bool (K, f), the entries that each keyframe fixes.
-    values: bool (K, f), what it fixes them to.
-    gaps: K - 1 admissible gaps (low, high), here between columns.
+    template : float64 array (N, f)
+        Columns of values in [0, 1]; a quantised template has 0, 1, and one half for wildcards.
+    masks : bool array (K, f)
+        The entries that each keyframe fixes.
+    values : bool array (K, f)
+        The values to which it fixes them.
+    gaps : sequence of (int, int)
+        K - 1 admissible gaps (low, high), here between columns.
 
     Returns
     -------
-    The cheapest columns p_1 <= ... <= p_K with admissible gaps. The cost of a keyframe in a column is the mean of
-    |template - value| over its fixed entries: the share of those that mismatch, a wildcard counting half. Of
-    equally cheap placements the leftmost, the first keyframe deciding first.
+    KeyframeFit
+        The cheapest columns p_1 <= ... <= p_K with admissible gaps. Of equally cheap placements the leftmost is taken,
+        by the first keyframe first.
 
     Raises
     ------
-    ParameterError: an empty template, or shapes that do not belong together.
+    ParameterError
+        If the template is empty, or the shapes do not match.
     """
     if template.ndim != 2 or not len(template):
         raise ParameterError("template", "of shape (columns, features), with at least one column", template.shape)
@@ -123,7 +122,7 @@ def fit_keyframes(
 
 
 def _cheapest(costs: I64, gaps: Sequence[tuple[int, int]]) -> list[int] | None:
-    """Exact dynamic programming, from the last keyframe back: the cheapest completion from each column."""
+    """Return the cheapest admissible columns by dynamic programming from the last keyframe back, or None."""
     count, columns = costs.shape
     never = np.iinfo(np.int64).max // 2
     best = costs[-1]

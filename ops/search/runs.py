@@ -1,4 +1,4 @@
-"""Runs: the maximal stretches of frames of one take with the same word, or with the same feature on."""
+"""Runs: maximal intervals of frames of one take with the same word, or in which the same feature is on."""
 
 from __future__ import annotations
 
@@ -8,19 +8,24 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from kinedex.ops.bits import count_bits
+from kinedex.ops.bits import lowest_bit
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import MOST_FEATURES, NO_WORD
+from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
 I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
-U64 = npt.NDArray[np.uint64]
 
 
 class WordRuns(NamedTuple):
-    """Runs of equal words, in order of take and start; frames count from the take's first, ranges are half-open.
+    """Runs of equal words, in order of take and start.
 
-    take: int64 (R,), the position of the take among the offsets. start, stop: int64 (R,). word: uint64 (R,).
+    Parameters
+    ----------
+    take : int64 array (R,)
+        The position of the take among the offsets.
+    start, stop : int64 array (R,)
+        Half-open ranges of frames of the take.
+    word : uint64 array (R,)
+        The word of each run.
     """
 
     take: I64
@@ -30,10 +35,16 @@ class WordRuns(NamedTuple):
 
 
 class FeatureRuns(NamedTuple):
-    """Runs of frames where a feature is on, in order of feature, take and start.
+    """Runs of frames in which a feature is on, in order of feature, take and start.
 
-    feature: uint8 (R,), the feature's number, from 1. take: int32 (R,), the position of the take among the offsets.
-    start, stop: int32 (R,).
+    Parameters
+    ----------
+    feature : uint8 array (R,)
+        The number of the feature, from 1.
+    take : int32 array (R,)
+        The position of the take among the offsets.
+    start, stop : int32 array (R,)
+        Half-open ranges of frames of the take.
     """
 
     feature: npt.NDArray[np.uint8]
@@ -43,21 +54,25 @@ class FeatureRuns(NamedTuple):
 
 
 def word_runs(words: U64, offsets: I64) -> WordRuns:
-    """Cut the words of many takes into runs: the inverted lists before they are sorted (thesis, 3.1).
+    """Cut the words of many takes into runs, the entries of inverted lists (thesis, Section 3.3).
 
     Parameters
     ----------
-    words: uint64 (N,), the words of T takes, one take after the other (cut down to one feature set by `ops.words.cut`).
-        `NO_WORD` stands for an invalid frame.
-    offsets: int64 (T + 1,), take i has the words offsets[i] to offsets[i + 1]. Takes may be empty.
+    words : uint64 array (N,)
+        The words of T takes, laid end to end, possibly cut down to one feature set by `ops.words.cut`. `NO_WORD` stands
+        for an invalid frame.
+    offsets : int64 array (T + 1,)
+        Take i has the words offsets[i] to offsets[i + 1]. Takes may be empty.
 
     Returns
     -------
-    The runs; they cover every valid frame once and never cross from one take to the next.
+    WordRuns
+        Runs that cover every valid frame once; none crosses from one take to the next.
 
     Raises
     ------
-    ParameterError: the offsets do not fit the words.
+    ParameterError
+        If the offsets do not fit the words.
     """
     words, offsets = _checked(words, offsets)
     count = _count_word_runs(words, offsets)
@@ -68,22 +83,27 @@ def word_runs(words: U64, offsets: I64) -> WordRuns:
 
 
 def feature_runs(words: U64, offsets: I64, features: int) -> FeatureRuns:
-    """Find, for every feature, the stretches of frames where it is on.
+    """Find the runs of frames in which each feature is on.
 
     Parameters
     ----------
-    words: uint64 (N,), whole words; bit i − 1 is F_i. Bits from `features` on are ignored. In an invalid frame
-        (`NO_WORD`) no feature is on.
-    offsets: int64 (T + 1,), as in `word_runs`; no take has 2^31 frames or more.
-    features: number of features, 1 to 63.
+    words : uint64 array (N,)
+        Whole words of T takes, laid end to end; bit i - 1 is F_i, and bits from `features` on are ignored. No feature
+        is on in an invalid frame (`NO_WORD`).
+    offsets : int64 array (T + 1,)
+        As in `word_runs`; no take has 2**31 frames or more.
+    features : int
+        The number of features, 1 to 63.
 
     Returns
     -------
-    The runs of all features; none crosses from one take to the next.
+    FeatureRuns
+        The runs of all features; none crosses from one take to the next.
 
     Raises
     ------
-    ParameterError: the offsets do not fit the words, or the number of features is out of range.
+    ParameterError
+        If the offsets do not fit the words, or the number of features is out of range.
     """
     words, offsets = _checked(words, offsets)
     if not 1 <= features <= MOST_FEATURES:
@@ -140,12 +160,6 @@ def _fill_word_runs(words: U64, offsets: I64, take: I64, start: I64, stop: I64, 
 
 
 @njit(cache=True, nogil=True)
-def _lowest(bits: np.uint64) -> np.int64:
-    """The place of the lowest bit that is set: how many lie below it; there is one."""
-    return count_bits((bits - np.uint64(1)) & ~bits)
-
-
-@njit(cache=True, nogil=True)
 def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) -> None:
     for take in range(len(offsets) - 1):
         before = np.uint64(0)
@@ -153,7 +167,7 @@ def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) 
             now = words[i] & mask if words[i] != NO_WORD else np.uint64(0)
             rising = now & ~before
             while rising:
-                counts[_lowest(rising)] += 1
+                counts[lowest_bit(rising)] += 1
                 rising &= rising - np.uint64(1)
             before = now
 
@@ -162,7 +176,7 @@ def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) 
 def _fill_feature_runs(
     words: U64, offsets: I64, mask: np.uint64, cursor: I64, take: I32, start: I32, stop: I32
 ) -> None:
-    # every feature writes into a stretch of its own, so the runs come out sorted by feature
+    # every feature writes to a part of its own, so the runs come out sorted by feature
     for t in range(len(offsets) - 1):
         first = offsets[t]
         before = np.uint64(0)
@@ -171,7 +185,7 @@ def _fill_feature_runs(
             now = words[i] & mask if i < offsets[t + 1] and words[i] != NO_WORD else np.uint64(0)
             changed = now ^ before
             while changed:
-                feature = _lowest(changed)
+                feature = lowest_bit(changed)
                 run = cursor[feature]
                 if (now >> np.uint64(feature)) & np.uint64(1):
                     take[run] = t

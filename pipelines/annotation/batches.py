@@ -21,8 +21,7 @@ from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, Row
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.search.preselection import ranges_around
-from kinedex.pipelines.search.search import preselect, preselect_stored
+from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store, open_store
 
 F32 = npt.NDArray[np.float32]

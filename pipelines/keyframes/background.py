@@ -24,8 +24,8 @@ def mine(lesson: Lesson, outcome: Outcome, words: TakeWords, features: int, most
     """
     found = set()
     for chosen in outcome.chosen:
-        takes, starts, stops = hit_ranges(words, chosen.query, features)
-        for take, start, stop in zip(takes.tolist(), starts.tolist(), stops.tolist(), strict=True):
+        takes, ranges = hit_ranges(words, chosen.query, features)
+        for take, (start, stop) in zip(takes.tolist(), ranges.tolist(), strict=True):
             end = min(stop + chosen.right, int(words.frames[take]))
             found.add((take, max(0, start - chosen.left), end))
     longest = sorted(found, key=lambda span: (span[1] - span[2], span))[:most]

@@ -13,7 +13,7 @@ from kinedex.ops.keyframes.fitness import Bool
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.ops.search.preselection import margins as formula_margins
+from kinedex.ops.search.preselection import template_margins
 from kinedex.ops.search.segments import from_axis
 from kinedex.ops.words import I64, U64, TakeWords
 
@@ -23,8 +23,8 @@ ALONE = 3
 """A query that shares its margins keeps one part in so many of those that it would have alone."""
 
 
-def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64, I64, I64]:
-    """Search takes: the index of the take, start and stop of each range that holds hits, int64 (n,)."""
+def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64, I64]:
+    """Search takes, and return the index of the take, int64 (n,), and the frames, int64 (n, 2), of each hit range."""
     slices = slice_words(words.words, words.offsets, features)
     return from_axis(search_slices(slices, query.masks.tolist(), query.values.tolist(), query.gaps))
 
@@ -52,7 +52,7 @@ def margins_of(
     Parameters
     ----------
     queries: of one class. clips: its training clips. features: number of features. columns: of its template.
-    policy: "formula": from the template's columns and the softest gap (`ops.search.preselection.margins`).
+    policy: "formula": from the template's columns and the softest gap (`ops.search.preselection.template_margins`).
         "learned": as far as clips reach out of their hits, so that each that is hit is covered whole; the formula may
         be shorter, but then it cuts a clip. "shared": the same of all queries together; what one of them covers, the
         others need not, but for a third of their margins. "wider": the larger of "learned" and "formula", on each side.
@@ -73,16 +73,16 @@ def margins_of(
 
 def _by_formula(query: Individual, columns: int) -> tuple[int, int]:
     stiffness = min((Gap(low, high).nominal_stiffness for low, high in query.gaps), default=0.0)
-    return formula_margins(int(query.positions[0]), int(query.positions[-1]), columns, stiffness)
+    return template_margins(int(query.positions[0]), int(query.positions[-1]), columns, stiffness)
 
 
 class Reach:
     """The hits of one query in clips that follow each other on one axis of frames."""
 
     def __init__(self, takes: TakeWords, query: Individual, features: int) -> None:
-        clips, starts, stops = hit_ranges(takes, query, features)
+        clips, ranges = hit_ranges(takes, query, features)
         self.begins, self.ends = takes.offsets[clips], takes.offsets[clips + 1]
-        self.starts, self.stops = self.begins + starts, self.begins + stops
+        self.starts, self.stops = self.begins + ranges[:, 0], self.begins + ranges[:, 1]
         self.frames = len(takes.words)
 
     def farthest(self) -> tuple[int, int]:

@@ -22,8 +22,7 @@ from kinedex.ops.ranking.ranking import Hits, rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.engine.executors import cores
-from kinedex.pipelines.search.preselection import template_ranges
-from kinedex.pipelines.search.search import preselect_stored
+from kinedex.pipelines.search.preselection import preselect_stored, template_ranges
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 

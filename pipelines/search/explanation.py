@@ -1,25 +1,27 @@
-"""How a keyframe query is answered: the lists of its keyframes, the frames that are kept, and what took how long.
+"""Explanations of keyframe searches: the list of each keyframe, the frames that remain, and the time of every step.
 
-The search that answers looks at bit slices of the index and makes no list (`pipelines.search.resident_slices`). What
-the
-lists say of each keyframe is found beside it; both find the same.
+A search reads bit slices of the index and makes no lists (`pipelines.search.bit_slices`). The explanation makes them
+besides, with the algorithm of the thesis (`ops.search.keyframe_search`); both find the same ranges.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import SAME_FRAME, Keyframe, KeyframeQuery, pattern_of, words_of
+from kinedex.catalog.queries.queries import SAME_FRAME, KeyframeQuery, pattern_of, words_of
 from kinedex.ops.ranges import TakeRanges
+from kinedex.ops.search.inverted_lists import InvertedLists
+from kinedex.ops.search.keyframe_search import completable_frames, keyframe_list, search_lists
+from kinedex.ops.words import I64
 from kinedex.pipelines.engine.executors import cores
-from kinedex.pipelines.search.inverted_lists import RunLists, lists_of_store
-from kinedex.pipelines.search.resident_slices import resident_store
+from kinedex.pipelines.search.bit_slices import sliced_store
+from kinedex.pipelines.search.inverted_lists import read_lists
 from kinedex.pipelines.search.search import SearchedTakes
 from kinedex.storage.store.store import Store
 
@@ -36,11 +38,24 @@ _EXPLANATION = pa.schema(
 
 @dataclass(frozen=True)
 class KeyframeReport:
-    """What one keyframe of a query found: words and runs that match, the segments they merge into, and frames.
+    """The inverted keyframe list of one keyframe of a query, in numbers.
 
-    chain, number: the alternative and its keyframe as written, from 1. part: "a", "b", ... of a keyframe whose features
-    lie in several sets, which has a report for each of them; else "". surviving: those of the frames from which the
-    rest of the query can be completed. milliseconds: what making the list took; 0 where it stood already.
+    Parameters
+    ----------
+    chain, number : int
+        The alternative of the query, and the keyframe in it as written, both from 1.
+    part : str
+        "a", "b", ... of a keyframe whose features lie in several sets, which has a report for each of them; else "".
+    name, set, features, pattern : str
+        The keyframe: its name, its feature set, the names of its features, and its pattern as the papers write it.
+    words, runs : int
+        The words that match, and their runs.
+    segments, frames : int
+        The segments into which the runs merge, and the frames of these.
+    surviving : int
+        The frames from which the rest of the query can be completed.
+    milliseconds : float
+        The time to make the list.
     """
 
     chain: int
@@ -60,12 +75,20 @@ class KeyframeReport:
 
 @dataclass(frozen=True)
 class Times:
-    """What parts of a search took, in milliseconds.
+    """The times of the parts of a search, in milliseconds.
 
-    filter: choosing the takes by the filter given with the search. own_filter: by that of the query. open: mapping the
-    index; next to nothing once a store has been searched. search: the search that answers, in the mapped slices; the
-    first of a process loads its compiled code as well. read: reading the lists of all queries, for the explanation
-    alone.
+    Parameters
+    ----------
+    filter : float
+        Choosing the takes by the filter given with the search.
+    own_filter : float
+        Choosing the takes by the filter of the query.
+    open : float
+        Mapping the index; close to zero once a store has been searched.
+    search : float
+        The search in the mapped slices; the first one of a process loads its compiled code as well.
+    read : float
+        Reading the lists of all queries, for the explanation alone.
     """
 
     filter: float = 0.0
@@ -77,10 +100,22 @@ class Times:
 
 @dataclass(frozen=True)
 class QueryReport:
-    """How a query was answered: its keyframes, its ranges, and the frames they keep of those searched.
+    """The explanation of one query. All numbers count the takes that the filters of search and query leave.
 
-    Searched are the takes that the filter of the search and the query's own leave; all numbers are of these.
-    milliseconds: what the search over the lists took, which only the explanation does. times: what else took how long.
+    Parameters
+    ----------
+    query : str
+        The name of the query.
+    keyframes : tuple of KeyframeReport
+        The keyframes of all alternatives.
+    ranges, takes, frames_kept : int
+        The ranges that were found, the takes that have any, and the frames in them.
+    frames_searched : int
+        The frames of all takes that were searched.
+    milliseconds : float
+        The time of the search over the lists, which the explanation alone does.
+    times : Times
+        The times of the other parts.
     """
 
     query: str
@@ -94,8 +129,8 @@ class QueryReport:
 
 
 @dataclass(frozen=True)
-class _Answered:
-    """A query, the takes that were searched for it, and what the search found in them."""
+class _Answer:
+    """A query, the takes that were searched for it, and the ranges found in them."""
 
     query: KeyframeQuery
     takes: SearchedTakes
@@ -104,44 +139,66 @@ class _Answered:
 
 
 def explain_store(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> list[QueryReport]:
-    """Search like `pipelines.search.search.search_store`, each query by itself, and tell what its keyframes found
-    and what was kept, in the takes that its own filter leaves."""
-    began = time.perf_counter()
-    takes = SearchedTakes.of_store(store, take_filter)
-    filtering = _since(began)
-    began = time.perf_counter()
-    resident = resident_store(store)
-    times = Times(filter=filtering, open=_since(began))
-    answered: list[_Answered] = []
-    for query in queries:
-        began = time.perf_counter()
-        own = takes.of_query(store, query)
-        choosing = _since(began)
-        began = time.perf_counter()
-        (ranges,) = resident.of(own.ids).search([query], cores())
-        answered.append(_Answered(query, own, ranges, replace(times, own_filter=choosing, search=_since(began))))
-    began = time.perf_counter()
-    lists: dict[str | None, RunLists] = {}
-    for one in answered:
-        if one.query.takes not in lists:
-            alike = [query for query in queries if query.takes == one.query.takes]
-            lists[one.query.takes] = lists_of_store(store, alike, one.takes.ids)
-    read = _since(began)
-    return [_explain(lists[one.query.takes], one, store.feature_set, read) for one in answered]
+    """Search like `pipelines.search.search.search_store`, each query by itself, and explain how it was answered.
 
-
-def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> pa.Table:
-    """Lay out what `explain_store` tells: what went before the search, then each query's keyframes, search, and hits.
+    Parameters
+    ----------
+    store : Store
+        A store whose index is built.
+    queries : sequence of KeyframeQuery
+        Queries over the feature set of the store.
+    take_filter : str, optional
+        A SQL filter over the columns of takes.
 
     Returns
     -------
-    Columns query, step, name, set, features (by name), pattern, words, runs, segments, frames, share (of the frames
-    searched), surviving and milliseconds; what does not apply is null. The steps are, first for all queries, "takes",
-    their filter; "open", mapping the index; "lists", reading the lists of the keyframes. Then for each query "takes",
-    where it has a filter of its own; "1", "2", ..., its keyframes as written ("2a" and "2b" where the features of one
-    lie in two sets, "2.1" for the first keyframe of a second alternative); "search", the search that answers; "hits",
-    what it found. What "lists" and keyframes took goes into the explanation alone: a search without one does "takes",
-    "open" and "search".
+    list of QueryReport
+        One for each query.
+    """
+    began = time.perf_counter()
+    takes = SearchedTakes.of_store(store, take_filter)
+    filtering = _milliseconds_since(began)
+    began = time.perf_counter()
+    sliced = sliced_store(store)
+    times = Times(filter=filtering, open=_milliseconds_since(began))
+    answers: list[_Answer] = []
+    for query in queries:
+        began = time.perf_counter()
+        own = takes.of_query(store, query)
+        own_filter = _milliseconds_since(began)
+        began = time.perf_counter()
+        (ranges,) = sliced.select(own.ids).search([query], cores())
+        spent = _milliseconds_since(began)
+        answers.append(_Answer(query, own, ranges, replace(times, own_filter=own_filter, search=spent)))
+    began = time.perf_counter()
+    lists: dict[str | None, dict[str, InvertedLists]] = {}
+    for answer in answers:
+        if answer.query.takes not in lists:
+            alike = [query for query in queries if query.takes == answer.query.takes]
+            lists[answer.query.takes] = read_lists(store, alike, answer.takes.ids)
+    read = _milliseconds_since(began)
+    return [_report(lists[answer.query.takes], answer, store.feature_set, read) for answer in answers]
+
+
+def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> pa.Table:
+    """Lay out the explanation of a search as a table: the steps before it, then the steps of each query.
+
+    The first steps are those of all queries: "takes", their filter; "open", mapping the index; "lists", reading the
+    lists of the keyframes. Then come, for each query, "takes", where it has a filter of its own; "1", "2", ..., its
+    keyframes as written ("2a" and "2b" where the features of one lie in two sets, "2.1" for the first keyframe of a
+    second alternative); "search", the search of the slices; "hits", the ranges found. The times of "lists" and of
+    keyframes belong to the explanation alone: a search without one does "takes", "open" and "search".
+
+    Parameters
+    ----------
+    store, queries, take_filter
+        As in `explain_store`.
+
+    Returns
+    -------
+    pyarrow.Table
+        Columns query, step, name, set, features (by name), pattern, words, runs, segments, frames, share (of the frames
+        searched), surviving and milliseconds; what does not apply is null.
     """
     reports = explain_store(store, queries, take_filter)
     rows: list[dict[str, object]] = []
@@ -150,54 +207,98 @@ def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: 
         for step, spent in (("takes", times.filter), ("open", times.open), ("lists", times.read)):
             rows.append({"step": step, "milliseconds": spent})
     for report, query in zip(reports, queries, strict=True):
-        searched = max(report.frames_searched, 1)
-        several = report.keyframes[-1].chain > 1
-        if query.takes is not None:
-            rows.append({"query": report.query, "step": "takes", "milliseconds": report.times.own_filter})
-        for keyframe in report.keyframes:
-            step = f"{keyframe.chain}." * several + f"{keyframe.number}{keyframe.part}"
-            told = {name: value for name, value in asdict(keyframe).items() if name in _EXPLANATION.names}
-            rows.append({**told, "query": report.query, "step": step, "name": keyframe.name or None})
-            rows[-1]["share"] = keyframe.frames / searched
-        rows.append({"query": report.query, "step": "search", "milliseconds": report.times.search})
-        hits = {"query": report.query, "step": "hits", "segments": report.ranges, "frames": report.frames_kept}
-        rows.append({**hits, "share": report.frames_kept / searched})
+        rows += _query_rows(report, query)
     return pa.Table.from_pylist(rows, schema=_EXPLANATION)
 
 
-def _explain(lists: RunLists, answered: _Answered, feature_set: FeatureSet, read: float) -> QueryReport:
-    """Tell how a query found its ranges, from lists of the same takes."""
-    query, ranges = answered.query, answered.ranges
-    steps: list[KeyframeReport] = []
+def _query_rows(report: QueryReport, query: KeyframeQuery) -> list[dict[str, object]]:
+    """Return the rows of one query in the table of an explanation."""
+    rows: list[dict[str, object]] = []
+    searched = max(report.frames_searched, 1)
+    several = report.keyframes[-1].chain > 1
+    if query.takes is not None:
+        rows.append({"query": report.query, "step": "takes", "milliseconds": report.times.own_filter})
+    for keyframe in report.keyframes:
+        step = f"{keyframe.chain}." * several + f"{keyframe.number}{keyframe.part}"
+        row = {name: value for name, value in asdict(keyframe).items() if name in _EXPLANATION.names}
+        named = {"query": report.query, "step": step, "name": keyframe.name or None}
+        rows.append({**row, **named, "share": keyframe.frames / searched})
+    rows.append({"query": report.query, "step": "search", "milliseconds": report.times.search})
+    hits = {"query": report.query, "step": "hits", "segments": report.ranges, "frames": report.frames_kept}
+    rows.append({**hits, "share": report.frames_kept / searched})
+    return rows
+
+
+def _report(lists: Mapping[str, InvertedLists], answer: _Answer, feature_set: FeatureSet, read: float) -> QueryReport:
+    """Explain how a query found its ranges, from lists of the same takes."""
+    query, ranges = answer.query, answer.ranges
+    reports: list[KeyframeReport] = []
+    spent = 0.0
     for number, chain in enumerate(query.chains, start=1):
-        made = [_list_time(lists, keyframe) for keyframe in chain.keyframes]
-        kept = lists.survivors(chain)
-        for place, (keyframe, at) in enumerate(zip(chain.keyframes, _numbers(chain), strict=True)):
-            steps.append(_report(lists, keyframe, feature_set, (number, *at), kept[place].frames, made[place]))
-    began = time.perf_counter()
-    lists.search(query)
-    spent = _since(began)
+        made = [_timed_list(lists[keyframe.set], keyframe.mask, keyframe.value) for keyframe in chain.keyframes]
+        segments = [one for one, _ in made]
+        reports += _keyframe_reports(lists, chain, number, made, feature_set)
+        began = time.perf_counter()
+        search_lists(segments, chain.bounds)
+        spent += _milliseconds_since(began)
     return QueryReport(
         query=query.name,
-        keyframes=tuple(steps),
+        keyframes=tuple(reports),
         ranges=len(ranges.ranges),
         takes=int(np.count_nonzero(np.diff(ranges.offsets))),
         frames_kept=ranges.frames,
-        frames_searched=int(answered.takes.frames.sum()),
+        frames_searched=int(answer.takes.frames.sum()),
         milliseconds=spent,
-        times=replace(answered.times, read=read),
+        times=replace(answer.times, read=read),
     )
 
 
-def _list_time(lists: RunLists, keyframe: Keyframe) -> float:
+def _timed_list(lists: InvertedLists, mask: int, value: int) -> tuple[I64, float]:
+    """Return the list of a keyframe, and the milliseconds that making it took."""
     began = time.perf_counter()
-    lists.keyframe(keyframe)
-    return _since(began)
+    segments = keyframe_list(lists, mask, value)
+    return segments, _milliseconds_since(began)
+
+
+def _keyframe_reports(
+    lists: Mapping[str, InvertedLists],
+    chain: KeyframeQuery,
+    number: int,
+    made: Sequence[tuple[I64, float]],
+    feature_set: FeatureSet,
+) -> list[KeyframeReport]:
+    """Return the reports of the keyframes of one alternative, from their lists and the times of making them."""
+    kept = completable_frames([segments for segments, _ in made], chain.bounds)
+    reports = []
+    for keyframe, at, (segments, spent), surviving in zip(chain.keyframes, _numbers(chain), made, kept, strict=True):
+        inverted = lists[keyframe.set]
+        words = inverted.matching(keyframe.mask, keyframe.value)
+        report = KeyframeReport(
+            chain=number,
+            number=at[0],
+            part=at[1],
+            name=keyframe.name,
+            set=keyframe.set,
+            features=words_of(keyframe, feature_set),
+            pattern=pattern_of(keyframe, feature_set),
+            words=len(words),
+            runs=int(inverted.runs[words].sum()),
+            segments=len(segments),
+            frames=_frames(segments),
+            surviving=_frames(surviving),
+            milliseconds=spent,
+        )
+        reports.append(report)
+    return reports
+
+
+def _frames(segments: I64) -> int:
+    return int((segments[:, 1] - segments[:, 0]).sum())
 
 
 def _numbers(chain: KeyframeQuery) -> list[tuple[int, str]]:
-    """The number of each keyframe as written, and which part of it this is: "" where it has only one."""
-    # the very same object stands between parts of one keyframe; an equal gap that somebody wrote is another
+    """Return the number of each keyframe as written, and the letter of the part, which is "" where it has only one."""
+    # the very same object stands between parts of one keyframe; an equal gap that somebody wrote is another object
     numbers = np.cumsum([1, *(gap is not SAME_FRAME for gap in chain.gaps)]).tolist()
     parts = [number if numbers.count(number) > 1 else 0 for number in numbers]
     return [
@@ -206,32 +307,5 @@ def _numbers(chain: KeyframeQuery) -> list[tuple[int, str]]:
     ]
 
 
-def _report(
-    lists: RunLists,
-    keyframe: Keyframe,
-    feature_set: FeatureSet,
-    at: tuple[int, int, str],
-    surviving: int,
-    milliseconds: float,
-) -> KeyframeReport:
-    postings = lists.postings[keyframe.set]
-    merged = lists.keyframe(keyframe)
-    return KeyframeReport(
-        chain=at[0],
-        number=at[1],
-        part=at[2],
-        name=keyframe.name,
-        set=keyframe.set,
-        features=words_of(keyframe, feature_set),
-        pattern=pattern_of(keyframe, feature_set),
-        words=len(postings.matching(keyframe.mask, keyframe.value)),
-        runs=postings.runs(keyframe.mask, keyframe.value),
-        segments=len(merged),
-        frames=merged.frames,
-        surviving=surviving,
-        milliseconds=milliseconds,
-    )
-
-
-def _since(began: float) -> float:
+def _milliseconds_since(began: float) -> float:
     return (time.perf_counter() - began) * 1e3

@@ -1,4 +1,4 @@
-"""From the hits of keyframe queries to the frames in which a template is matched: margins, and where keyframes sit."""
+"""Preselection: the ranges that keyframe queries leave of takes, and the frames in which a template is then matched."""
 
 from __future__ import annotations
 
@@ -12,13 +12,83 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.queries import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges, extend_and_unite
-from kinedex.ops.search.preselection import KeyframeFit, fit_keyframes, margins
-from kinedex.ops.words import I64
+from kinedex.ops.search.preselection import KeyframeFit, fit_keyframes, template_margins
+from kinedex.ops.words import I64, TakeWords
+from kinedex.pipelines.search.bit_slices import sliced_index, sliced_words
+from kinedex.storage.store.store import Store
+
+
+def preselect(
+    words: TakeWords, feature_set: FeatureSet, queries: Sequence[KeyframeQuery]
+) -> dict[KeyframeQuery, TakeRanges]:
+    """Search words in memory for keyframe queries (thesis, Section 5.3).
+
+    Parameters
+    ----------
+    words : TakeWords
+        The words of T takes.
+    feature_set : FeatureSet
+        The features of the words.
+    queries : sequence of KeyframeQuery
+        Queries, some of which may have the same name: a learned one and a manual one, for instance.
+
+    Returns
+    -------
+    dict of KeyframeQuery to TakeRanges
+        The ranges of each query, from first to last keyframe, without margins.
+
+    Raises
+    ------
+    KinedexError
+        If a query has a filter over takes, which cannot be evaluated on words in memory.
+    """
+    _refuse_filters(queries)
+    return dict(zip(queries, sliced_words(words, feature_set).search(queries), strict=True)) if queries else {}
+
+
+def preselect_stored(
+    store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]
+) -> dict[KeyframeQuery, TakeRanges]:
+    """Search takes of a store like `preselect`, in the slices of its index where it has one, else in the words.
+
+    Parameters
+    ----------
+    store : Store
+        The store; all workers share the slices of its index.
+    words : TakeWords
+        The words of the takes to search, from `Store.words`.
+    queries : sequence of KeyframeQuery
+        Queries without filters over takes.
+    """
+    sliced = sliced_index(store) if queries else None
+    if sliced is None:
+        return preselect(words, store.feature_set, queries)
+    _refuse_filters(queries)
+    return dict(zip(queries, sliced.select(words.take_ids).search(queries), strict=True))
+
+
+def _refuse_filters(queries: Sequence[KeyframeQuery]) -> None:
+    for query in queries:
+        if query.takes is not None:
+            raise KinedexError(
+                f"query '{query.name}' has a filter over takes (`takes: {query.takes}`), which preselection does not "
+                "support; choose the takes by the filter of the stage, and remove it from the query"
+            )
 
 
 @dataclass(frozen=True)
 class TemplateWindow:
-    """How far a template reaches out of the hits of a query, in frames; `fit` is None where the query has positions."""
+    """The margins by which a template reaches beyond the hits of a query.
+
+    Parameters
+    ----------
+    left, right : int
+        Frames before and after a hit.
+    positions : tuple of int
+        The template columns of the keyframes.
+    fit : KeyframeFit or None
+        How the positions were found; None where the query has positions of its own.
+    """
 
     left: int
     right: int
@@ -27,20 +97,24 @@ class TemplateWindow:
 
 
 def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet) -> TemplateWindow:
-    """Find how far a template reaches out of the hits of a query.
+    """Find the margins by which a template reaches beyond the hits of a query.
 
     Parameters
     ----------
-    query: a query with positions; one without gets those at which its keyframes fit the template best. Where it says
-        its margins itself, they count, and its positions may be those of another template, as when somebody's clips
-        are left out.
-    template: float64 (N, f), the template's columns; entry i − 1 of a column belongs to F_i. A quantised template has
-        0 and 1, and one half for wildcards.
-    feature_set: the features of the query's sets.
+    query : KeyframeQuery
+        A query; without positions it gets those at which its keyframes fit the template best. Margins that the query
+        has of its own are taken as they are, and its positions may then be those of another template, for instance of
+        one learned without some clips.
+    template : float64 array (N, f)
+        The template's columns; entry i - 1 of a column belongs to F_i. A quantised template has 0 and 1, and one half
+        for wildcards.
+    feature_set : FeatureSet
+        The features of the query's sets.
 
     Raises
     ------
-    KinedexError: the positions of a query without margins lie outside the template, or it asks for features the
+    KinedexError
+        If the positions of a query without margins lie outside the template, or the query asks for features that the
         template does not have.
     """
     columns, features = template.shape
@@ -63,7 +137,7 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
             f"query '{query.name}' puts a keyframe in template column {positions[-1]}, but the template has {columns}"
             " columns, counted from 0; leave `positions` out to have them found"
         )
-    left, right = query.margins or margins(positions[0], positions[-1], columns, query.least_stiffness)
+    left, right = query.margins or template_margins(positions[0], positions[-1], columns, query.least_stiffness)
     return TemplateWindow(left, right, positions, fit)
 
 
@@ -80,30 +154,37 @@ def template_ranges(
 
     Parameters
     ----------
-    hits: what `preselect` returns. queries: those of them that are for this template, at least one.
-    template: float64 (N, f), see `template_window`.
-    feature_set: the features of the queries' sets.
-    offsets: int64 (T + 1,), where the takes lie among words laid end to end (`TakeWords.offsets`).
+    hits : mapping of KeyframeQuery to TakeRanges
+        The ranges from `preselect`.
+    queries : sequence of KeyframeQuery
+        The queries for this template, at least one.
+    template : float64 array (N, f)
+        See `template_window`.
+    feature_set : FeatureSet
+        The features of the queries' sets.
+    offsets : int64 array (T + 1,)
+        The first frame of each take among words laid end to end, and the end (`TakeWords.offsets`).
 
     Returns
     -------
-    int64 (R, 2), ranges of the words laid end to end.
+    int64 array (R, 2)
+        Ranges of the words laid end to end.
     """
-    reach = []
+    widest = []
     for query in queries:
         windows = [template_window(chain, template, feature_set) for chain in query.chains]
-        reach.append((max(window.left for window in windows), max(window.right for window in windows)))
-    return ranges_around([hits[query] for query in queries], reach, offsets)
+        widest.append((max(window.left for window in windows), max(window.right for window in windows)))
+    return ranges_around([hits[query] for query in queries], widest, offsets)
 
 
-def ranges_around(hits: Sequence[TakeRanges], reach: Sequence[tuple[int, int]], offsets: I64) -> I64:
+def ranges_around(hits: Sequence[TakeRanges], margins: Sequence[tuple[int, int]], offsets: I64) -> I64:
     """Return the hits of several queries extended by margins and united, in frames of words laid end to end.
 
     Parameters
     ----------
     hits : sequence of TakeRanges
         The hits of each query, one query or more.
-    reach : sequence of (int, int)
+    margins : sequence of (int, int)
         The margins of each query, in frames before and after a hit.
     offsets : int64 array (T + 1,)
         The first frame of each take among the words laid end to end, and the end.
@@ -114,6 +195,6 @@ def ranges_around(hits: Sequence[TakeRanges], reach: Sequence[tuple[int, int]], 
     """
     extended = [
         extend_and_unite(found.end_to_end(offsets), offsets, left, right)
-        for found, (left, right) in zip(hits, reach, strict=True)
+        for found, (left, right) in zip(hits, margins, strict=True)
     ]
     return extended[0] if len(extended) == 1 else extend_and_unite(np.concatenate(extended), offsets)

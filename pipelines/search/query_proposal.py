@@ -10,7 +10,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.queries.query_writer import scalar
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.search.proposals import Pose, SetCounts, propose_poses
+from kinedex.ops.search.query_proposal import Pose, SetCounts, propose_poses
 from kinedex.ops.words import I64, TakeWords
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.search.search import search_store

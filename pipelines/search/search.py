@@ -1,4 +1,4 @@
-"""Keyframe search over a store or over words in memory, and the table of its hits."""
+"""Keyframe search over the index of a store, and the table of its hits."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from kinedex.catalog.queries.queries import KeyframeQuery, choose_queries
 from kinedex.catalog.queries.query_files import ANALYSIS_RATE_HZ, part_names, read_queries
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.ranges import TakeRanges
-from kinedex.ops.words import I64, TakeWords
+from kinedex.ops.words import I64
 from kinedex.pipelines.engine.executors import cores
-from kinedex.pipelines.search.resident_slices import indexed_words, resident_store, resident_words
+from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
@@ -26,7 +26,17 @@ from kinedex.storage.store.writer import StoreWriter
 
 @dataclass(frozen=True)
 class SearchedTakes:
-    """The takes that are searched, by take_id: ids, names, and frames, each (T,)."""
+    """The T takes that are searched.
+
+    Parameters
+    ----------
+    ids : int64 array (T,)
+        Their take ids, ascending.
+    names : list of str
+        Their names.
+    frames : int64 array (T,)
+        Their lengths.
+    """
 
     ids: I64
     names: list[str]
@@ -34,7 +44,7 @@ class SearchedTakes:
 
     @classmethod
     def of_store(cls, store: Store, take_filter: str | None) -> SearchedTakes:
-        """The takes of a store for which a SQL filter holds; all of them for None."""
+        """Return the takes of a store for which a SQL filter holds, or all of them for None."""
         takes = _filtered(store, take_filter).sort_by("take_id")
         return cls(
             takes.column("take_id").to_numpy().astype(np.int64),
@@ -43,7 +53,7 @@ class SearchedTakes:
         )
 
     def chosen(self, store: Store, query: KeyframeQuery) -> npt.NDArray[np.bool_]:
-        """bool (T,), the takes that the query's own filter leaves."""
+        """Return which takes the filter of a query leaves, bool (T,)."""
         if query.takes is None:
             return np.ones(len(self.ids), bool)
         try:
@@ -53,7 +63,7 @@ class SearchedTakes:
             raise KinedexError(f"{at}query '{query.name}': {fault}") from None
 
     def of_query(self, store: Store, query: KeyframeQuery) -> SearchedTakes:
-        """Of these takes those that the query's own filter leaves."""
+        """Return those of the takes that the filter of a query leaves."""
         if query.takes is None:
             return self
         kept = self.chosen(store, query)
@@ -64,7 +74,7 @@ _NO_COLUMN = re.compile(r'column "?([^"\n]+?)"? not found')
 
 
 def _filtered(store: Store, take_filter: str | None) -> pa.Table:
-    """The takes for which a filter holds; the error for a column that they do not have names the nearest."""
+    """Return the takes for which a filter holds; the error for an unknown column names the nearest one."""
     try:
         return store.takes_table(take_filter)
     except KinedexError as fault:
@@ -82,11 +92,25 @@ def load_query_file(
     names: Sequence[str] | None = None,
     rate_hz: float = ANALYSIS_RATE_HZ,
 ) -> tuple[KeyframeQuery, ...]:
-    """Read a query file, and of it only the queries named, in that order; all of them where none is.
+    """Read a query file, and choose queries of it.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A file, or the name of a shipped one.
+    feature_set : FeatureSet
+        The features of the queries.
+    names : sequence of str, optional
+        The queries to return, in this order; all of them unless given.
+    rate_hz : float
+        The analysis rate, by which seconds become frames.
 
     Raises
     ------
-    ConfigError: the file is wrong; with line and key. KinedexError: it has no query of a name asked for, or a part.
+    ConfigError
+        If the file is wrong; with line and key.
+    KinedexError
+        If the file has no query of a name asked for, or only a part.
     """
     queries = read_queries(name_or_path, feature_set, rate_hz)
     for name in names or ():
@@ -105,37 +129,45 @@ def search_store(
     run: str = "",
     threads: int | None = None,
 ) -> pa.Table:
-    """Search the published index of a store, reading no more of it than the queries ask for.
+    """Search the index of a store, reading no more of it than the queries ask for.
 
     Parameters
     ----------
-    store: a store whose index is built.
-    queries: keyframe queries over the store's feature set.
-    take_filter: a SQL filter over the columns of takes; None searches all. A query's own filter holds besides.
-    run: what the column `run` says.
-    threads: how many may search; None takes one for every core. The hits do not depend on it.
+    store : Store
+        A store whose index is built.
+    queries : sequence of KeyframeQuery
+        Queries over the feature set of the store.
+    take_filter : str, optional
+        A SQL filter over the columns of takes; all takes are searched unless given. The filters of queries hold
+        besides.
+    run : str
+        The content of the column `run`.
+    threads : int, optional
+        The number of threads, one for each core unless given. The hits do not depend on it.
 
     Returns
     -------
-    The hits, one row per range, as `storage.snapshot.schemas.result_schema("hits")` has them: in the order of the
-    queries, then
-    by take name and start.
+    pyarrow.Table
+        The hits, a row for each range, with the schema `result_schema("hits")` of `storage.snapshot.schemas`: in the
+        order of the queries, then by take name and start.
 
     Raises
     ------
-    KinedexError: a query over features that the store does not have, or a filter that is not valid.
-    StoreError: the index is missing or stale; the message says how to build it.
+    KinedexError
+        If a query uses features that the store does not have, or a filter is not valid.
+    StoreError
+        If the index is missing or stale; the message gives the command that builds it.
     """
     takes = SearchedTakes.of_store(store, take_filter)
-    found = resident_store(store).of(takes.ids).search(queries, cores() if threads is None else threads)
+    found = sliced_store(store).select(takes.ids).search(queries, cores() if threads is None else threads)
     hits = {
-        query.name: of_these_takes(ranges, query, store, takes) for query, ranges in zip(queries, found, strict=True)
+        query.name: ranges_of_takes(ranges, query, store, takes) for query, ranges in zip(queries, found, strict=True)
     }
     return hits_table(hits, takes.ids, takes.names, store.rate_hz, run)
 
 
-def of_these_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes: SearchedTakes) -> TakeRanges:
-    """Of ranges those of the takes that a query's own filter leaves."""
+def ranges_of_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes: SearchedTakes) -> TakeRanges:
+    """Return the ranges in those takes that the filter of a query leaves."""
     if query.takes is None:
         return ranges
     counts = np.diff(ranges.offsets)
@@ -146,15 +178,28 @@ def of_these_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes
 
 
 def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
-    """Keep hits in the store as results, in place of those that were kept under this name before.
+    """Save hits in the store as results, in place of those that were saved under this name before.
+
+    Parameters
+    ----------
+    store : Store
+        The store that was searched.
+    hits : pyarrow.Table
+        The hits, from `search_store`.
+    name : str
+        The name for the column `saved_as`.
+    run : str
+        The id of the pipeline run.
 
     Returns
     -------
-    The rows as the store has them, with the name.
+    pyarrow.Table
+        The rows as the store has them, with the name.
 
     Raises
     ------
-    StoreError: another process writes to the store.
+    StoreError
+        If another process writes to the store.
     """
     column = hits.schema.get_field_index("saved_as")
     kept = hits.set_column(column, hits.schema.field(column), pa.repeat(name, hits.num_rows))
@@ -164,55 +209,10 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
     return kept
 
 
-def preselect_stored(
-    store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]
-) -> dict[KeyframeQuery, TakeRanges]:
-    """Search takes of a store as `preselect` does: in the slices of its index, which all workers share, where it has
-    one; else in the words.
-
-    Parameters
-    ----------
-    words: of the takes to search, as `Store.words` gives them.
-    """
-    shared = indexed_words(store) if queries else None
-    if shared is None:
-        return preselect(words, store.feature_set, queries)
-    _refuse_filters(queries)
-    found = shared.of(words.take_ids).search(queries)
-    return dict(zip(queries, found, strict=True))
-
-
-def preselect(
-    words: TakeWords, feature_set: FeatureSet, queries: Sequence[KeyframeQuery]
-) -> dict[KeyframeQuery, TakeRanges]:
-    """Search words in memory: query → its ranges in each take, from first to last keyframe, without margins.
-
-    Several queries may have the same name: one that was learned, and one that somebody wrote.
-
-    Raises
-    ------
-    KinedexError: a query with a filter over takes, of which words in memory say nothing.
-    """
-    _refuse_filters(queries)
-    if not queries:
-        return {}
-    resident = resident_words(words, feature_set)
-    return {query: resident.search(query) for query in queries}
-
-
-def _refuse_filters(queries: Sequence[KeyframeQuery]) -> None:
-    for query in queries:
-        if query.takes is not None:
-            raise KinedexError(
-                f"query '{query.name}' has a filter over takes (`takes: {query.takes}`), which preselection does not "
-                "know; choose the takes by the stage's own filter, and leave it out of the query"
-            )
-
-
 def hits_table(
     hits: Mapping[str, TakeRanges], take_ids: I64, names: Sequence[str], rate_hz: float, run: str = ""
 ) -> pa.Table:
-    """Lay out ranges as the table of hits: in the order of the queries, then by take name and start."""
+    """Return ranges as the table of hits: in the order of the queries, then by take name and start."""
     schema = result_schema("hits")
     by_name = np.argsort(np.argsort(np.array(names, dtype=np.str_), kind="stable"))
     tables = []

@@ -20,7 +20,7 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.sql.views import MACROS, VIEWS, help_rows
 from kinedex.ops.errors import StoreError
-from kinedex.ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
+from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inverted_lists
 from kinedex.ops.search.runs import FeatureRuns, feature_runs
 from kinedex.ops.words import I64, TakeWords
 from kinedex.storage import duck

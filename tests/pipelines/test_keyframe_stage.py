@@ -26,8 +26,7 @@ from kinedex.pipelines.keyframes.learning import lessons as lessons_of
 from kinedex.pipelines.keyframes.margins import hit_ranges
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.keyframes.runs import known_runs, outcomes_of
-from kinedex.pipelines.search.preselection import template_window
-from kinedex.pipelines.search.search import preselect
+from kinedex.pipelines.search.preselection import preselect, template_window
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
 from kinedex.pipelines.stages.learn_templates import LearnTemplates

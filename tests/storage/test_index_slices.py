@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.words import I64, NO_WORD
-from kinedex.pipelines.search.resident_slices import resident_store
+from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import (
     BUILD,
@@ -164,12 +164,12 @@ def test_other_takes_than_those_of_the_shard_are_told_and_never_searched(store: 
     content[64 : 64 + 16] = np.array(ids, "<i8").tobytes()
     file.write_bytes(content)
     with pytest.raises(StoreError, match=r"shard-000001\.slices: .* holds other takes than its shard; run the stage"):
-        resident_store(store)
+        sliced_store(store)
     (finding,) = verify(store)
     assert str(finding).endswith(f"its content does not fit its checksum; {BUILD}")
     build_index(store, threads=1)
     assert verify(store) == []
-    assert resident_store(open_store(store.path)).take_ids.tolist() == [1, 2]
+    assert sliced_store(open_store(store.path)).take_ids.tolist() == [1, 2]
 
 
 def test_files_that_are_cut_short_or_gone_are_named_by_verify(store: Store) -> None:

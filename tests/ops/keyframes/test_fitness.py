@@ -11,10 +11,10 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes.fitness import RESIDENT, find_bitmaps, new_workspace, retrieved, score, training_frames
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.keyframes import keyframe_list, search
-from kinedex.ops.search.runs import word_runs
-from kinedex.ops.search.segments import from_axis, to_axis
-from kinedex.ops.words import NO_WORD
+from kinedex.ops.search.inverted_lists import inverted_lists
+from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
+from kinedex.ops.search.segments import from_axis
+from kinedex.ops.words import MOST_FEATURES, NO_WORD
 from tests.oracles import learning as naive
 
 WORDS = st.one_of(st.integers(0, 15), st.integers(0, 15), st.just(int(NO_WORD)))
@@ -39,15 +39,12 @@ def queries(draw: st.DrawFn) -> Individual:
 
 def by_search(clips: list[np.ndarray], query: Individual) -> list[bool]:
     """The general keyframe search, clip by clip."""
-    offsets = np.concatenate([[0], np.cumsum([len(clip) for clip in clips])]).astype(np.int64)
-    runs = word_runs(np.concatenate(clips), offsets)
-    known = runs.word != NO_WORD
-    starts, stops = to_axis(runs.take[known], runs.start[known]), to_axis(runs.take[known], runs.stop[known])
+    inverted = inverted_lists(np.concatenate(clips), np.cumsum([0, *map(len, clips)]), 1, MOST_FEATURES)
     lists = [
-        keyframe_list(starts, stops, runs.word[known], int(mask), int(value))
-        for mask, value in zip(query.masks, query.values, strict=True)
+        keyframe_list(inverted, mask, value)
+        for mask, value in zip(query.masks.tolist(), query.values.tolist(), strict=True)
     ]
-    takes = set(from_axis(search(lists, query.gaps))[0].tolist())
+    takes = set(from_axis(search_lists(lists, query.gaps))[0].tolist())
     return [index in takes for index in range(len(clips))]
 
 

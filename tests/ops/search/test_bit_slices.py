@@ -15,10 +15,10 @@ from kinedex.ops.search import bit_slice_search as slicesearch
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import GRANULE, BitSlices, slice_words
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds
-from kinedex.ops.search.keyframes import keyframe_list, search
-from kinedex.ops.search.runs import word_runs
-from kinedex.ops.search.segments import Segments, from_axis, to_axis
-from kinedex.ops.words import NO_WORD, U64, bits, cut
+from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
+from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
+from kinedex.ops.search.segments import from_axis
+from kinedex.ops.words import I64, NO_WORD, U64, bits, cut
 from tests.oracles.keyframes import ranges_by_enumeration, ranges_by_sets
 
 FEATURES = 5
@@ -33,10 +33,14 @@ def offsets_of(takes: list[U64]) -> np.ndarray:
     return np.cumsum([0, *(len(take) for take in takes)])
 
 
-def by_take(found: Segments, takes: int) -> list[list[tuple[int, int]]]:
+def lists_of(takes: list[U64]) -> InvertedLists:
+    return inverted_lists(np.concatenate([np.zeros(0, np.uint64), *takes]), offsets_of(takes), 1, FEATURES)
+
+
+def by_take(found: I64, takes: int) -> list[list[tuple[int, int]]]:
     ranges: list[list[tuple[int, int]]] = [[] for _ in range(takes)]
-    for take, start, stop in zip(*from_axis(found), strict=True):
-        ranges[take].append((int(start), int(stop)))
+    for take, (start, stop) in zip(*(part.tolist() for part in from_axis(found)), strict=True):
+        ranges[take].append((start, stop))
     return ranges
 
 
@@ -143,18 +147,11 @@ def test_longer_takes_with_longer_gaps_agree_too(archive: list[U64], query: Quer
 @given(archives(longest=700), queries(largest=20, bits_fixed=2))
 def test_slices_and_lists_find_the_same(archive: list[U64], query: Query) -> None:
     masks, values, gaps = query
-    words = np.concatenate([np.zeros(0, np.uint64), *archive])
-    runs = word_runs(words, offsets_of(archive))
-    starts, stops = to_axis(runs.take, runs.start), to_axis(runs.take, runs.stop)
-    lists = [keyframe_list(starts, stops, runs.word, *one) for one in zip(masks, values, strict=True)]
-    slices = slices_of(archive)
+    inverted, slices = lists_of(archive), slices_of(archive)
+    lists = [keyframe_list(inverted, mask, value) for mask, value in zip(masks, values, strict=True)]
     for one, mask, value in zip(lists, masks, values, strict=True):
-        alone = search_slices(slices, [mask], [value], [])
-        np.testing.assert_array_equal(alone.starts, one.starts)
-        np.testing.assert_array_equal(alone.stops, one.stops)
-    expected, found = search(lists, gaps), search_slices(slices, masks, values, gaps)
-    np.testing.assert_array_equal(found.starts, expected.starts)
-    np.testing.assert_array_equal(found.stops, expected.stops)
+        np.testing.assert_array_equal(search_slices(slices, [mask], [value], []), one)
+    np.testing.assert_array_equal(search_slices(slices, masks, values, gaps), search_lists(lists, gaps))
 
 
 def test_a_query_of_twenty_keyframes_is_exact() -> None:
@@ -213,19 +210,16 @@ def test_rare_poses_far_apart_in_long_takes_are_all_found(chunk: int, monkeypatc
     for length in (9000, 40, 64, 5000, 1, 700, 7000):
         take = rng.choice([0, 1, 2, 4], length, p=[0.994, 0.002, 0.002, 0.002]).astype(np.uint64)
         takes.append(take)
-    runs = word_runs(np.concatenate(takes), offsets_of(takes))
-    starts, stops = to_axis(runs.take, runs.start), to_axis(runs.take, runs.stop)
     poses = [1, 2, 4]
-    lists = [keyframe_list(starts, stops, runs.word, pose, pose) for pose in poses]
+    lists = [keyframe_list(lists_of(takes), pose, pose) for pose in poses]
     for gaps in (
         [(0, 100), (300, 700)],
         [(500, 520), (0, UNBOUNDED)],
         [(64, 80), (0, 4000)],
         [(2048, 4096), (512, 640)],
     ):
-        found, expected = search_slices(slices_of(takes), poses, poses, gaps), search(lists, gaps)
-        np.testing.assert_array_equal(found.starts, expected.starts)
-        np.testing.assert_array_equal(found.stops, expected.stops)
+        found = search_slices(slices_of(takes), poses, poses, gaps)
+        np.testing.assert_array_equal(found, search_lists(lists, gaps))
         assert len(found)
 
 
@@ -276,8 +270,7 @@ def test_parts_of_an_archive_find_what_the_whole_finds(archive: list[U64], query
     edges = sorted([0, len(archive), *(min(at, len(archive)) for at in cuts)])
     parts = [search_slices(slices, *query, takes=part) for part in pairwise(edges)]
     whole = search_slices(slices, *query)
-    np.testing.assert_array_equal(np.concatenate([part.starts for part in parts]), whole.starts)
-    np.testing.assert_array_equal(np.concatenate([part.stops for part in parts]), whole.stops)
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
 @settings(max_examples=60, deadline=None)
@@ -298,8 +291,7 @@ def test_threads_search_parts_of_one_archive_at_the_same_time() -> None:
     whole = search_slices(slices, *query)
     with ThreadPoolExecutor(4) as pool:
         parts = list(pool.map(lambda at: search_slices(slices, *query, takes=(at, at + 4)), range(0, 60, 4)))
-    np.testing.assert_array_equal(np.concatenate([part.starts for part in parts]), whole.starts)
-    np.testing.assert_array_equal(np.concatenate([part.stops for part in parts]), whole.stops)
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
     assert len(whole) > 60
 
 

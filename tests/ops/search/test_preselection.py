@@ -1,4 +1,4 @@
-"""What is kept of the takes around the hits of a query, and where its keyframes sit in a template."""
+"""Margins around the hits of a query, and the template columns that its keyframes fit."""
 
 from __future__ import annotations
 
@@ -9,24 +9,13 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.gaps import UNBOUNDED
-from kinedex.ops.search.preselection import fit_keyframes, margins, ranges_of_takes
-from kinedex.ops.search.segments import Segments
+from kinedex.ops.search.preselection import fit_keyframes, template_margins
 from tests.oracles.preselection import best_placement
 
 
 def bools(patterns: list[str]) -> tuple[np.ndarray, np.ndarray]:
     letters = np.array([list(pattern) for pattern in patterns])
     return letters != "*", letters == "1"
-
-
-def test_ranges_are_sorted_by_take_and_takes_without_any_stay_empty() -> None:
-    second, fourth = 1 << 32, 3 << 32
-    segments = Segments(np.array([second + 2, second + 9, fourth]), np.array([second + 5, second + 11, fourth + 1]))
-    found = ranges_of_takes(segments, 5)
-    assert [found.take(i).tolist() for i in range(len(found))] == [[], [[2, 5], [9, 11]], [], [[0, 1]], []]
-    assert found.frames == 6
-    with pytest.raises(ParameterError, match="at least 4"):
-        ranges_of_takes(segments, 3)
 
 
 @pytest.mark.parametrize(
@@ -42,13 +31,13 @@ def test_ranges_are_sorted_by_take_and_takes_without_any_stay_empty() -> None:
 def test_the_margin_is_what_the_template_has_outside_its_keyframes(
     first: int, last: int, columns: int, stiffness: float, expected: tuple[int, int]
 ) -> None:
-    assert margins(first, last, columns, stiffness) == expected
+    assert template_margins(first, last, columns, stiffness) == expected
 
 
 def test_margins_out_of_their_domain_are_refused() -> None:
     for wrong in ((3, 2, 9, 0.5), (0, 9, 9, 0.5), (-1, 2, 9, 0.5), (0, 1, 9, 1.5)):
         with pytest.raises(ParameterError):
-            margins(*wrong)
+            template_margins(*wrong)
 
 
 def test_keyframes_find_their_columns() -> None:

@@ -21,8 +21,7 @@ from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation import batches as annotating
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
-from kinedex.pipelines.search.preselection import template_ranges
-from kinedex.pipelines.search.search import preselect
+from kinedex.pipelines.search.preselection import preselect, template_ranges
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from tests.oracles import annotation as naive
 from tests.oracles.minima import start_frames

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
-from kinedex.ops.search.proposals import SetCounts, propose_poses
+from kinedex.ops.search.query_proposal import SetCounts, propose_poses
 from kinedex.ops.words import NO_WORD, U64, cut
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.search.query_proposal import propose_query
@@ -106,7 +106,7 @@ def test_the_command_writes_a_file_that_search_reads(store: Store, tmp_path: Pat
     shown = CliRunner().invoke(app, ["search", str(store.path), str(file)])
     assert "intervals in" in shown.output.splitlines()[-1]
     nothing = CliRunner().invoke(app, ["search", str(store.path), str(file), "--where", "name = 'x'"])
-    assert "0 ranges in 0 takes; --explain" in nothing.output
+    assert "0 intervals in 0 takes; --explain" in nothing.output
     refused = CliRunner().invoke(app, ["search", str(store.path), str(file), "--save", "x", "--explain"])
     assert refused.exit_code == 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +16,15 @@ from kinedex.catalog.queries.queries import KeyframeQuery, choose_queries
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.ops.ranges import TakeRanges
+from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
+from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
+from kinedex.ops.search.segments import ranges_by_take
 from kinedex.ops.words import U64, TakeWords, pack
+from kinedex.pipelines.search.bit_slices import sliced_store, sliced_words
 from kinedex.pipelines.search.explanation import explain_search, explain_store
-from kinedex.pipelines.search.inverted_lists import lists_of_store, lists_of_words
-from kinedex.pipelines.search.preselection import template_ranges, template_window
-from kinedex.pipelines.search.resident_slices import resident_store, resident_words
-from kinedex.pipelines.search.search import load_query_file, preselect, preselect_stored, save_hits, search_store
+from kinedex.pipelines.search.inverted_lists import read_lists
+from kinedex.pipelines.search.preselection import preselect, preselect_stored, template_ranges, template_window
+from kinedex.pipelines.search.search import load_query_file, save_hits, search_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import result_schema
@@ -258,23 +262,32 @@ def ranges_of(found: TakeRanges) -> list[list[list[int]]]:
 def test_words_in_memory_give_what_the_index_gives(store: Store) -> None:
     words = store.words()
     queries = [*QUERIES, *read_queries("example", BODY)]
-    in_memory = lists_of_words(words, BODY, BODY.sets)
-    stored = lists_of_store(store, queries, words.take_ids)
-    sliced, resident = resident_words(words, BODY), resident_store(store)
-    np.testing.assert_array_equal(resident.take_ids, words.take_ids)
-    shared = resident.search(queries)
-    for query, mapped in zip(queries, shared, strict=True):
-        expected = ranges_of(in_memory.search(query))
-        assert ranges_of(mapped) == expected
-        for one in (stored, sliced):
-            assert ranges_of(one.search(query)) == expected
+    in_memory = {
+        name: inverted_lists(words.words, words.offsets, one.first, one.count) for name, one in BODY.sets.items()
+    }
+    stored = read_lists(store, queries, words.take_ids)
+    sliced, mapped = sliced_words(words, BODY), sliced_store(store)
+    np.testing.assert_array_equal(mapped.take_ids, words.take_ids)
+    for query, one, other in zip(queries, sliced.search(queries), mapped.search(queries), strict=True):
+        expected = ranges_of(searched_lists(in_memory, query, len(words)))
+        assert ranges_of(searched_lists(stored, query, len(words))) == expected
+        assert ranges_of(one) == ranges_of(other) == expected
 
 
-def test_several_threads_share_resident_words(store: Store) -> None:
-    resident = resident_store(store)
-    expected = list(map(ranges_of, resident.search(QUERIES)))
+def searched_lists(lists: Mapping[str, InvertedLists], query: KeyframeQuery, takes: int) -> TakeRanges:
+    """The ranges of a query by the algorithm of the thesis."""
+    found = []
+    for chain in query.chains:
+        segments = [keyframe_list(lists[one.set], one.mask, one.value) for one in chain.keyframes]
+        found.append(ranges_by_take(search_lists(segments, chain.bounds), takes))
+    return TakeRanges.united(found)
+
+
+def test_several_threads_share_the_slices_of_a_store(store: Store) -> None:
+    sliced = sliced_store(store)
+    expected = list(map(ranges_of, sliced.search(QUERIES)))
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(lambda _: list(map(ranges_of, resident.search(QUERIES))), range(40)))
+        found = list(threads.map(lambda _: list(map(ranges_of, sliced.search(QUERIES))), range(40)))
     assert all(one == expected for one in found)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.search.inverted import MOST_COUNTED, InvertedLists, inverted_lists
+from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inverted_lists
 from kinedex.ops.words import NO_WORD, cut
 from tests.oracles import runs as naive
 
@@ -42,6 +44,28 @@ def test_the_frames_of_all_words_are_the_valid_frames(takes: list[list[int]], wh
 def test_an_invalid_frame_ends_a_run_and_is_in_none() -> None:
     found = lists_of([[5, 5, int(NO_WORD), 5]], 1, 14)
     assert (found.words.tolist(), found.start.tolist(), found.length.tolist()) == ([5], [0, 3], [2, 1])
+
+
+@given(TAKES, SETS, st.randoms())
+def test_runs_in_any_order_are_sorted_into_the_same_lists(
+    takes: list[list[int]], which: tuple[int, int], random: Random
+) -> None:
+    found = lists_of(takes, *which)
+    order = list(range(len(found.take)))
+    random.shuffle(order)
+    columns = (np.repeat(found.words, found.runs), found.take, found.start, found.length)
+    again = InvertedLists.from_runs(*(column[np.array(order, np.int64)] for column in columns))
+    for one, other in zip(again, found, strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == other.dtype
+
+
+def test_a_keyframe_stands_for_the_words_that_match_it() -> None:
+    lists = lists_of([[0, 1, 2, 3, 7, 2]], 1, 3)
+    assert lists.words[lists.matching(0b10, 0b10)].tolist() == [2, 3, 7]
+    assert lists.words[lists.matching(0, 0)].tolist() == [0, 1, 2, 3, 7]
+    with pytest.raises(ParameterError, match="within the bits of the mask"):
+        lists.matching(2, 3)
 
 
 @pytest.mark.parametrize(

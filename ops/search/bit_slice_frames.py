@@ -1,7 +1,8 @@
-"""Inside windows, frame by frame: where keyframes are, from where the rest of a query can be completed, and ranges.
+"""Frames of keyframes inside candidate windows: where keyframes are, which frames complete a query, and the ranges.
 
-The n blocks of all windows lie one after the other here, whatever lies between them in the archive: index[i] is block i
-in the bit slices, follow[i] how many blocks of its window come after it. Bitmaps have one uint64 for each block.
+The n blocks of all windows lie one after the other here, whatever lies between them in the archive: index[i] is the
+number of block i in the bit slices, and follow[i] the number of blocks of its window that come after it. Bitmaps have
+one uint64 for each block.
 """
 
 from __future__ import annotations
@@ -9,28 +10,46 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from kinedex.ops.bits import count_bits
+from kinedex.ops.bits import count_bits, filled_below, highest_bit, lowest_bit
 from kinedex.ops.search.bit_slices import ALL_BITS, BLOCK, NO_BITS, SHIFT
-from kinedex.ops.search.candidate_windows import filled, highest, lowest
+from kinedex.ops.search.segments import TAKE_BITS
 
 
 @njit(cache=True, nogil=True)
-def note_bounds(follow, onward):  # type: ignore[no-untyped-def]
-    """Write all bits where a block is followed by one of its own window, none where it is the last."""
+def mark_followed(follow, onward):  # type: ignore[no-untyped-def]
+    """Set all bits of each block that is followed by one of its own window, and none of the last block of a window."""
     for i in range(np.uint64(len(follow))):
         onward[i] = ALL_BITS if follow[i] else NO_BITS
 
 
 @njit(cache=True, nogil=True)
 def match(bits, height, index, granules, at, rows, flips, spare, kept):  # type: ignore[no-untyped-def]
-    """Find a keyframe's frames; False where there are none.
+    """Find the frames of a keyframe, and return whether there are any.
 
     Parameters
     ----------
-    bits: of bit slices. height: words of a block there. index: int64 (n,).
-    granules: uint8, those of the keyframe, from block `at` on; a block without any is not looked at.
-    rows, flips: uint64 (r,), the words of a block that the keyframe asks for, and what turns each into what is wanted;
-        four at a time. spare: uint64 (3, n or more). kept: uint64 (n or more,), the bitmap that is written.
+    bits : uint64 array
+        Of `BitSlices`.
+    height : int
+        The number of words of a block there.
+    index : int64 array (n,)
+        The blocks of all windows.
+    granules : uint8 array
+        The granules of the keyframe, from block `at` on; a block without any is skipped.
+    at : int
+        The first block of `granules`.
+    rows : uint64 array (r,)
+        The words of a block that the keyframe asks for, a multiple of four.
+    flips : uint64 array (r,)
+        All bits where the keyframe asks for the feature to be off, none where it asks for it to be on.
+    spare : uint64 array (3, n or more)
+        Working memory.
+    kept : uint64 array (n or more,)
+        Is filled with the bitmap of the frames.
+
+    Returns
+    -------
+    bool
     """
     many = np.uint64(0)
     where, chosen, some = spare[0], spare[1], spare[2]
@@ -60,15 +79,26 @@ def match(bits, height, index, granules, at, rows, flips, spare, kept):  # type:
 
 @njit(cache=True, nogil=True)
 def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no-untyped-def]
-    """Keep of a keyframe's frames those from which those of the next one can be reached; False where there are none.
+    """Keep the frames of a keyframe from which one of the next can be reached, and return whether there are any.
 
-    The later bitmap is widened to the gap [0, high - low] by doubling, then moved by `low`, within windows of `longest`
-    blocks at most.
+    The later bitmap is widened to the gap [0, high - low] by doubling, then moved by `low`, within windows.
 
     Parameters
     ----------
-    here, later: uint64 (n or more,). follow: int32 (n,). low, high: the gap in frames.
-    spare: uint64 (3, n or more), the last of them from `note_bounds`.
+    here, later : uint64 array (n or more,)
+        The frames of the keyframe, which are cut down, and the remaining frames of the next keyframe.
+    follow : int32 array (n,)
+        The number of blocks that follow each block in its window.
+    longest : int
+        The number of blocks of the longest window.
+    low, high : int
+        The gap in frames, both ends included.
+    spare : uint64 array (3, n or more)
+        Working memory; the last row from `mark_followed`.
+
+    Returns
+    -------
+    bool
     """
     frames = longest * BLOCK
     if low >= frames:
@@ -104,19 +134,21 @@ def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def _fill(bitmap, follow):  # type: ignore[no-untyped-def]
-    # All that lies before the last bit of a window, which is what a gap without a bound leads back to.
+    """Set all bits up to the last one of each window, which is what an unbounded gap leads back to."""
     after = NO_BITS
     for i in range(len(follow) - 1, -1, -1):
         if follow[i] == 0:
             after = NO_BITS
-        bitmap[i] = after | filled(bitmap[i])
+        bitmap[i] = after | filled_below(bitmap[i])
         after = ALL_BITS if bitmap[i] else NO_BITS
 
 
 @njit(cache=True, nogil=True)
 def _widen(bitmap, size, onward, by):  # type: ignore[no-untyped-def]
-    # Add to a bitmap itself, moved less than a block to earlier frames of the same window. A block reads itself and the
-    # next, which has not been changed yet.
+    """Unite a bitmap with itself moved by less than a block to earlier frames of the same window.
+
+    A block reads itself and the next one, which has not been changed yet.
+    """
     end, one = np.uint64(size - 1), np.uint64(1)
     by = np.uint64(by)
     upper = np.uint64(BLOCK) - by
@@ -127,7 +159,7 @@ def _widen(bitmap, size, onward, by):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _move(bitmap, size, moved, follow, by):  # type: ignore[no-untyped-def]
-    # A bitmap moved to earlier frames, within windows: a block takes from later ones of its own window only.
+    """Write a bitmap moved to earlier frames; a block takes bits from later blocks of its own window only."""
     blocks, rest = np.uint64(min(by // BLOCK, size)), np.uint64(by % BLOCK)
     upper, one = np.uint64(BLOCK) - rest, np.uint64(1)
     count, at_least = np.uint64(size), np.int32(by // BLOCK)
@@ -145,18 +177,32 @@ def _move(bitmap, size, moved, follow, by):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def add_ranges(kept, index, follow, first, take, gaps, starts, stops, n):  # type: ignore[no-untyped-def]
+def add_ranges(kept, index, follow, first, take, gaps, ranges, n):  # type: ignore[no-untyped-def]
     """Add the segments of the first bitmap, each from its start to the farthest end of a hit that begins in it.
 
     Parameters
     ----------
-    kept: uint64 (K, n or more), of all keyframes, from `complete`. index: int64 (n,). follow: int32 (n,).
-    first: of bit slices. take: one that begins before all windows. gaps: int64 (K − 1, 2).
-    starts, stops, n: the n ranges so far, on the axis of positions, with room for more.
+    kept : uint64 array (K, n or more)
+        The remaining frames of all keyframes, from `complete`.
+    index : int64 array (b,)
+        The blocks of all windows.
+    follow : int32 array (b,)
+        The number of blocks that follow each block in its window.
+    first : int64 array (T + 1,)
+        Of `BitSlices`.
+    take : int
+        A take that begins before all windows.
+    gaps : int64 array (K - 1, 2)
+        Admissible gaps in frames.
+    ranges : int64 array (m, 2)
+        The first n rows are the ranges so far, on the axis of positions.
+    n : int
+        The number of ranges so far.
 
     Returns
     -------
-    starts, stops, n: the same arrays or larger ones.
+    (int64 array, int)
+        The ranges, in the same array or a larger one, and their number.
     """
     room = 0
     for i in range(np.uint64(len(index))):
@@ -169,22 +215,22 @@ def add_ranges(kept, index, follow, first, take, gaps, starts, stops, n):  # typ
         block = hits[hit, 0] >> SHIFT
         while first[take + 1] <= index[block]:
             take = _take_of(first, take, index[block])
-        # from here on the axis of positions, where takes lie 2**32 apart
-        move = (take << 32) + (index[block] - first[take] - block << SHIFT)
+        # from here on the axis of positions, where takes lie 2**TAKE_BITS apart
+        move = (take << TAKE_BITS) + (index[block] - first[take] - block << SHIFT)
         start, stop = hits[hit, 0] + move, hits[hit, 1] + 1 + move
-        if n > 0 and start <= stops[n - 1]:
-            stops[n - 1] = max(stops[n - 1], stop)
+        if n > 0 and start <= ranges[n - 1, 1]:
+            ranges[n - 1, 1] = max(ranges[n - 1, 1], stop)
         else:
-            if n == len(starts):
-                starts, stops = _doubled(starts), _doubled(stops)
-            starts[n], stops[n] = start, stop
+            if n == len(ranges):
+                ranges = _doubled(ranges)
+            ranges[n, 0], ranges[n, 1] = start, stop
             n += 1
-    return starts, stops, n
+    return ranges, n
 
 
 @njit(cache=True, nogil=True)
 def _segments(bitmap, follow, hits):  # type: ignore[no-untyped-def]
-    # The stretches of bits that are set, each with its first, its last, and the last of its window.
+    """Write the segments of a bitmap: of each its first frame, its last, and the last frame of its window."""
     one = np.uint64(1)
     carry = NO_BITS
     edge = 0
@@ -194,7 +240,7 @@ def _segments(bitmap, follow, hits):  # type: ignore[no-untyped-def]
         carry = word >> np.uint64(BLOCK - 1)
         here = np.int64(i) << SHIFT
         while edges:
-            hits[edge >> 1, edge & 1] = here + lowest(edges) - (edge & 1)
+            hits[edge >> 1, edge & 1] = here + lowest_bit(edges) - (edge & 1)
             hits[edge >> 1, 2] = (np.int64(i) + follow[i] + 1 << SHIFT) - 1
             edges &= edges - one
             edge += 1
@@ -207,8 +253,9 @@ def _segments(bitmap, follow, hits):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _farthest(bitmap, high, hits, many):  # type: ignore[no-untyped-def]
-    # Each hit goes on to the largest survivor that the gap admits, in its window. `best` is the last one found,
-    # `scanned` how far was looked; frames never fall, so no block is looked at twice.
+    """Move the end of each hit on to the largest remaining frame that the gap admits, in its window."""
+    # `best` is the last such frame found, and frames below `scanned` have been searched; the ends never fall, so no
+    # block is searched twice
     best, scanned = 0, 0
     for hit in range(np.uint64(many)):
         limit = min(hits[hit, 1] + high, hits[hit, 2])
@@ -219,14 +266,14 @@ def _farthest(bitmap, high, hits, many):  # type: ignore[no-untyped-def]
                 block -= 1
                 word = bitmap[block]
             if word:
-                best = (block << SHIFT) + highest(word)
+                best = (block << SHIFT) + highest_bit(word)
             scanned = limit + 1
         hits[hit, 1] = best
 
 
 @njit(cache=True, nogil=True)
 def _take_of(first, take, block):  # type: ignore[no-untyped-def]
-    # The take, from `take` on, that has a block: in strides that double as long as they lead no further than to it.
+    """Return the take, from `take` on, that has a block, in strides that double while they do not pass it."""
     stride = 1
     while take + stride < len(first) and first[take + stride] <= block:
         take += stride
@@ -235,9 +282,10 @@ def _take_of(first, take, block):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _doubled(array):  # type: ignore[no-untyped-def]
-    # in a loop: the assignment of a slice takes as long to compile as everything else that is done here
-    larger = np.empty(2 * len(array), np.int64)
-    for i in range(len(array)):
-        larger[i] = array[i]
+def _doubled(ranges):  # type: ignore[no-untyped-def]
+    """Copy ranges into an array twice as long."""
+    # in a loop: the assignment of a slice takes as long to compile as all other kernels of this module
+    larger = np.empty((2 * len(ranges), 2), np.int64)
+    for i in range(len(ranges)):
+        larger[i, 0], larger[i, 1] = ranges[i, 0], ranges[i, 1]
     return larger

@@ -1,4 +1,4 @@
-"""Keyframes for an example: the poses by which it stands out from an archive, by the archive's own word counts."""
+"""Keyframes proposed from an example: the poses by which it stands out, by the word counts of an archive."""
 
 from __future__ import annotations
 
@@ -12,21 +12,33 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import I64, NO_WORD, U64
 
 MOST_FEATURES_FIXED = 6
-"""No keyframe of a proposal fixes more: what is left open is what makes it general."""
+"""The most features that a proposed keyframe fixes; the others stay open, which makes it general."""
 
 RARE_ENOUGH = 0.01
-"""A keyframe that so small a share of the frames meets needs no further features."""
+"""A keyframe that matches at most this share of the archive's frames gets no further features."""
 
 WORTH_FIXING = 0.8
-"""A feature is fixed only if it leaves at most this share of the frames that are left without it."""
+"""A feature is fixed only if at most this share of the frames that match without it match with it."""
 
 _STEADY = 1
-"""Frames on either side in which a feature must not change, to be fixed."""
+"""A feature is fixed only if it does not change in so many frames on either side."""
 
 
 @dataclass(frozen=True)
 class SetCounts:
-    """How often the words of one feature set occur: uint64 (V,) words cut down to it, int64 (V,) frames."""
+    """The number of frames of each word of one feature set in an archive.
+
+    Parameters
+    ----------
+    first : int
+        The number of the set's lowest feature, from 1.
+    count : int
+        The number of features of the set.
+    words : uint64 array (V,)
+        Words cut down to the set.
+    frames : int64 array (V,)
+        The frames of each word.
+    """
 
     first: int
     count: int
@@ -36,9 +48,16 @@ class SetCounts:
 
 @dataclass(frozen=True)
 class Pose:
-    """One keyframe of a proposal: a frame of the example, bits of whole words, and the share of frames like it.
+    """One proposed keyframe.
 
-    share: as if the feature sets were independent.
+    Parameters
+    ----------
+    frame : int
+        A frame of the example.
+    mask, value : int
+        The keyframe in bits of whole words.
+    share : float
+        The share of the archive's frames that match, as if the feature sets were independent.
     """
 
     frame: int
@@ -48,23 +67,30 @@ class Pose:
 
 
 def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int) -> list[Pose]:
-    """Choose the keyframes of an example by which it stands out.
+    """Choose the keyframes by which an example stands out from an archive.
 
     In every run of the example a pose is made: feature by feature, the one that leaves the fewest of the archive's
-    frames, among those that are steady there. Then those poses are chosen whose shares have the least product, in
-    order, no two neighbours equal, and none closer than half of what an even spacing would be.
+    frames, among those that are steady there. Then the poses are chosen whose shares have the smallest product, in
+    order, no two neighbours equal, and no two closer than half of what an even spacing would be.
 
     Parameters
     ----------
-    clip: uint64 (L,), the whole words of the example. counts: the archive's words, set by set. most: keyframes, >= 1.
+    clip : uint64 array (L,)
+        The whole words of the example.
+    counts : sequence of SetCounts
+        The words of the archive, set by set.
+    most : int
+        The largest number of keyframes, at least 1.
 
     Returns
     -------
-    1 to `most` poses, in order of time. The example itself meets all of them.
+    list of Pose
+        1 to `most` poses, in order of time. The example itself matches all of them.
 
     Raises
     ------
-    ParameterError: an example without a single valid frame, or `most` below 1.
+    ParameterError
+        If the example has no valid frame, or `most` is below 1.
     """
     if most < 1:
         raise ParameterError("keyframes", "at least 1", most)
@@ -80,6 +106,7 @@ def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int) -> list[Pos
 
 
 def _pose(clip: U64, frame: int, counts: Sequence[SetCounts]) -> Pose:
+    """Return the pose of one frame: its rarest steady features, chosen greedily."""
     around = clip[max(frame - _STEADY, 0) : frame + _STEADY + 1]
     around = around[around != NO_WORD]
     changing = int(np.bitwise_or.reduce(around ^ clip[frame]))
@@ -105,12 +132,13 @@ def _pose(clip: U64, frame: int, counts: Sequence[SetCounts]) -> Pose:
 
 
 def _share(counts: SetCounts, mask: int, value: int) -> float:
+    """Return the share of an archive's frames that match a keyframe of one feature set."""
     met = (counts.words & np.uint64(mask)) == np.uint64(value)
     return float(counts.frames[met].sum() / max(counts.frames.sum(), 1))
 
 
 def _choose(poses: list[Pose], most: int, apart: int) -> list[Pose]:
-    """The best chain of at most `most` poses, by dynamic programming over (poses used, last pose)."""
+    """Return the best sequence of at most `most` poses, by dynamic programming over (poses used, last pose)."""
     gains = np.array([-np.log2(max(pose.share, 1e-12)) for pose in poses])
     frames = np.array([pose.frame for pose in poses])
     kinds = {key: number for number, key in enumerate(dict.fromkeys((pose.mask, pose.value) for pose in poses))}

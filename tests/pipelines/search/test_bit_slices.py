@@ -13,14 +13,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.queries import KeyframeQuery, word_pattern
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import StoreError
 from kinedex.ops.ranges import TakeRanges
+from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
+from kinedex.ops.search.segments import ranges_by_take
 from kinedex.ops.words import NO_WORD, U64, TakeWords
-from kinedex.pipelines.search import resident_slices as resident
-from kinedex.pipelines.search.resident_slices import Shard, SharedWords, resident_store, resident_words
+from kinedex.pipelines.search import bit_slices
+from kinedex.pipelines.search.bit_slices import Shard, SlicedWords, sliced_store, sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
@@ -39,7 +41,7 @@ either: {any_of: [{keyframes: [{on: [3]}]}, {keyframes: [{on: [4]}, {on: [5]}], 
 )
 
 
-def told(found: TakeRanges) -> list[tuple[int, int, int]]:
+def listed(found: TakeRanges) -> list[tuple[int, int, int]]:
     takes = np.repeat(np.arange(len(found)), np.diff(found.offsets))
     return list(zip(takes.tolist(), found.starts.tolist(), found.stops.tolist(), strict=True))
 
@@ -61,9 +63,9 @@ def made_up_words(seed: int, frames: int) -> U64:
 
 @pytest.fixture
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resident, "PIECE_BLOCKS", 3)
-    monkeypatch.setattr(resident, "WORTH_BLOCKS", 0)
-    monkeypatch.setattr(resident, "_JOINED_BLOCKS", 2)
+    monkeypatch.setattr(bit_slices, "PIECE_BLOCKS", 3)
+    monkeypatch.setattr(bit_slices, "WORTH_BLOCKS", 0)
+    monkeypatch.setattr(bit_slices, "_JOINED_BLOCKS", 2)
 
 
 @given(
@@ -91,21 +93,27 @@ def test_hits_do_not_depend_on_shards_pieces_and_threads(
             40,
         )
         made.append(Shard(slices, np.concatenate([np.searchsorted(ids, here.take_ids), [-1]])))
-    shared = SharedWords(ids, tuple(made), BODY)
+    sliced = SlicedWords(ids, tuple(made), BODY)
     if asked is not None:
         ids = ids[[i for i in sorted(asked) if i < len(ids)]]
-        shared = shared.of(ids)
-    whole = resident_words(together({int(take): takes[int(take)] for take in ids}), BODY)
-    expected = [told(whole.search(query)) for query in QUERIES]
-    assert [told(found) for found in shared.search(QUERIES, threads)] == expected
-    assert [told(found) for found in shared.search(QUERIES, 1)] == expected
+        sliced = sliced.select(ids)
+    words = together({int(take): takes[int(take)] for take in ids})
+    slices = slice_words(words.words, words.offsets, 40)
+    expected = []
+    for query in QUERIES:
+        patterns = [word_pattern(chain, BODY) for chain in query.chains]
+        found = [search_slices(slices, one.masks, one.values, one.gaps) for one in patterns]
+        expected.append(listed(TakeRanges.united([ranges_by_take(one, len(words)) for one in found])))
+    assert [listed(found) for found in sliced.search(QUERIES, threads)] == expected
+    assert [listed(found) for found in sliced.search(QUERIES, 1)] == expected
+    assert [listed(found) for found in sliced_words(words, BODY).search(QUERIES)] == expected
 
 
 def test_a_take_that_is_not_there_cannot_be_searched(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 40}))
     build_index(store, threads=1)
     with pytest.raises(KeyError, match="9"):
-        resident_store(store).of(np.array([1, 9]))
+        sliced_store(store).select(np.array([1, 9]))
 
 
 # ---- while the index is replaced -------------------------------------------------------------------------
@@ -115,14 +123,14 @@ import sys
 from pathlib import Path
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query_files import parse_queries
-from kinedex.pipelines.search.resident_slices import resident_store
+from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.store.store import open_store
-from tests.pipelines.search.test_resident_slices import QUERIES, told
+from tests.pipelines.search.test_bit_slices import QUERIES, listed
 
-shared = resident_store(open_store(sys.argv[1]))
+sliced = sliced_store(open_store(sys.argv[1]))
 print("open", flush=True)
 sys.stdin.readline()
-print([told(found) for found in shared.search(QUERIES)], flush=True)
+print([listed(found) for found in sliced.search(QUERIES)], flush=True)
 """
 
 
@@ -139,7 +147,7 @@ def changed(store: Store, edition: int) -> Store:
 def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
     old = build_index(store, threads=1)
-    expected = [told(found) for found in resident_store(store).search(QUERIES)]
+    expected = [listed(found) for found in sliced_store(store).search(QUERIES)]
     assert any(expected)
     command = [sys.executable, "-c", _READER, str(store.path)]
     with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as reader:
@@ -153,9 +161,9 @@ def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(t
         reader.stdin.write("go\n")
         reader.stdin.flush()
         assert reader.stdout.readline() == f"{expected}\n"
-    now = [told(found) for found in resident_store(store).search(QUERIES)]
-    words = resident_words(store.words(), BODY)
-    assert now == [told(words.search(query)) for query in QUERIES] != expected
+    now = [listed(found) for found in sliced_store(store).search(QUERIES)]
+    words = sliced_words(store.words(), BODY)
+    assert now == [listed(found) for found in words.search(QUERIES)] != expected
 
 
 def test_slices_of_shards_that_stay_are_one_file_in_both_generations(tmp_path: Path) -> None:
@@ -173,7 +181,7 @@ def test_slices_of_shards_that_stay_are_one_file_in_both_generations(tmp_path: P
 def test_what_is_mapped_cannot_be_written_to(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path / "store", {"a": 300}))
     build_index(store, threads=1)
-    (shard,) = resident_store(store).shards
+    (shard,) = sliced_store(store).shards
     with pytest.raises(ValueError, match="read-only"):
         shard.slices.bits[0] = 1
 
@@ -187,6 +195,6 @@ def test_an_index_whose_slices_are_gone_or_shortened_says_how_to_build_it(tmp_pa
         if damage is not None:
             file.write_bytes(damage)
         with pytest.raises(StoreError, match=r"stale: it is damaged, or was built by another version.* run the stage"):
-            resident_store(store)
+            sliced_store(store)
     build_index(store, threads=1)
-    assert len(resident_store(store).take_ids) == 1
+    assert len(sliced_store(store).take_ids) == 1

@@ -1,4 +1,4 @@
-"""Inverted lists: of every word its runs, in order of take and start (thesis, 3.1)."""
+"""Inverted lists: for every word of a feature set its runs, in order of take and start (thesis, Section 3.3)."""
 
 from __future__ import annotations
 
@@ -15,16 +15,25 @@ from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64, cut
 I32 = npt.NDArray[np.int32]
 
 MOST_COUNTED = 18
-"""Up to this many features a table with an entry for every possible word (2 MB) fits into the caches, and the runs are
-put in their places in one pass; more features than that are sorted."""
+"""Up to this many features, a table with an entry for every possible word (2 MB) fits into the caches, and the runs are
+put in their places in one pass. With more features the runs are sorted."""
 
 
 class InvertedLists(NamedTuple):
-    """The inverted lists of V distinct words, one after the other, R runs in all.
+    """The inverted lists of V distinct words, one after the other, with R runs in all.
 
-    words: uint64 (V,), ascending. offsets: int64 (V + 1,), the runs of words[v] are offsets[v] to offsets[v + 1].
-    take: int32 (R,), the position of the take. start: int32 (R,), the first frame. length: int32 (R,), in frames.
-    Within a list the runs are in order of take and start.
+    Parameters
+    ----------
+    words : uint64 array (V,)
+        The distinct words, ascending.
+    offsets : int64 array (V + 1,)
+        The runs of words[v] are offsets[v] to offsets[v + 1].
+    take : int32 array (R,)
+        The position of the take of each run. Within a list the runs are in order of take and start.
+    start : int32 array (R,)
+        The first frame of each run.
+    length : int32 array (R,)
+        The number of frames of each run.
     """
 
     words: U64
@@ -33,31 +42,69 @@ class InvertedLists(NamedTuple):
     start: I32
     length: I32
 
+    @classmethod
+    def from_runs(cls, word: U64, take: I64 | I32, start: I64 | I32, length: I64 | I32) -> InvertedLists:
+        """Sort runs, given in any order, into inverted lists.
+
+        Parameters
+        ----------
+        word : uint64 array (R,)
+            The word of each run.
+        take, start, length : int array (R,)
+            The position of the take, the first frame and the number of frames of each run.
+        """
+        order = np.lexsort((start, take, word))
+        distinct, counts = np.unique(word, return_counts=True)
+        offsets = np.zeros(len(distinct) + 1, np.int64)
+        np.cumsum(counts, out=offsets[1:])
+        return cls(distinct, offsets, *(column[order].astype(np.int32) for column in (take, start, length)))
+
     @property
     def runs(self) -> I64:
-        """The number of runs of every word, int64 (V,)."""
+        """The number of runs of each word, int64 (V,)."""
         return np.diff(self.offsets)
 
     @property
     def frames(self) -> I64:
-        """The number of frames of every word, int64 (V,)."""
+        """The number of frames of each word, int64 (V,)."""
         ends = np.concatenate([[0], np.cumsum(self.length, dtype=np.int64)])
         return np.diff(ends[self.offsets])
 
+    def matching(self, mask: int, value: int) -> I64:
+        """Return the indices of the words that a keyframe stands for, those with ``word & mask == value``.
+
+        Raises
+        ------
+        ParameterError
+            If the value has bits outside its mask, which no word could match.
+        """
+        if value & ~mask or mask < 0 or mask >= 2**64:
+            raise ParameterError("value", f"within the bits of the mask {mask:#x}", value)
+        return np.flatnonzero((self.words & np.uint64(mask)) == np.uint64(value))
+
 
 def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) -> InvertedLists:
-    """Cut the words of many takes down to one feature set and make the inverted list of every word of it.
+    """Cut the words of many takes down to one feature set, and make the inverted list of each of its words.
 
     Parameters
     ----------
-    words: uint64 (N,), the whole words of T takes, one take after the other; `NO_WORD` stands for an invalid frame,
-        which is in no list.
-    offsets: int64 (T + 1,), take i has the words offsets[i] to offsets[i + 1]; no take has 2^31 frames or more.
-    first_feature, features: the set, as in `ops.words.cut`.
+    words : uint64 array (N,)
+        The whole words of T takes, laid end to end; `NO_WORD` for an invalid frame, which is in no list.
+    offsets : int64 array (T + 1,)
+        Take i has the words offsets[i] to offsets[i + 1]. No take has 2**31 frames or more.
+    first_feature : int
+        The number of the set's lowest feature, from 1.
+    features : int
+        The number of features of the set, as in `ops.words.cut`.
+
+    Returns
+    -------
+    InvertedLists
 
     Raises
     ------
-    ParameterError: the offsets do not fit the words, or there is no such set.
+    ParameterError
+        If the offsets do not fit the words, or there is no such set.
     """
     words = np.ascontiguousarray(words, dtype=np.uint64)
     offsets = np.ascontiguousarray(offsets, dtype=np.int64)
@@ -68,7 +115,8 @@ def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) 
     if not 1 <= first_feature <= MOST_FEATURES or not 1 <= features <= MOST_FEATURES + 1 - first_feature:
         raise ParameterError("feature set", f"within bits 1 to {MOST_FEATURES}", (first_feature, features))
     if features > MOST_COUNTED:
-        return _sorted(words, offsets, first_feature, features)
+        runs = word_runs(cut(words, first_feature, features), offsets)
+        return InvertedLists.from_runs(runs.word, runs.take, runs.start, runs.stop - runs.start)
     counts = np.zeros(1 << features, np.int64)
     shift, mask = np.uint64(first_feature - 1), np.uint64((1 << features) - 1)
     _count(words, offsets, shift, mask, counts)
@@ -80,21 +128,9 @@ def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) 
     return InvertedLists(present.astype(np.uint64), np.concatenate([[0], ends[present]]), take, start, length)
 
 
-def _sorted(words: U64, offsets: I64, first_feature: int, features: int) -> InvertedLists:
-    runs = word_runs(cut(words, first_feature, features), offsets)
-    order = np.argsort(runs.word, kind="stable")
-    distinct, firsts = np.unique(runs.word[order], return_index=True)
-    return InvertedLists(
-        distinct,
-        np.concatenate([firsts, [len(order)]]).astype(np.int64),
-        runs.take[order].astype(np.int32),
-        runs.start[order].astype(np.int32),
-        (runs.stop - runs.start)[order].astype(np.int32),
-    )
-
-
 @njit(cache=True, nogil=True)
 def _count(words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, counts: I64) -> None:
+    """Count the runs of each word."""
     for t in range(len(offsets) - 1):
         before = NO_WORD
         for i in range(offsets[t], offsets[t + 1]):
@@ -111,13 +147,13 @@ def _count(words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, counts: 
 def _place(
     words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, cursor: I64, take: I32, start: I32, length: I32
 ) -> None:
-    # every word's cursor walks through the stretch that its list gets, so the lists come out one after the other
+    """Write each run to its list; cursor[w] is where the next run of word w belongs."""
     for t in range(len(offsets) - 1):
         first = offsets[t]
         before = NO_WORD
         begun = first
         for i in range(first, offsets[t + 1] + 1):
-            # one step past the take's end stands no word, which ends the last run
+            # one step past the end of the take there is no word, which ends the last run
             word = NO_WORD
             if i < offsets[t + 1] and words[i] != NO_WORD:
                 word = (words[i] >> shift) & mask

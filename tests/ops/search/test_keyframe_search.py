@@ -1,5 +1,4 @@
-"""Keyframe search against its naive twins, the thesis's running example, and the authors' queries on real
-motion."""
+"""The keyframe search of the thesis against naive twins, its running example, and the authors' queries on motion."""
 
 from __future__ import annotations
 
@@ -14,9 +13,10 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
-from kinedex.ops.search.keyframes import keyframe_list, search, survivors
-from kinedex.ops.search.segments import Segments, from_axis, merge, to_axis
-from kinedex.ops.words import I64, U64, cut
+from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
+from kinedex.ops.search.keyframe_search import completable_frames, keyframe_list, search_lists
+from kinedex.ops.search.segments import from_axis, ranges_by_take, to_axis
+from kinedex.ops.words import I64, MOST_FEATURES, U64, cut
 from tests.oracles.keyframes import algorithm_1, all_hits, covered, ranges_by_enumeration, ranges_by_sets
 
 EXAMPLE = ([(3, 4), (6, 7)], [(1, 2), (4, 6), (9, 10)], [(1, 3), (5, 8), (11, 12), (14, 15)])
@@ -24,32 +24,22 @@ EXAMPLE_GAPS = [(2, 6), (3, 8)]
 STIFFNESS = [0.0, 0.07, 0.2, 0.28, 0.5, 0.55, 0.6, 0.75, 0.9, 1.0]
 
 
-def segments(*pairs: tuple[int, int]) -> Segments:
-    return Segments(*np.array(pairs, dtype=np.int64).reshape(-1, 2).T.copy())
+def segments(*pairs: tuple[int, int]) -> I64:
+    return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def pairs_of(found: Segments) -> list[tuple[int, int]]:
-    return list(zip(found.starts.tolist(), found.stops.tolist(), strict=True))
+def pairs_of(found: I64) -> list[tuple[int, int]]:
+    return [tuple(pair) for pair in found.tolist()]
 
 
-def runs_of(takes: list[U64]) -> tuple[I64, I64, U64]:
-    """The runs of takes on the axis of positions, frame by frame."""
-    starts, stops, words = [], [], []
-    for index, take in enumerate(takes):
-        start = 0
-        for frame in range(1, len(take) + 1):
-            if frame == len(take) or take[frame] != take[start]:
-                starts.append((index << 32) + start)
-                stops.append((index << 32) + frame)
-                words.append(take[start])
-                start = frame
-    return np.array(starts, np.int64), np.array(stops, np.int64), np.array(words, np.uint64)
+def lists_of(takes: list[U64]) -> InvertedLists:
+    return inverted_lists(np.concatenate(takes), np.cumsum([0, *map(len, takes)]), 1, MOST_FEATURES)
 
 
-def by_take(found: Segments, takes: int) -> list[list[tuple[int, int]]]:
+def by_take(found: I64, takes: int) -> list[list[tuple[int, int]]]:
     ranges: list[list[tuple[int, int]]] = [[] for _ in range(takes)]
-    for take, start, stop in zip(*from_axis(found), strict=True):
-        ranges[take].append((int(start), int(stop)))
+    for take, (start, stop) in zip(*(part.tolist() for part in from_axis(found)), strict=True):
+        ranges[take].append((start, stop))
     return ranges
 
 
@@ -99,37 +89,33 @@ def test_a_range_shows_the_stiffness_it_stands_for() -> None:
 # ---- segments and lists ----------------------------------------------------------------------------------
 
 
-def test_ranges_that_overlap_or_touch_become_one() -> None:
-    united = merge(np.array([8, 1, 3, 20, 6]), np.array([9, 3, 5, 20, 8]))
-    assert pairs_of(united) == [(1, 5), (6, 9)]
-
-
-def test_segments_that_touch_or_are_empty_are_no_segments() -> None:
-    for bad in ([(1, 3), (3, 4)], [(2, 2)], [(5, 6), (1, 2)]):
-        with pytest.raises(ParameterError):
-            segments(*bad)
-
-
 def test_a_wildcard_joins_the_runs_of_all_words_it_stands_for() -> None:
-    starts, stops, words = runs_of([np.array([5, 5, 7, 1, 5, 7, 7], np.uint64), np.array([7, 0], np.uint64)])
-    found = keyframe_list(starts, stops, words, mask=0b101, value=0b101)
+    lists = lists_of([np.array([5, 5, 7, 1, 5, 7, 7], np.uint64), np.array([7, 0], np.uint64)])
     second = 1 << 32
-    assert pairs_of(found) == [(0, 3), (4, 7), (second, second + 1)]
+    assert pairs_of(keyframe_list(lists, mask=0b101, value=0b101)) == [(0, 3), (4, 7), (second, second + 1)]
 
 
-def test_lists_from_an_inverted_index_give_the_same_segments() -> None:
-    takes = [np.random.default_rng(seed).integers(0, 8, 50).astype(np.uint64) for seed in range(3)]
-    starts, stops, words = runs_of(takes)
-    order = np.lexsort((starts, words))
-    for mask, value in ((0, 0), (3, 2), (7, 5), (4, 0)):
-        in_order = keyframe_list(starts, stops, words, mask, value)
-        inverted = keyframe_list(starts[order], stops[order], words[order], mask, value)
-        assert pairs_of(inverted) == pairs_of(in_order)
+@given(st.lists(st.lists(st.integers(0, 7), max_size=30), min_size=1, max_size=4), st.integers(0, 7), st.integers(0, 7))
+def test_a_keyframe_list_holds_the_frames_whose_words_match(takes: list[list[int]], mask: int, value: int) -> None:
+    value &= mask
+    found = keyframe_list(lists_of([np.array(take, np.uint64) for take in takes]), mask, value)
+    expected = [covered((n, n) for n, word in enumerate(take) if word & mask == value) for take in takes]
+    assert by_take(found, len(takes)) == expected
 
 
 def test_a_keyframe_that_asks_for_bits_it_masks_is_refused() -> None:
     with pytest.raises(ParameterError):
-        keyframe_list(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.uint64), mask=2, value=3)
+        keyframe_list(lists_of([np.zeros(3, np.uint64)]), mask=2, value=3)
+
+
+def test_segments_are_divided_by_take_and_takes_without_any_stay_empty() -> None:
+    second, fourth = 1 << 32, 3 << 32
+    found = segments((second + 2, second + 5), (second + 9, second + 11), (fourth, fourth + 1))
+    divided = ranges_by_take(found, 5)
+    assert [divided.take(i).tolist() for i in range(5)] == [[], [[2, 5], [9, 11]], [], [[0, 1]], []]
+    assert divided.frames == 6
+    with pytest.raises(ParameterError, match="at least 4"):
+        ranges_by_take(found, 3)
 
 
 # ---- the running example ---------------------------------------------------------------------------------
@@ -149,7 +135,7 @@ def test_the_running_example_is_one_range_from_3_to_15() -> None:
     lists = [segments(*((s - 1, t) for s, t in one)) for one in EXAMPLE]
     gaps = [gap_bounds(3, 0.5), gap_bounds(5, 0.6)]
     assert gaps == EXAMPLE_GAPS
-    assert pairs_of(search(lists, gaps)) == [(2, 15)]
+    assert pairs_of(search_lists(lists, gaps)) == [(2, 15)]
 
 
 def test_the_hits_of_the_running_example_are_those_of_table_3_1() -> None:
@@ -199,9 +185,9 @@ def queries(draw: st.DrawFn, largest: int) -> tuple[list[tuple[str, int, int]], 
     return frames, gaps
 
 
-def found_in(archive: list[dict[str, U64]], frames: list[tuple[str, int, int]]) -> list[Segments]:
-    runs = {name: runs_of([take[name] for take in archive]) for name in ("two", "three")}
-    return [keyframe_list(*runs[name], mask, value) for name, mask, value in frames]
+def found_in(archive: list[dict[str, U64]], frames: list[tuple[str, int, int]]) -> list[I64]:
+    lists = {name: lists_of([take[name] for take in archive]) for name in ("two", "three")}
+    return [keyframe_list(lists[name], mask, value) for name, mask, value in frames]
 
 
 def matches_in(take: dict[str, U64], frames: list[tuple[str, int, int]]) -> list[list[bool]]:
@@ -214,7 +200,7 @@ def test_what_is_found_is_the_union_of_all_hits(
     archive: list[dict[str, U64]], query: tuple[list[tuple[str, int, int]], list[tuple[int, int]]]
 ) -> None:
     frames, gaps = query
-    found = by_take(search(found_in(archive, frames), gaps), len(archive))
+    found = by_take(search_lists(found_in(archive, frames), gaps), len(archive))
     assert found == [ranges_by_enumeration(matches_in(take, frames), gaps) for take in archive]
 
 
@@ -224,7 +210,7 @@ def test_longer_motion_with_more_keyframes_agrees_too(
     archive: list[dict[str, U64]], query: tuple[list[tuple[str, int, int]], list[tuple[int, int]]]
 ) -> None:
     frames, gaps = query
-    found = by_take(search(found_in(archive, frames), gaps), len(archive))
+    found = by_take(search_lists(found_in(archive, frames), gaps), len(archive))
     assert found == [ranges_by_sets(matches_in(take, frames), gaps) for take in archive]
 
 
@@ -250,7 +236,7 @@ def test_the_printed_recursion_leaves_out_irrelevant_matches_only(
     stiffness = [data.draw(st.sampled_from(STIFFNESS)) for _ in frames[1:]]
     one_take = archive[:1]
     lists = found_in(one_take, frames)
-    found = search(lists, [gap_bounds(d, s) for d, s in zip(distances, stiffness, strict=True)])
+    found = search_lists(lists, [gap_bounds(d, s) for d, s in zip(distances, stiffness, strict=True)])
     closed = [[(start + 1, stop) for start, stop in pairs_of(one)] for one in lists]
     recursion = covered(span for _, span in algorithm_1(closed, distances, stiffness))
     assert pairs_of(found) == [(start - 1, stop - 1) for start, stop in recursion]
@@ -262,7 +248,7 @@ def test_a_frame_survives_if_the_rest_of_the_query_follows_it(
     archive: list[dict[str, U64]], query: tuple[list[tuple[str, int, int]], list[tuple[int, int]]]
 ) -> None:
     frames, gaps = query
-    kept = survivors(found_in(archive, frames), gaps)
+    kept = completable_frames(found_in(archive, frames), gaps)
     for k in range(len(frames)):
         for index, take in enumerate(archive):
             begun = {hit[0] for hit in all_hits(matches_in(take, frames[k:]), gaps[k:])}
@@ -277,7 +263,7 @@ def test_a_query_of_twenty_keyframes_is_exact() -> None:
     ]
     frames = [("two", 2, 2 * (k % 2)) if k % 3 else ("three", 4, 4) for k in range(20)]
     for gaps in ([(1, 4)] * 19, [(0, 7)] * 19, [(5, 5), (0, 3)] * 9 + [(2, 9)], [(0, UNBOUNDED)] * 19):
-        found = by_take(search(found_in(archive, frames), gaps), len(archive))
+        found = by_take(search_lists(found_in(archive, frames), gaps), len(archive))
         expected = [ranges_by_sets(matches_in(take, frames), gaps) for take in archive]
         assert found == expected
         assert any(expected)
@@ -286,13 +272,13 @@ def test_a_query_of_twenty_keyframes_is_exact() -> None:
 def test_the_farthest_end_differs_inside_a_segment() -> None:
     # From frame 0 only the nearer last keyframe is in reach, from frame 3 the farther one as well.
     lists = [segments((0, 4)), segments((5, 6), (8, 9))]
-    assert pairs_of(search(lists, [(5, 5)])) == [(0, 9)]
-    assert pairs_of(survivors(lists, [(5, 5)])[0]) == [(0, 1), (3, 4)]
+    assert pairs_of(search_lists(lists, [(5, 5)])) == [(0, 9)]
+    assert pairs_of(completable_frames(lists, [(5, 5)])[0]) == [(0, 1), (3, 4)]
 
 
 def test_ranges_that_touch_are_one_range() -> None:
     lists = [segments((0, 1), (3, 4)), segments((2, 3), (5, 6))]
-    assert pairs_of(search(lists, [(2, 2)])) == [(0, 6)]
+    assert pairs_of(search_lists(lists, [(2, 2)])) == [(0, 6)]
 
 
 def test_no_hit_leaves_its_take_however_long_the_gap() -> None:
@@ -301,39 +287,39 @@ def test_no_hit_leaves_its_take_however_long_the_gap() -> None:
     first = segments((last_frame, last_frame + 1))
     second = segments((take, take + 1))
     for gap in ((0, UNBOUNDED), (0, 2**62), (1, 1), (UNBOUNDED, UNBOUNDED)):
-        assert len(search([first, second], [gap])) == 0
-        assert len(search([second, first], [gap])) == 0
+        assert len(search_lists([first, second], [gap])) == 0
+        assert len(search_lists([second, first], [gap])) == 0
     whole = segments((0, last_frame + 1), (take, take + last_frame + 1))
-    assert search([whole, whole], [(0, UNBOUNDED)]).frames == 2 * 2**31
+    assert int(np.diff(search_lists([whole, whole], [(0, UNBOUNDED)])).sum()) == 2 * 2**31
 
 
 def test_an_hour_between_two_poses_is_found() -> None:
     hour = 30 * 3600
     lists = [segments((10, 11)), segments((10 + hour, 12 + hour))]
-    assert pairs_of(search(lists, [(hour, hour)])) == [(10, 11 + hour)]
-    assert pairs_of(search(lists, [gap_bounds(hour, 0.5)])) == [(10, 12 + hour)]
-    assert len(search(lists, [(hour + 2, 2 * hour)])) == 0
+    assert pairs_of(search_lists(lists, [(hour, hour)])) == [(10, 11 + hour)]
+    assert pairs_of(search_lists(lists, [gap_bounds(hour, 0.5)])) == [(10, 12 + hour)]
+    assert len(search_lists(lists, [(hour + 2, 2 * hour)])) == 0
 
 
 def test_a_pose_that_never_occurs_leaves_nothing() -> None:
     none, some = segments(), segments((3, 9))
     for lists in ([none], [none, some], [some, none], [some, none, some], [none, none]):
-        assert len(search(lists, [(0, 5)] * (len(lists) - 1))) == 0
+        assert len(search_lists(lists, [(0, 5)] * (len(lists) - 1))) == 0
 
 
 def test_a_query_of_one_keyframe_returns_its_segments() -> None:
-    assert pairs_of(search([segments((1, 3), (5, 9))], [])) == [(1, 3), (5, 9)]
+    assert pairs_of(search_lists([segments((1, 3), (5, 9))], [])) == [(1, 3), (5, 9)]
 
 
 @pytest.mark.parametrize("gaps", [[], [(0, 1), (0, 1)], [(3, 2)], [(-1, 2)]])
 def test_gaps_that_do_not_fit_the_query_are_refused(gaps: list[tuple[int, int]]) -> None:
     with pytest.raises(ParameterError, match="gap"):
-        search([segments((1, 2)), segments((1, 2))], gaps)
+        search_lists([segments((1, 2)), segments((1, 2))], gaps)
 
 
 def test_a_query_without_keyframes_is_refused() -> None:
     with pytest.raises(ParameterError, match="keyframe"):
-        search([], [])
+        search_lists([], [])
 
 
 def test_frames_beyond_the_axis_are_refused() -> None:
@@ -357,7 +343,7 @@ def test_the_authors_queries_agree_with_brute_force_on_hdm05(shared: Path) -> No
     motion = [words[names == name] for name in dict.fromkeys(names) if str(name).startswith("HDM_")]
     assert len(motion) == 193
     cuts = {name: [cut(take, *span) for take in motion] for name, span in SETS.items()}
-    runs = {name: runs_of(takes) for name, takes in cuts.items()}
+    inverted = {name: lists_of(takes) for name, takes in cuts.items()}
     compared = hits = 0
     for query in json.loads((shared / "reference" / "keyframe_queries.json").read_text()):
         frames = []
@@ -367,8 +353,8 @@ def test_the_authors_queries_agree_with_brute_force_on_hdm05(shared: Path) -> No
                 (keyframe["feature_set"], sum(1 << i for i, _ in fixed), sum(1 << i for i, c in fixed if c == "1"))
             )
         gaps = [gap_bounds(d, s) for d, s in zip(query["distances"], query["stiffness"], strict=True)]
-        lists = [keyframe_list(*runs[name], mask, value) for name, mask, value in frames]
-        found = by_take(search(lists, gaps), len(motion))
+        lists = [keyframe_list(inverted[name], mask, value) for name, mask, value in frames]
+        found = by_take(search_lists(lists, gaps), len(motion))
         for index in range(len(motion)):
             matches = [
                 ((cuts[name][index] & np.uint64(mask)) == np.uint64(value)).tolist() for name, mask, value in frames

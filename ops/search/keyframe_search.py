@@ -1,0 +1,145 @@
+"""Keyframe search over inverted keyframe lists, as the thesis describes it (Sections 3.4 and 3.5).
+
+The names of the thesis are found here as follows; frames count from 0 and stops are exclusive, where the thesis counts
+from 1 and includes both ends.
+
+    L(v)              the inverted list of a word            `ops.search.inverted_lists`
+    Λ_k               inverted keyframe list, Eq. 3.4 to 3.6 `keyframe_list`
+    μ_k               admissible range, Eq. 3.11             gaps[k] = (low, high), from `ops.search.gaps.gap_bounds`
+    KeyframeSearch    Algorithm 1                            `search_lists`
+
+Algorithm 1 is a recursion that visits the same segments again and again where the stiffness is low. Here two passes
+over the lists find the same ranges. The first goes backwards: `completable_frames` keeps of every list the frames from
+which the rest of the query can be completed, so that no attempt fails later. The second goes forwards: the last frame
+of each remaining start segment is followed to the largest remaining frame that each gap admits. The tests hold both
+passes against the printed recursion (`tests/oracles/keyframes.py`).
+
+A search of a store does not make these lists: it reads bit slices (`ops.search.bit_slice_search`), which is faster. The
+lists explain its answers (`kinedex search --explain`) and test them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.search.gaps import checked_gaps
+from kinedex.ops.search.inverted_lists import InvertedLists
+from kinedex.ops.search.segments import to_axis
+from kinedex.ops.words import I64
+
+
+def keyframe_list(lists: InvertedLists, mask: int, value: int) -> I64:
+    """Return the inverted keyframe list of a keyframe, the union of the lists of its words (thesis, Eq. 3.4 to 3.6).
+
+    Parameters
+    ----------
+    lists : InvertedLists
+        The inverted lists of one feature set.
+    mask, value : int
+        The keyframe: it stands for every word with ``word & mask == value``. Bits outside the mask are wildcards. The
+        words that occur are filtered, so wildcards cost nothing.
+
+    Returns
+    -------
+    int64 array (n, 2)
+        Maximal segments of positions (see `ops.search.segments`): runs of different words that touch are one segment.
+
+    Raises
+    ------
+    ParameterError
+        If the value has bits outside its mask, which no word could match.
+    """
+    words = lists.matching(mask, value)
+    counts = lists.runs[words]
+    # the runs of word i are lists.offsets[i] .. lists.offsets[i + 1]
+    skipped = np.repeat(lists.offsets[words] - (np.cumsum(counts) - counts), counts)
+    chosen = skipped + np.arange(len(skipped))
+    starts = to_axis(lists.take[chosen], lists.start[chosen])
+    segments = np.stack([starts, starts + lists.length[chosen]], axis=1)
+    return _joined(segments[np.argsort(starts, kind="stable")])
+
+
+def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> list[I64]:
+    """Keep of each keyframe list the frames from which the rest of the query can be completed.
+
+    Parameters
+    ----------
+    lists : sequence of int64 arrays (n, 2)
+        K >= 1 inverted keyframe lists.
+    gaps : sequence of (int, int)
+        K - 1 admissible gaps (low, high) in frames, both ends included; from `UNBOUNDED` on there is no upper bound.
+
+    Returns
+    -------
+    list of int64 arrays (n, 2)
+        K lists of segments. A frame stays in list k if it can be the k-th frame of a sequence that meets the keyframes
+        k to K under their gaps. So the last list stays whole, and the first one holds the first frames of all hits.
+
+    Raises
+    ------
+    ParameterError
+        If there is no list, the number of gaps is not K - 1, or a gap is not a range.
+    """
+    if not lists:
+        raise ParameterError("lists", "at least one keyframe list", 0)
+    bounds = checked_gaps(gaps, len(lists))
+    kept = [lists[-1]]
+    for segments, (low, high) in zip(reversed(lists[:-1]), bounds[::-1].tolist(), strict=True):
+        # frame n reaches the frames n + low to n + high: the admissible range of Eq. 3.11, seen from its far end
+        reaching = _joined(kept[-1] - np.array([high, low]))
+        kept.append(_intersection(segments, reaching))
+    return kept[::-1]
+
+
+def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
+    """Return the union of all hit relevant ranges of a keyframe query (thesis, Section 3.5, Algorithm 1).
+
+    A hit is a sequence of frames that meets the keyframes under the gaps (Eq. 3.2 and 3.3). The farthest end of a hit,
+    E(n), never falls as its first frame n rises. So the hits that begin in a segment [s, e] cover exactly [s, E(e)],
+    and E(e) is found by going from e to the largest completable frame that each gap admits.
+
+    Parameters
+    ----------
+    lists : sequence of int64 arrays (n, 2)
+        K >= 1 inverted keyframe lists, see `keyframe_list`.
+    gaps : sequence of (int, int)
+        K - 1 admissible gaps (low, high) in frames, both ends included; from `UNBOUNDED` on there is no upper bound.
+
+    Returns
+    -------
+    int64 array (n, 2)
+        The ranges from the first to the last keyframe of all hits; ranges that overlap or touch are one.
+
+    Raises
+    ------
+    ParameterError
+        If there is no list, the number of gaps is not K - 1, or a gap is not a range.
+    """
+    kept = completable_frames(lists, gaps)
+    frames = kept[0][:, 1] - 1
+    for segments, (_, high) in zip(kept[1:], checked_gaps(gaps, len(lists)).tolist(), strict=True):
+        farthest = frames + high
+        nearest = np.searchsorted(segments[:, 0], farthest, side="right") - 1
+        frames = np.minimum(segments[nearest, 1] - 1, farthest)
+    return _joined(np.stack([kept[0][:, 0], frames + 1], axis=1))
+
+
+def _joined(segments: I64) -> I64:
+    """Unite neighbours that overlap or touch, of segments whose starts ascend and whose stops never fall."""
+    apart = segments[1:, 0] > segments[:-1, 1]
+    edge = np.ones(min(len(segments), 1), np.bool_)
+    starts, stops = np.concatenate([edge, apart]), np.concatenate([apart, edge])
+    return np.stack([segments[starts, 0], segments[stops, 1]], axis=1)
+
+
+def _intersection(one: I64, other: I64) -> I64:
+    """Return the positions that lie in both of two lists of segments, as segments."""
+    begin = np.searchsorted(other[:, 1], one[:, 0], side="right")
+    counts = np.maximum(np.searchsorted(other[:, 0], one[:, 1], side="left") - begin, 0)
+    mine = np.repeat(np.arange(len(one)), counts)
+    theirs = np.repeat(begin - (np.cumsum(counts) - counts), counts) + np.arange(len(mine))
+    starts = np.maximum(one[mine, 0], other[theirs, 0])
+    return np.stack([starts, np.minimum(one[mine, 1], other[theirs, 1])], axis=1)
