@@ -18,7 +18,7 @@ import polars as pl
 from benchmarks.harness import Figure, seconds
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
 from kinedex.ops.annotation.decoding import background
 from kinedex.ops.templates.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
 from kinedex.ops.words import TakeWords

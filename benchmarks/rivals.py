@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import extend_and_unite
 from kinedex.ops.search.gaps import UNBOUNDED

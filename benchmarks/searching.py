@@ -27,7 +27,7 @@ from benchmarks.costplot import write_plot
 from benchmarks.harness import Figure, seconds
 from benchmarks.rivals import recursion, sql
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import KeyframeQuery, word_pattern
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, word_pattern
 from kinedex.catalog.queries.query_files import read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.search.bit_slice_search import search_slices

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.ops.errors import KinedexError
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.words import TakeWords, cut

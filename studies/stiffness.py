@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.queries import SAME_FRAME, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, KeyframeQuery
 from kinedex.catalog.queries.query_files import read_queries
 
 BINS = 10

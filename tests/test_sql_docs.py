@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.classes import load_classes
-from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.sql.reference import renewed
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.pipelines.annotation.annotators import make_annotator

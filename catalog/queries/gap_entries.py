@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located
-from kinedex.catalog.queries.queries import Gap
+from kinedex.catalog.queries.keyframe_query import Gap
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.gaps import UNBOUNDED
 

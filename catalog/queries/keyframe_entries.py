@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from kinedex.catalog.configs import Located
 from kinedex.catalog.features import FeatureSet, WordSet
 from kinedex.catalog.queries.gap_entries import GapEntry, read_gap
-from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.search.gaps import UNBOUNDED
 

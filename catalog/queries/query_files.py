@@ -14,7 +14,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.mirror import mirrored
 from kinedex.catalog.queries.gap_entries import read_gap
 from kinedex.catalog.queries.keyframe_entries import Chain, ChainEntry, read_chain, refuse_unknown_keys
-from kinedex.catalog.queries.queries import Gap, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery
 from kinedex.ops.errors import KinedexError, did_you_mean
 
 ANALYSIS_RATE_HZ = 30.0

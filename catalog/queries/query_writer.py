@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import yaml
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
 from kinedex.ops.search.gaps import UNBOUNDED
 
 

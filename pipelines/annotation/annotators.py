@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.annotation.decoding import background
 from kinedex.ops.errors import KinedexError, did_you_mean

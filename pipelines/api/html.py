@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import Gap, KeyframeQuery, features_of
+from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, features_of
 from kinedex.catalog.queries.query_writer import frames_shared
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack

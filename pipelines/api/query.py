@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import build_queries, parse_queries, read_queries
 from kinedex.catalog.queries.query_writer import frames_shared, write_queries
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean

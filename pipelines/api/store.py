@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import polars as pl
     import pyarrow as pa
 
-    from kinedex.catalog.queries.queries import KeyframeQuery
+    from kinedex.catalog.queries.keyframe_query import KeyframeQuery
     from kinedex.ops.templates.templates import Kind
     from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.template import Template

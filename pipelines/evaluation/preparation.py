@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from kinedex.catalog.classes import Classes
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.decoding import background
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.annotation.annotators import make_annotator, targets_unknown

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kinedex.catalog.classes import load_classes
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.test_takes import Fold

@@ -15,7 +15,7 @@ import numpy as np
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes import fitness
 from kinedex.ops.keyframes import genetic_algorithm as genetics

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinedex.catalog.queries.queries import Gap
+from kinedex.catalog.queries.keyframe_query import Gap
 from kinedex.ops.keyframes.fitness import Bool
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.bit_slice_search import search_slices

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery, features_of
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery, features_of
 from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
 
 _OVERVIEW = pa.schema(

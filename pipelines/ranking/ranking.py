@@ -13,7 +13,7 @@ from itertools import islice
 import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.distances.costs import I64, encode
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import pyarrow as pa
 
-from kinedex.catalog.queries.queries import SAME_FRAME, Gap, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.evaluation.ranking_metrics import precision_recall
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
 from kinedex.pipelines.evaluation.ground_truth import Manual

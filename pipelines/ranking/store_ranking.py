@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise

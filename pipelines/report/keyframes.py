@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import SAME_FRAME
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME
 from kinedex.ops.evaluation.confidence_intervals import wilson
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, LearningRun

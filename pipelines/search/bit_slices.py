@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import KeyframeQuery, WordPattern, word_pattern
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, word_pattern
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import BitSlices, slice_words

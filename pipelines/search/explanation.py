@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import SAME_FRAME, KeyframeQuery, pattern_of, words_of
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, KeyframeQuery, pattern_of, words_of
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.inverted_lists import InvertedLists
 from kinedex.ops.search.keyframe_search import completable_frames, keyframe_list, search_lists

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.ops.search.inverted_lists import InvertedLists
 from kinedex.ops.words import I64
 from kinedex.storage.store.store import Store

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges, extend_and_unite
 from kinedex.ops.search.preselection import KeyframeFit, fit_keyframes, template_margins

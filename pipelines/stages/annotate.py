@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 
 from kinedex.catalog.classes import OWN, Classes
 from kinedex.catalog.configs import config_path
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_takes
 from kinedex.pipelines.annotation.parameters import AnnotationParameters

@@ -11,7 +11,7 @@ import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import Classes
-from kinedex.catalog.queries.queries import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.decoding import background
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.annotators import make_annotator

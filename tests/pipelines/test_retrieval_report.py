@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from kinedex.catalog.queries.queries import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ranking.ranking_evaluation import Judged

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kinedex.catalog.configs import config_names
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.mirror import mirrored
-from kinedex.catalog.queries.queries import (
+from kinedex.catalog.queries.keyframe_query import (
     SAME_FRAME,
     Gap,
     Keyframe,

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.catalog.classes import Classes, MotionClass, load_classes
-from kinedex.catalog.queries.queries import Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
 from kinedex.ops.annotation.decoding import background
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.dtw import distance_curves

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from kinedex.catalog.queries.queries import Keyframe, KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranking.ranking import rank

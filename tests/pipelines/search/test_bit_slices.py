@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.queries import KeyframeQuery, word_pattern
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, word_pattern
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import StoreError
 from kinedex.ops.ranges import TakeRanges

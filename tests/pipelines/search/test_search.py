@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.queries.queries import KeyframeQuery, choose_queries
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, choose_queries
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.ops.ranges import TakeRanges
