@@ -108,13 +108,13 @@ def test_a_compaction_on_a_full_disk_changes_nothing(tmp_path: Path, monkeypatch
     assert verify(open_store(tmp_path)) == []
 
 
-class FullFile(io.TextIOWrapper):
+class FullFile(io.FileIO):
     """A file that can be opened and locked, but not written to."""
 
-    def __init__(self, path: Path, mode: str, encoding: str) -> None:
-        super().__init__(io.BufferedRandom(io.FileIO(path, "a+")), encoding=encoding)
+    def __init__(self, path: Path, mode: str, buffering: int) -> None:
+        super().__init__(path, "a+")
 
-    def write(self, text: str) -> int:
+    def write(self, text: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
 
