@@ -19,11 +19,11 @@ from benchmarks.harness import Figure, seconds
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
-from kinedex.ops.annotation.decoding import background
 from kinedex.ops.templates.templates import Learned, QuantisedTemplate, Template, learn_soft, quantise
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words, ranges_of
+from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.store.store import Store
 
@@ -43,8 +43,8 @@ def figures(store: Store) -> list[Figure]:
     templates = _templates(store)
     classes = load_classes("own", [one.subclass for one in templates])
     plain = make_annotator(store.feature_set, templates, classes, DELTA, TAU)
-    usual = background([batch.words for batch in batches], len(store.feature_set.features))
-    row = make_annotator(store.feature_set, templates, classes, DELTA, TAU, (), usual)
+    words = [batch.words for batch in batches]
+    row = make_annotator(store.feature_set, templates, classes, DELTA, TAU, method=BestMethod, clips=lambda: words)
     cells = FRAMES * SUBCLASSES * COLUMNS / 1e6
     whole = seconds(lambda: _run(plain, batches), 3)
     found = [Figure("annotation, 133,019 frames, 69 subclasses", cells, "M cells", whole)]
@@ -56,7 +56,9 @@ def figures(store: Store) -> list[Figure]:
         share = _share(chosen, batches)
         cases.append((f"the same in keyframe hits, {share:.1%} of template × frame", chosen))
         if kept == KEPT[0]:
-            cases.append((f"the same, together, in {share:.1%} of template × frame", replace(chosen, row=row.row)))
+            cases.append(
+                (f"the same, together, in {share:.1%} of template × frame", replace(chosen, method=row.method))
+            )
     for name, annotator in cases:
         time = seconds(lambda one=annotator: _run(one, batches), 3)
         found.append(Figure(name, cells, "M cells", time, "all frames, one by one", whole))

@@ -20,9 +20,9 @@ import polars as pl
 
 from benchmarks.harness import silent
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.annotation.decoding import background
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
-from kinedex.pipelines.annotation.batches import annotate_takes
+from kinedex.pipelines.annotation.batches import annotate_stored
+from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.templates.learning import learn_templates, training_clips
@@ -83,10 +83,10 @@ def annotators(store: Store, examples: Sequence[str], executor: Executor) -> dic
     features = len(store.feature_set.features)
     templates = [one for task in learn_templates(clips, ["soft"], features, executor) for one in task]
     classes = load_classes("own", {one.subclass for one in templates})
-    usual = background([store.words(takes["take_id"].to_list()).words], features)
+    words = [store.words(takes["take_id"].to_list()).words]
     return {
         method: make_annotator(
-            store.feature_set, templates, classes, DELTA, TAU, usual=usual if method == "best" else None
+            store.feature_set, templates, classes, DELTA, TAU, method=annotation_method(method), clips=lambda: words
         )
         for method in METHODS
     }
@@ -96,7 +96,7 @@ def labelled(store: Store, drawn: Draw, seed: int, executor: Executor) -> Iterat
     """One row for each unlabelled take and method: its label, and how many of its frames are labelled how."""
     rows = {row["take_id"]: row for row in drawn.rest.iter_rows(named=True)}
     for method, annotator in annotators(store, drawn.examples, executor).items():
-        for batch in annotate_takes(store.path, annotator, drawn.rest, executor, False):
+        for batch in annotate_stored(store.path, annotator, drawn.rest, executor, False):
             for one in batch:
                 row = rows[one.take_id]
                 covered = np.zeros((len(annotator.classes), row["frames"]), bool)

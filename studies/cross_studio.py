@@ -24,7 +24,8 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64, TakeWords, bits
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.annotation.preparation import usual_features
+from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
+from kinedex.pipelines.annotation.preparation import template_words
 from kinedex.pipelines.evaluation.ground_truth import Manual, place_ground_truth
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
@@ -161,9 +162,10 @@ def said(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
 def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
     """The lines of the table, one for each manual segment."""
     templates = read_templates(store, STAGE, "soft")
-    usual = usual_features(store, templates)
+    words = template_words(store, templates)
     thesis, best = (
-        make_annotator(store.feature_set, templates, classes, DELTA, TAU, usual=one) for one in (None, usual)
+        make_annotator(store.feature_set, templates, classes, DELTA, TAU, method=one, clips=lambda: words)
+        for one in (ThesisMethod, BestMethod)
     )
     takes = store.takes("class IS NULL")
     placed = place_ground_truth([read_ground_truth(truth)], takes, store.takes()["name"], classes, "miss")

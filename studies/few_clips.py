@@ -16,11 +16,11 @@ import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.annotation.background import background
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.templates.learning import learn_templates, training_clips
 from kinedex.storage.store.store import Store, open_store
@@ -62,10 +62,10 @@ def annotators(store: Store, names: Sequence[str], classes: str, executor: Execu
     clips = training_clips(store, takes)
     templates = [one for task in learn_templates(clips, ["soft"], features, executor) for one in task]
     known = load_classes(classes, {one.subclass for one in templates})
-    usual = background([store.words(takes["take_id"].to_list()).words], features)
+    words = [store.words(takes["take_id"].to_list()).words]
     return {
         method: make_annotator(
-            store.feature_set, templates, known, DELTA, TAU, usual=usual if method == "best" else None
+            store.feature_set, templates, known, DELTA, TAU, method=annotation_method(method), clips=lambda: words
         )
         for method in METHODS
     }

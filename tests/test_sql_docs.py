@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kinedex.catalog.classes import load_classes
@@ -13,6 +12,7 @@ from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.sql.reference import renewed
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.pipelines.annotation.annotators import make_annotator
+from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
@@ -82,9 +82,9 @@ def test_annotations_can_be_chosen_by_what_the_page_says_of_their_method(store: 
     templates = read_templates(store, "test/learn_templates", "soft")
     classes = load_classes("own", ["hop", "sway"])
     found = {
-        make_annotator(BODY, templates, classes, 0.05, 0.13, queries, usual).method
+        make_annotator(BODY, templates, classes, 0.05, 0.13, queries, method=method).label
         for queries in ((), (query,))
-        for usual in (None, np.zeros((1, 40)))
+        for method in METHODS.values()
     }
     assert found == named
     (stored,) = set(store.result("annotations").column("method").to_pylist())

@@ -1,8 +1,8 @@
-"""What annotates: templates, thresholds, classes and keyframe queries, as they are sent to workers."""
+"""Annotators: templates, classes, keyframe queries and a method, as they are sent to workers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,43 +12,45 @@ import numpy.typing as npt
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.ops.annotation.decoding import Decoding
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
+from kinedex.ops.templates.templates import QuantisedTemplate, quantise
+from kinedex.ops.words import U64
+from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.search.preselection import template_window
 from kinedex.pipelines.templates.learning import SubclassTemplate
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 VAGUE = 1.0
-"""Fixed entries a column, on average, below which a template hardly tells motions apart: one feature of forty. (At
+"""A template with fewer fixed entries a column, on average, hardly distinguishes motions: one feature of forty. (At
 δ = 0.05 the templates of HDM05's clip classes have 16 to 36.)"""
-
-
-@dataclass(frozen=True)
-class Row:
-    """What labels all frames of a take together: see `ops.annotation.decoding.explain`.
-
-    templates: S templates as learned. usual: float64 (K, f), the usual postures.
-    """
-
-    templates: tuple[Template, ...]
-    usual: F64
-    decoding: Decoding
 
 
 @dataclass(frozen=True)
 class Annotator:
     """All that is needed to annotate words.
 
-    classes: names of the P classes. subclasses: names of the S templates; class_index: int64 (S,), their classes.
-    queries: for each template the keyframe queries that preselect frames for it, none for all frames.
-    remarks: templates that say too little, in words.
-    row: what labels all frames of a take together; None: each frame gets the label of the nearest template (thesis).
-    taus: float64 (P,), thresholds of the classes; None: `tau` is that of all.
-    min_frames: shorter segments are left out.
+    Attributes
+    ----------
+    feature_set : FeatureSet
+        The features of the words.
+    classes : tuple of str, length P
+        The names of the classes.
+    subclasses : tuple of str, length S
+        The names of the templates.
+    class_index : int64 array (S,)
+        The class of each template.
+    templates : tuple of QuantisedTemplate, length S
+        The templates that distance curves are computed with.
+    queries : tuple of tuple of KeyframeQuery, length S
+        The queries that preselect frames for each template; none for all frames.
+    method : AnnotationMethod
+        The method that labels frames.
+    min_frames : int
+        Shorter segments are dropped.
+    remarks : tuple of str
+        Templates that are excluded, or that fit almost anything.
     """
 
     feature_set: FeatureSet
@@ -57,22 +59,15 @@ class Annotator:
     class_index: I64
     templates: tuple[QuantisedTemplate, ...]
     queries: tuple[tuple[KeyframeQuery, ...], ...]
-    tau: float
-    remarks: tuple[str, ...] = ()
-    row: Row | None = None
-    taus: F64 | None = None
+    method: AnnotationMethod
     min_frames: int = 0
-
-    @property
-    def thresholds(self) -> F64:
-        """The threshold of each class, float64 (P,)."""
-        return np.full(len(self.classes), self.tau) if self.taus is None else self.taus
+    remarks: tuple[str, ...] = ()
 
     @cached_property
-    def reach(self) -> tuple[tuple[tuple[int, int], ...], ...]:
-        """How far each template reaches out of the hits of each of its queries, to the left and to the right.
+    def margins(self) -> tuple[tuple[tuple[int, int], ...], ...]:
+        """The frames before and after a hit in which each template is matched, for each of its queries.
 
-        The hits of a query with alternatives get the widest of their margins, since any of them may have found a hit.
+        A query with alternatives has the widest of their margins, as any of them may have found a hit.
         """
         found = []
         for template, queries in zip(self.templates, self.queries, strict=True):
@@ -85,10 +80,9 @@ class Annotator:
         return tuple(found)
 
     @property
-    def method(self) -> str:
-        """How annotations of this annotator are found, for the results."""
-        how = "templates" if self.row is None else "templates in a row"
-        return f"{how} within keyframe hits" if any(self.queries) else how
+    def label(self) -> str:
+        """The value of the column `method` of annotations."""
+        return f"{self.method.label} within keyframe hits" if any(self.queries) else self.method.label
 
 
 def make_annotator(
@@ -96,27 +90,49 @@ def make_annotator(
     templates: Sequence[SubclassTemplate],
     classes: Classes,
     delta: float,
-    tau: float,
+    tau: float | Mapping[str, float],
     queries: Sequence[KeyframeQuery] = (),
-    usual: F64 | None = None,
     learned: Sequence[KeyframeQuery] = (),
+    method: type[AnnotationMethod] = ThesisMethod,
+    clips: Callable[[], Sequence[U64]] = tuple,
+    min_frames: int = 0,
 ) -> Annotator:
-    """Quantise templates and sort them and the queries into classes.
+    """Quantise templates, and sort them and the queries into classes.
 
     Parameters
     ----------
-    templates: those of subclasses without a class are left out, and those of wildcards alone: they would fit anything
+    feature_set : FeatureSet
+        The features of the words.
+    templates : sequence of SubclassTemplate
+        Those of subclasses without a class are excluded, and so are those of wildcards alone, which would fit anything
         at no cost. Those with fewer than `VAGUE` fixed entries a column stay, with a remark.
-    queries: a query whose target is a subclass preselects for it, one whose target is a class for those of its
-        subclasses that have no query of their own; other queries are left out (see `targets_unknown`).
-    usual: float64 (K, f), the usual postures (`ops.annotation.background.background`): all frames of a take are
-    labelled
-        together, by the explanation of the greatest value. None: frame by frame, as in the thesis.
-    learned: further queries, which are sorted by themselves: they preselect besides `queries`, never in their place.
+    classes : Classes
+        The classes to label with.
+    delta : float
+        Entries of a template within delta of 0 or 1 count, the others are wildcards.
+    tau : float or mapping of str to float
+        The threshold of all classes, or of each.
+    queries : sequence of KeyframeQuery
+        A query whose target is a subclass preselects for it, one whose target is a class for those of its subclasses
+        that have no query of their own; other queries are excluded (see `targets_unknown`).
+    learned : sequence of KeyframeQuery
+        Further queries, which are sorted by themselves: they preselect besides `queries`, never in their place.
+    method : type of AnnotationMethod
+        The method that labels frames.
+    clips : callable
+        Returns the words of the training clips; called where the method needs them.
+    min_frames : int
+        Shorter segments are dropped.
+
+    Returns
+    -------
+    Annotator
+        With one template at least.
 
     Raises
     ------
-    KinedexError: no template belongs to any class, or all of them are wildcards alone.
+    KinedexError
+        No template belongs to any class, or all of them are wildcards alone.
     """
     of_subclass = classes.of_subclass()
     known = [one for one in templates if one.subclass in of_subclass]
@@ -131,23 +147,29 @@ def make_annotator(
             "within delta of 0 or 1; raise `delta`, or learn from clips that have more in common"
         )
     own, further = (_queries_of([one.subclass for one in used], some, of_subclass) for some in (queries, learned))
+    class_index = np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64)
+    chosen = tuple(quantised[one.subclass] for one in used)
+    taus = [tau[name] if isinstance(tau, Mapping) else tau for name in classes.names]
+    sorted_templates = ClassTemplates(
+        tuple(one.learned.template for one in used), chosen, class_index, np.array(taus, np.float64)
+    )
     return Annotator(
         feature_set,
         classes.names,
         tuple(one.subclass for one in used),
-        np.array([classes.names.index(of_subclass[one.subclass]) for one in used], np.int64),
-        tuple(quantised[one.subclass] for one in used),
+        class_index,
+        chosen,
         tuple((*written, *found) for written, found in zip(own, further, strict=True)),
-        tau,
+        method.prepare(sorted_templates, clips),
+        min_frames,
         _remarks({one.subclass: quantised[one.subclass].fixed for one in known}),
-        None if usual is None else Row(tuple(one.learned.template for one in used), usual, Decoding()),
     )
 
 
 def _queries_of(
     subclasses: Sequence[str], queries: Sequence[KeyframeQuery], of_subclass: Mapping[str, str]
 ) -> list[tuple[KeyframeQuery, ...]]:
-    """For each subclass its queries, or else those of its class."""
+    """Return for each subclass its queries, or else those of its class."""
     by_target: dict[str, list[KeyframeQuery]] = {}
     for query in queries:
         by_target.setdefault(query.target, []).append(query)
@@ -155,12 +177,12 @@ def _queries_of(
 
 
 def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:
-    """What to say of templates by their fixed entries a column."""
+    """Return remarks on templates by their fixed entries a column."""
     empty = [subclass for subclass, entries in fixed.items() if not entries]
     vague = [f"{subclass} ({entries:.2g})" for subclass, entries in fixed.items() if 0 < entries < VAGUE]
     remarks = []
     if empty:
-        remarks.append(f"templates of wildcards alone, which would fit anything, left out: {few(empty)}")
+        remarks.append(f"templates of wildcards alone, which would fit anything, excluded: {few(empty)}")
     if vague:
         remarks.append(
             f"templates with less than {VAGUE:g} fixed entry a column on average, which fit almost anything: "
@@ -170,11 +192,12 @@ def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def targets_unknown(queries: Sequence[KeyframeQuery], classes: Classes) -> list[str]:
-    """The queries' targets that are neither a class nor a subclass.
+    """Return the targets of queries that are neither a class nor a subclass.
 
     Raises
     ------
-    KinedexError: all of them; the message names the nearest label.
+    KinedexError
+        There are queries, and all of them have such a target; the message names the nearest label.
     """
     unknown = sorted({query.target for query in queries if classes.class_of(query.target) is None})
     if queries and all(query.target in unknown for query in queries):

@@ -17,15 +17,24 @@ from kinedex.storage.store.store import Store
 
 
 def annotate_stage(store: Store, wanted: str | None = None) -> str:
-    """The stage whose annotations are meant: "<pipeline>/<stage>".
+    """Find the stage whose annotations a user asks for.
 
     Parameters
     ----------
-    wanted: that name, the pipeline's alone, or the id of the run; None for the stage that ran last.
+    store : Store
+        The store to read.
+    wanted : str, optional
+        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage that ran last unless given.
+
+    Returns
+    -------
+    str
+        "<pipeline>/<stage>".
 
     Raises
     ------
-    KinedexError: nothing was annotated, or not by this stage; or several stages fit.
+    KinedexError
+        The store has no annotations, none of this stage, or several stages fit.
     """
     annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
     records = {name: one for name, one in store.manifest.stages.items() if name in annotating}
@@ -33,7 +42,7 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
         roots = store.takes()["source_root"].unique().to_list()
         source = shlex.quote(f"source={roots[0]}") if len(roots) == 1 else "source=…"
         command = f"kinedex run annotate --store {shlex.quote(str(store.path))} --set {source}"
-        raise KinedexError(f"{store.path}: nothing was annotated; `{command}` does it")
+        raise KinedexError(f"{store.path}: nothing was annotated; `{command}` annotates it")
     if wanted is None:
         return max(records, key=lambda name: (records[name].finished, name))
     fitting = [name for name, one in records.items() if wanted in (name, name.split("/")[0], one.run)]
@@ -47,24 +56,37 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
 
 
 def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int) -> int:
-    """The last source frame at or before an analysis frame, `frames` (how many there are) at most.
+    """Return the last source frame at or before an analysis frame, at most the number of source frames.
 
-    `pipelines.evaluation.ground_truth.analysis_frame` gives back the analysis frame, unless the source is slower than
-    the analysis.
+    `pipelines.evaluation.ground_truth.analysis_frame` is its inverse, unless the source rate is below the analysis
+    rate.
     """
     return min(math.floor(round(frame * source_rate_hz / rate_hz, 9)), frames)
 
 
 def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
-    """The annotations of a stage, take by take in order of their names; takes without any are there, too.
+    """Return the annotations of a stage take by take, in the order of their names.
 
     Parameters
     ----------
-    stage: "<pipeline>/<stage>". takes: only these, by name. where: only those that a SQL filter over takes selects.
+    store : Store
+        The store to read.
+    stage : str
+        "<pipeline>/<stage>".
+    takes : sequence of str
+        The names of the takes to return; all unless given.
+    where : str, optional
+        A SQL filter over the columns of takes.
+
+    Returns
+    -------
+    list of TakeLabels
+        One for each take that was annotated, also where it has no label.
 
     Raises
     ------
-    KinedexError: a take was not annotated by this stage, or has been replaced since.
+    KinedexError
+        A take was not annotated by this stage, or has been replaced since.
     """
     annotated = annotated_takes(store, stage)
     unknown = sorted(set(takes) - set(annotated["name"]))

@@ -1,24 +1,20 @@
-"""What annotation needs besides templates: takes, classes, queries, background and thresholds."""
+"""Services of annotation on a store: the takes to annotate, classes, queries, thresholds, and the annotator of them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
-import numpy as np
-import numpy.typing as npt
 import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import read_query_files
-from kinedex.ops.annotation.decoding import background
-from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.words import U64
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters, MethodParameters, least_frames
 from kinedex.pipelines.annotation.threshold_calibration import Calibration, calibrate
-from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import every_query
 from kinedex.pipelines.keyframes.runs import outcomes_of
 from kinedex.pipelines.templates.learning import (
@@ -29,125 +25,155 @@ from kinedex.pipelines.templates.learning import (
     run_of,
 )
 from kinedex.pipelines.templates.recipes import feature_weights
-from kinedex.pipelines.templates.training import (
-    TemplateParameters,
-    clips_to_learn_from,
-    completed,
-    takes_to_learn_from,
-)
+from kinedex.pipelines.templates.training import TemplateParameters, completed
 from kinedex.storage.store.store import Store
 
-F64 = npt.NDArray[np.float64]
 
-
-def without_effect(params: AnnotationParameters) -> list[str]:
-    """What is asked for, and does not matter to the method, in words."""
-    asked = ["`tau: calibrated`"] * (params.tau == CALIBRATED) + ["`tau_by_class`"] * bool(params.tau_by_class)
-    if params.method != "best" or not asked:
-        return []
-    have = "has" if len(asked) == 1 else "have"
-    return [f"{' and '.join(asked)} {have} no effect with `method: best`, in which τ does not matter"]
-
-
-def calibrated(
-    context: StageContext,
-    store: Store,
-    params: AnnotationParameters,
-    classes: Classes,
-    clips: Sequence[TrainingClips] | None = None,
-) -> Calibration:
-    """The calibrated thresholds of classes, none where they are not asked for or do not matter.
-
-    Parameters
-    ----------
-    clips: what to calibrate on; None: all clips that the templates were learned from.
-    """
-    if params.tau != CALIBRATED or params.method == "best":
-        return Calibration({}, {}, ())
-    learned = context.params_of("templates", TemplateParameters)
-    counts = feature_weights(learned.weights, store.feature_set)
-
-    def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
-        features, kinds = len(store.feature_set.features), [params.templates]
-        found = [one for task in learn_templates(some, kinds, features, context.executor, counts) for one in task]
-        return completed(found, learned, store.feature_set, kinds, where_possible=True)
-
-    if clips is None:
-        clips = clips_to_learn_from(store, learned, takes_to_learn_from(store, learned))
-    actors = dict(store.takes().select("name", "actor").iter_rows())  # a split's clips need not be the stage's
-    return calibrate(clips, actors, classes, params.delta, learn, context.executor)
-
-
-def refined(
-    annotator: Annotator, params: AnnotationParameters, rate_hz: float, calibrated: Mapping[str, float] | None = None
-) -> Annotator:
-    """An annotator with the thresholds of classes, which rows of templates have none of, and the least length of
-    segments.
-
-    Parameters
-    ----------
-    calibrated: class → τ, where that was asked for; `tau_by_class` goes before it.
-
-    Raises
-    ------
-    KinedexError: `tau_by_class` names no class.
-    """
-    least = math.ceil(round(params.min_seconds * rate_hz, 9))
-    wrong = sorted(set(params.tau_by_class) - set(annotator.classes))
-    if wrong:
-        raise KinedexError(f"tau_by_class: no class is named '{wrong[0]}'{did_you_mean(wrong[0], annotator.classes)}")
-    given = {} if annotator.row is not None else {**(calibrated or {}), **params.tau_by_class}
-    taus = np.array([given.get(name, annotator.tau) for name in annotator.classes]) if given else None
-    return replace(annotator, taus=taus, min_frames=least)
-
-
-def takes_to_annotate(store: Store, params: AnnotationParameters) -> pl.DataFrame:
-    """The takes that the filter selects, sorted by name; a KinedexError where there are none."""
-    takes = store.takes(params.where)
+def takes_to_annotate(store: Store, where: str) -> pl.DataFrame:
+    """Return the takes that a SQL filter selects, sorted by name; a KinedexError where there are none."""
+    takes = store.takes(where)
     if not takes.height:
         every = store.takes()
         raise KinedexError(
-            f"no take to annotate: the filter `{params.where}` selects none of {every.height} takes, "
+            f"no take to annotate: the filter `{where}` selects none of {every.height} takes, "
             f"{every.filter(pl.col('class').is_null()).height} of which have no class"
         )
     return takes
 
 
-def classes_of(store: Store, params: AnnotationParameters, templates: Sequence[SubclassTemplate]) -> Classes:
-    """The classes of the class file, or with "own" those that have templates.
+def annotation_classes(store: Store, classes: str, templates: Sequence[SubclassTemplate]) -> Classes:
+    """Return the classes of a class file, or with "own" one for each subclass that has a template.
 
-    A class file may name every subclass that the archive has, also those that are not learned from.
+    A class file may name every subclass of the archive, also those that are not learned from.
     """
     learned = {one.subclass for one in templates}
     labelled = set(store.takes()["class"].drop_nulls().unique())
-    return load_classes(params.classes, learned if params.classes == OWN else learned | labelled)
+    return load_classes(classes, learned if classes == OWN else learned | labelled)
 
 
-def annotated_classes(context: StageContext, store: Store, stage: str) -> Classes:
-    """Return the classes that a stage `annotate` of this pipeline has annotated with."""
-    params = context.params[stage]
-    assert isinstance(params, AnnotationParameters)
-    record = store.manifest.stages[context.key(stage)]
-    templates = read_templates(store, context.key(record.summary["inputs"]["templates"]), params.templates)
-    return classes_of(store, params, templates)
+def queries_of(store: Store, params: MethodParameters) -> list[KeyframeQuery]:
+    """Return all queries of the query files of an annotation."""
+    return read_query_files(params.query_files, store.feature_set, store.rate_hz)
 
 
-def usual_features(store: Store, templates: Sequence[SubclassTemplate]) -> F64:
-    """The usual postures in the clips that templates were learned from, or in all takes where they are of none."""
+def template_words(store: Store, templates: Sequence[SubclassTemplate]) -> list[U64]:
+    """Return the words of the clips that templates were learned from, or of all takes where they are of none."""
     clips = {name for one in templates for name in one.clips}
     takes = store.takes().filter(pl.col("name").is_in(clips))
-    words = store.words(takes["take_id"].to_list() if takes.height else None)
-    return background([words.words], len(store.feature_set.features))
+    return [store.words(takes["take_id"].to_list() if takes.height else None).words]
 
 
-def learned_queries(context: StageContext, store: Store) -> list[KeyframeQuery]:
-    """The queries that the pipeline's stage `learn_keyframes` learned; none where it has no such stage."""
-    if "keyframes" not in context.inputs:
-        return []
-    table = store.result("queries", run=run_of(store, context.key(context.inputs["keyframes"])))
-    return every_query(outcomes_of(table), store.feature_set)
+def prepare_annotator(
+    store: Store,
+    params: MethodParameters,
+    templates: Sequence[SubclassTemplate],
+    classes: Classes,
+    clips: Callable[[], Sequence[U64]],
+    calibration: Calibration,
+    queries: Sequence[KeyframeQuery] = (),
+    learned: Sequence[KeyframeQuery] = (),
+) -> Annotator:
+    """Make the annotator of a method and its parameters.
+
+    Parameters
+    ----------
+    store : Store
+        The store, for its features and its rate.
+    params : MethodParameters
+        The method and its parameters.
+    templates : sequence of SubclassTemplate
+        The templates, of the kind that `params` names.
+    classes : Classes
+        The classes to label with.
+    clips : callable
+        Returns the words of the training clips; called where the method needs them.
+    calibration : Calibration
+        The calibrated thresholds, see `calibrated_thresholds`; those of `tau_by_class` take precedence.
+    queries, learned : sequence of KeyframeQuery
+        The queries of files, and those that were learned.
+
+    Raises
+    ------
+    KinedexError
+        No template can be used, or `tau_by_class` names no class.
+    """
+    return make_annotator(
+        store.feature_set,
+        templates,
+        classes,
+        params.delta,
+        params.thresholds(classes.names, calibration.taus),
+        queries,
+        learned,
+        params.annotation_method,
+        clips,
+        least_frames(params.min_seconds, store.rate_hz),
+    )
 
 
-def queries_of(store: Store, params: AnnotationParameters) -> list[KeyframeQuery]:
-    """All queries of the query files."""
-    return read_query_files(params.query_files, store.feature_set, store.rate_hz)
+def own_thresholds(params: MethodParameters, calibration: Calibration, annotator: Annotator) -> dict[str, float]:
+    """Return the threshold of each class that has a template, where classes have thresholds of their own."""
+    if not (calibration.taus or params.tau_by_class) or not params.annotation_method.uses_thresholds:
+        return {}
+    thresholds = params.thresholds(annotator.classes, calibration.taus)
+    labelled = [annotator.classes[index] for index in sorted(set(annotator.class_index.tolist()))]
+    return {name: thresholds[name] for name in labelled}
+
+
+def calibrated_thresholds(
+    store: Store,
+    params: MethodParameters,
+    templates: TemplateParameters,
+    classes: Classes,
+    clips: Callable[[], Sequence[TrainingClips]],
+    executor: Executor,
+) -> Calibration:
+    """Calibrate the thresholds of classes, where the parameters ask for it and the method uses them.
+
+    Parameters
+    ----------
+    store : Store
+        The store, which has the actors of the clips.
+    params : MethodParameters
+        The method and its parameters; no threshold is calibrated unless `tau` is "calibrated".
+    templates : TemplateParameters
+        The parameters that templates are learned with.
+    classes : Classes
+        The classes to label with.
+    clips : callable
+        Returns the clips to calibrate on; called where they are needed.
+    executor : Executor
+        The workers.
+    """
+    if params.tau != CALIBRATED or not params.annotation_method.uses_thresholds:
+        return Calibration({}, {}, ())
+    weights = feature_weights(templates.weights, store.feature_set)
+
+    def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
+        features, kinds = len(store.feature_set.features), [params.templates]
+        found = [one for task in learn_templates(some, kinds, features, executor, weights) for one in task]
+        return completed(found, templates, store.feature_set, kinds, where_possible=True)
+
+    actors = dict(store.takes().select("name", "actor").iter_rows())
+    return calibrate(clips(), actors, classes, params.delta, learn, executor)
+
+
+def annotated_classes(store: Store, params: AnnotationParameters, stage: str) -> Classes:
+    """Return the classes that a stage `annotate` has annotated with.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds its annotations.
+    params : AnnotationParameters
+        The parameters of the stage.
+    stage : str
+        "<pipeline>/<stage>".
+    """
+    learned = f"{stage.split('/', 1)[0]}/{store.manifest.stages[stage].summary['inputs']['templates']}"
+    return annotation_classes(store, params.classes, read_templates(store, learned, params.templates))
+
+
+def learned_queries(store: Store, stage: str) -> list[KeyframeQuery]:
+    """Return the queries that a stage `learn_keyframes`, "<pipeline>/<stage>", has learned."""
+    return every_query(outcomes_of(store.result("queries", run=run_of(store, stage))), store.feature_set)

@@ -1,10 +1,10 @@
-"""What of an earlier annotation still holds: takes whose words, and all that they were annotated with, are the same."""
+"""Reuse of earlier annotations: of takes whose words, and all that they were annotated with, are unchanged."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 
 import numpy as np
@@ -19,18 +19,23 @@ from kinedex.storage.store.kept_results import Lasting, lasting
 from kinedex.storage.store.store import Store
 
 PIECE_BYTES = 16_000_000
-"""Small pieces of curves are put together up to this size, uncompressed, where they are written again."""
+"""Curves are written again in pieces of about this size, uncompressed."""
 
 
-def setting_digest(annotator: Annotator, keep_curves: bool, code: str) -> str:
-    """A hash of all that decides a take's annotations besides its words; a row of templates knows no thresholds.
+def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
+    """Return a hash of all that the annotation of a take depends on besides its words.
 
     Parameters
     ----------
-    code: a hash of the sources that the stage runs.
+    annotator : Annotator
+        The annotator; its method holds thresholds only where it uses them.
+    store_curves : bool
+        True where distance curves are stored.
+    code : str
+        A hash of the sources that the stage runs.
     """
-    hasher = hashlib.sha256(f"{code}/{keep_curves}".encode())
-    _feed(hasher, annotator if annotator.row is None else replace(annotator, tau=0.0, taus=None))
+    hasher = hashlib.sha256(f"{code}/{store_curves}".encode())
+    _feed(hasher, annotator)
     return hasher.hexdigest()[:16]
 
 
@@ -58,7 +63,7 @@ def _feed(hasher: hashlib._Hash, value: object) -> None:
 
 
 def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, str]:
-    """A hash of each take's words and the setting, by take_id; words are read batch by batch."""
+    """Return a hash of each take's words and the setting, by take_id; words are read batch by batch."""
     result = {}
     for batch in split_takes(takes["take_id"].to_list(), takes["frames"].to_list()):
         words = store.words(batch)
@@ -70,11 +75,19 @@ def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, s
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Takes whose earlier annotations still hold.
+class EarlierAnnotations:
+    """The annotations of an earlier run that are up to date.
 
-    stage: "<pipeline>/<stage>"; run: its run that made them. searched: take_id → the share of its frames that templates
-    were matched in.
+    Attributes
+    ----------
+    store : Store
+        The store that holds them.
+    stage : str
+        The stage that made them, "<pipeline>/<stage>".
+    run : str
+        The id of the run.
+    searched : dict of int to float
+        For each of their takes the share of its frames that templates were matched in.
     """
 
     store: Store
@@ -83,15 +96,15 @@ class Kept:
     searched: dict[int, float]
 
     def annotations(self, run: str) -> pa.Table:
-        """Their segments, as rows of a new run."""
+        """Return the segments, as rows of a new run."""
         return self._rows(self.store.result("annotations", run=self.run), run)
 
     def curve_parts(self) -> Lasting:
-        """What becomes of the parts of distance curves: those that stay, and those whose rows are put again."""
+        """Divide the parts of distance curves into those that stay and those whose rows are written again."""
         return lasting(self.store, "distance_curves", self.stage, self.searched)
 
     def curves(self, parts: Iterable[ResultPart], run: str) -> Iterator[pa.Table]:
-        """Their distance curves in these parts, as rows of a new run, in pieces of some size."""
+        """Yield the distance curves of some parts, as rows of a new run, in pieces of `PIECE_BYTES`."""
         waiting: list[pa.Table] = []
         for piece in self.store.result_pieces("distance_curves", parts):
             waiting.append(self._rows(piece, run))
@@ -107,15 +120,15 @@ class Kept:
         return rows.set_column(place, rows.schema.field("run"), pa.repeat(pa.scalar(run), rows.num_rows))
 
 
-def kept_annotations(store: Store, stage: str, prints: dict[int, str]) -> Kept:
-    """The takes that a stage has annotated before, with the same fingerprint."""
+def earlier_annotations(store: Store, stage: str, prints: dict[int, str]) -> EarlierAnnotations:
+    """Return the annotations of takes that a stage has annotated before, with the same fingerprint."""
     runs = [part.run for part in store.manifest.results.get("annotated_takes", ()) if part.stage == stage]
     if not runs:
-        return Kept(store, stage, "", {})
+        return EarlierAnnotations(store, stage, "", {})
     rows = store.result("annotated_takes", run=runs[-1]).select(["take_id", "fingerprint", "searched"]).to_pylist()
     same = {
         int(row["take_id"]): float(row["searched"])
         for row in rows
         if row["fingerprint"] is not None and prints.get(row["take_id"]) == row["fingerprint"]
     }
-    return Kept(store, stage, runs[-1], same)
+    return EarlierAnnotations(store, stage, runs[-1], same)

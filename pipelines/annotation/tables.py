@@ -1,4 +1,4 @@
-"""The tables of an annotation: takes, segments and distance curves; and the takes that were annotated, read back."""
+"""The tables of an annotation: takes, segments and distance curves."""
 
 from __future__ import annotations
 
@@ -20,12 +20,18 @@ from kinedex.storage.store.store import Store
 def takes_table(
     takes: pl.DataFrame, run: str, searched: Mapping[int, float], prints: Mapping[int, str] | None = None
 ) -> pa.Table:
-    """Lay the takes that are annotated out as results of the kind `annotated_takes`.
+    """Return the takes that are annotated as results of the kind `annotated_takes`.
 
     Parameters
     ----------
-    searched: take_id → the share of its frames that a template was matched in, on average. prints: take_id →
-        fingerprint, by which a later run knows that nothing has changed.
+    takes : polars.DataFrame
+        Rows of takes.
+    run : str
+        The id of the run.
+    searched : mapping of int to float
+        For each take_id the share of its frames that a template was matched in, on average.
+    prints : mapping of int to str, optional
+        For each take_id the fingerprint by which a later run finds its annotation up to date.
     """
     ids = takes.sort("name")["take_id"].to_list()
     columns = takes.sort("name").select(
@@ -40,15 +46,19 @@ def takes_table(
 
 
 def annotated_takes(store: Store, stage: str) -> pl.DataFrame:
-    """The takes that a stage has annotated, found something in or not: their rows of takes, sorted by name.
+    """Return the rows of the takes that a stage has annotated, sorted by name.
 
     Parameters
     ----------
-    stage: "<pipeline>/<stage>".
+    store : Store
+        The store to read.
+    stage : str
+        "<pipeline>/<stage>".
 
     Raises
     ------
-    KinedexError: the stage has not run, or takes that it annotated have been replaced or dropped since.
+    KinedexError
+        The stage has not run, or takes that it annotated have been replaced or dropped since.
     """
     table = pl.from_arrow(store.result("annotated_takes", run=run_of(store, stage)))
     assert isinstance(table, pl.DataFrame)
@@ -64,7 +74,7 @@ def annotated_takes(store: Store, stage: str) -> pl.DataFrame:
 def annotations_table(
     found: Iterable[TakeAnnotation], annotator: Annotator, names: dict[int, str], rate_hz: float, run: str
 ) -> pa.Table:
-    """Lay segments out as results of the kind `annotations`, by take name and start."""
+    """Return segments as results of the kind `annotations`, sorted by take name and start."""
     rows = [
         {
             "run": run,
@@ -78,7 +88,7 @@ def annotations_table(
             "stop_seconds": segment.stop / rate_hz,
             "cost": None if np.isnan(segment.cost) else segment.cost,
             "confidence": segment.confidence,
-            "method": annotator.method,
+            "method": annotator.label,
         }
         for one in sorted(found, key=lambda one: names[one.take_id])
         for segment in one.segments
@@ -87,7 +97,7 @@ def annotations_table(
 
 
 def curves_table(found: Iterable[TakeAnnotation], annotator: Annotator, names: dict[int, str], run: str) -> pa.Table:
-    """Lay distance curves out as results of the kind `distance_curves`, one row per take and subclass."""
+    """Return distance curves as results of the kind `distance_curves`, one row per take and subclass."""
     schema = result_schema("distance_curves")
     tables = []
     for one in sorted(found, key=lambda one: names[one.take_id]):

@@ -1,4 +1,4 @@
-"""Thresholds of classes, calibrated on training clips: every actor's clips against templates of the others'."""
+"""Thresholds of classes, calibrated on the clips of each actor with templates of the others' clips."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 F64 = npt.NDArray[np.float64]
 
 HIGHEST = 1.0
+"""No threshold is above this distance, which no path exceeds."""
 
 _NO_COSTS = (
     "they have no clips",
     "their clips are of one actor",
     "no clip of theirs fits a template of other actors' clips",
 )
-"""Why nothing is known of how the clips of a class fit its own templates, by the number of their actors."""
+"""Reasons for which the clips of a class have no costs for its own templates, by the number of their actors."""
 
 Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
-"""How templates are learned from clips: those of the stage `learn_templates`, files and combinations included."""
+"""A function that makes templates of clips by the recipe of an archive, files and combinations included."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Thresholds of classes, how well each divides the clips it was chosen on (F), and what is to be said of them."""
+    """Thresholds of classes, the F with which each divides its clips from the others, and remarks."""
 
     taus: dict[str, float]
     scores: dict[str, float]
@@ -45,7 +46,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Fold:
-    """The clips of one actor, and templates that were learned without him: the task of one worker."""
+    """The clips of one actor and templates of the other actors' clips, as the task of one worker."""
 
     templates: tuple[SubclassTemplate, ...]
     clips: tuple[TrainingClips, ...]
@@ -60,25 +61,37 @@ def calibrate(
     learn: Learn,
     executor: Executor,
 ) -> Calibration:
-    """Choose τ_p of each class so that it divides clips of the class from others best (F), over actors left out.
+    """Choose the threshold of each class with the highest F on clips of actors whose clips made no template.
 
     The clips of one actor at a time are matched with templates that were learned from the clips of the others: the
-    least distance within a clip is its cost for a template; a class takes the least over its subclasses. The costs of
-    all actors together decide (`ops.annotation.calibration.best_threshold`).
+    least distance within a clip is its cost for a template, and a class has the least cost of its subclasses. The costs
+    of all actors together decide (`ops.annotation.calibration.best_threshold`).
 
     Parameters
     ----------
-    clips: the training clips by subclass. actors: take name → actor; clips of nobody known are those of one more actor.
-    learn: learns templates from clips; called once for each actor.
+    clips : sequence of TrainingClips
+        The training clips by subclass.
+    actors : mapping of str to str
+        The actor of each take by its name; clips without one are those of one more actor.
+    classes : Classes
+        The classes of the subclasses.
+    delta : float
+        Entries of a template within delta of 0 or 1 count, the others are wildcards.
+    learn : callable
+        Learns templates from clips; called once for each actor.
+    executor : Executor
+        The workers.
 
     Returns
     -------
-    Thresholds of those classes that have templates. A class without clips, with clips of one actor, or with clips that
-    fit nothing gets the threshold that divides own from other clips best over all classes; `remarks` say so.
+    Calibration
+        Thresholds of those classes that have templates. A class without clips, with clips of one actor, or with clips
+        that fit nothing gets the threshold that divides own from other clips best over all classes; `remarks` name it.
 
     Raises
     ------
-    KinedexError: the clips are of fewer than two actors.
+    KinedexError
+        The clips are of fewer than two actors, or fit no template.
     """
     known = sorted({actors.get(name) or "" for one in clips for name in one.names})
     if len(known) < 2:
@@ -89,22 +102,15 @@ def calibrate(
         )
     folds = []
     for actor in known:
-        theirs = [part for one in clips if (part := _of(one, actors, actor, his=True)).names]
-        rest = [part for one in clips if (part := _of(one, actors, actor, his=False)).names]
+        names = {name for one in clips for name in one.names if (actors.get(name) or "") == actor}
+        theirs = [part for one in clips if (part := one.only(names)).names]
+        rest = [part for one in clips if (part := one.without(names)).names]
         folds.append(Fold(tuple(learn(rest)), tuple(theirs), delta))
     return _choose([*zip(folds, executor.map(fold_costs, folds), strict=True)], classes)
 
 
-def _of(clips: TrainingClips, actors: Mapping[str, str | None], actor: str, *, his: bool) -> TrainingClips:
-    """The clips of an actor, or those of all others."""
-    kept = [index for index, name in enumerate(clips.names) if ((actors.get(name) or "") == actor) == his]
-    return TrainingClips(
-        clips.subclass, tuple(clips.names[index] for index in kept), tuple(clips.words[index] for index in kept)
-    )
-
-
 def fold_costs(fold: Fold) -> F64:
-    """The cost of every clip for every template, float64 (templates, clips), ∞ where it does not fit (in a worker)."""
+    """Return the cost of each clip for each template, float64 (templates, clips), ∞ where none fits; in a worker."""
     words = [one for clips in fold.clips for one in clips.words]
     templates = [quantise(one.learned.template, fold.delta) for one in fold.templates]
     costs = np.full((len(templates), len(words)), np.inf)
@@ -113,7 +119,7 @@ def fold_costs(fold: Fold) -> F64:
         ranges = np.stack([edges[:-1], edges[1:]], axis=1)
         curves = distance_curves(templates, np.concatenate([words[clip] for clip in batch]), ranges)
         costs[:, batch] = np.minimum.reduceat(curves, edges[:-1], axis=1)
-    # what is wildcards alone fits anything, and is left out of annotation
+    # templates of wildcards alone fit anything, and are excluded from annotation
     costs[[not one.fixed for one in templates]] = np.inf
     return costs
 

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, MotionClass, load_classes
-from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
+from kinedex.pipelines.annotation.methods import annotation_method
+from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.annotation.tables import annotations_table
 from kinedex.pipelines.api.query import Query, keyframe_queries
 from kinedex.pipelines.api.store import Store
@@ -27,13 +27,11 @@ from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 
-Method = Literal["best", "thesis"]
-
 
 def annotate(
     takes: Store | Take | Iterable[Take],
     templates: Template | str | Sequence[Template | str],
-    method: Method = "best",
+    method: str = "best",
     *,
     classes: str | Path = OWN,
     delta: float = 0.05,
@@ -50,9 +48,9 @@ def annotate(
         The takes to annotate; of a store those that `where` selects.
     templates : Template, str, or a sequence of them
         One template for each class (subclass); names are those of templates that the store has learned.
-    method : {"best", "thesis"}
+    method : str
         "best" explains all frames of a take together by templates in a row with background between them; "thesis"
-        labels the frames where a template fits below tau.
+        labels the frames where a template fits below tau; or the name of a plugin's method.
     classes : str or Path, optional
         "own" makes every template a class of its own; else a class file, by its shipped name or its path.
     delta : float, optional
@@ -90,12 +88,10 @@ def annotate(
     >>> found.select("take", "class", "start").columns
     ['take', 'class', 'start']
     """
-    if method not in ("best", "thesis"):
-        raise ParameterError("method", "'best' or 'thesis'", method)
+    chosen_method = annotation_method(method)
     given = _templates_of(takes, templates)
     chosen = _StoredWords(takes, where) if isinstance(takes, Store) else _LoadedWords(takes)
     _check_features(chosen.feature_set.digest, given)
-    usual = _usual_postures(given, chosen) if method == "best" else None
     annotator = make_annotator(
         chosen.feature_set,
         [one.learned for one in given],
@@ -103,9 +99,10 @@ def annotate(
         delta,
         tau,
         keyframe_queries(queries),
-        usual,
+        method=chosen_method,
+        clips=lambda: _clips_of(given) or chosen.every_word(),
+        min_frames=least_frames(min_seconds, chosen.rate_hz),
     )
-    annotator = replace(annotator, min_frames=math.ceil(round(min_seconds * chosen.rate_hz, 9)))
     for remark in annotator.remarks:
         warnings.warn(remark, stacklevel=2)
     return _table(chosen.annotate(annotator), annotator, chosen)
@@ -198,12 +195,9 @@ def _check_features(digest: str, templates: Sequence[Template]) -> None:
             raise KinedexError(f"template '{one.name}' has other features ({one.feature_set.name}) than the takes")
 
 
-def _usual_postures(templates: Sequence[Template], chosen: _LoadedWords | _StoredWords) -> Any:
-    """Return the usual postures in the clips of the templates, or in the takes where no clip is known."""
-    from kinedex.ops.annotation.background import background
-
-    clips = {name: words for one in templates for name, words in one.examples().items()}
-    return background(list(clips.values()) or chosen.every_word(), len(chosen.feature_set.features))
+def _clips_of(templates: Sequence[Template]) -> list[Any]:
+    """Return the words of the clips of templates, each clip once."""
+    return list({name: words for one in templates for name, words in one.examples().items()}.values())
 
 
 def _table(found: Iterable[TakeAnnotation], annotator: Annotator, chosen: _LoadedWords | _StoredWords) -> pl.DataFrame:

@@ -108,7 +108,6 @@ BUILT_IN = {
     "report_retrieval": "kinedex.pipelines.stages.report_retrieval:ReportRetrieval",
     "annotate": "kinedex.pipelines.stages.annotate:Annotate",
     "evaluate": "kinedex.pipelines.stages.evaluate:Evaluate",
-    "leave_one_out": "kinedex.pipelines.stages.leave_one_out:LeaveOneOut",
     "compare_methods": "kinedex.pipelines.stages.compare_methods:CompareMethods",
     "report": "kinedex.pipelines.stages.report:Report",
 }

@@ -1,4 +1,4 @@
-"""Folds: how the takes of a split are divided into those that are learned from and those that are annotated."""
+"""Folds: the takes of a split, divided into those to learn from and those to annotate."""
 
 from __future__ import annotations
 
@@ -21,9 +21,22 @@ PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
 
 @dataclass(frozen=True)
 class Material:
-    """What a split is made of: takes to learn from with their clips, takes to annotate, and what places their truth.
+    """The takes of a split.
 
-    group: the column of takes that results are divided by.
+    Attributes
+    ----------
+    training : polars.DataFrame
+        Rows of the takes to learn from.
+    clips : tuple of TrainingClips
+        Their clips by subclass.
+    tested : polars.DataFrame
+        Rows of the takes to annotate.
+    classes : Classes
+        The classes to label with.
+    place : callable
+        Returns the ground truth of takes.
+    group : str
+        The column of takes that results are divided by.
     """
 
     training: pl.DataFrame
@@ -34,22 +47,36 @@ class Material:
     group: str
 
 
+class NoFoldsError(KinedexError):
+    """A split has no fold: no take can be annotated with templates of other takes."""
+
+
 def make_folds(split: Split, material: Material) -> list[Fold]:
     """Divide the takes of a split into folds.
 
+    Parameters
+    ----------
+    split : Split
+        The kind of split.
+    material : Material
+        The takes of the split.
+
     Returns
     -------
-    At least one fold; no take is annotated with templates that it was learned from. The folds' remarks name the takes
-    that are in no fold, and the folds that are not there as nothing is left to learn from.
+    list of Fold
+        At least one; no take is annotated with templates that it was learned from. The remarks of the folds name the
+        takes that are in no fold, and the folds that are missing, as nothing is left to learn from.
 
     Raises
     ------
-    KinedexError: nothing to annotate or to learn from, a column that takes do not have, or a fixed split in which
-        takes to annotate are takes to learn from as well.
+    NoFoldsError
+        There is nothing to annotate, or nothing to learn from.
+    KinedexError
+        Takes lack a column, or takes of a fixed split are both to annotate and to learn from.
     """
     tested = material.tested
     if not tested.height:
-        raise KinedexError(f"split '{split.name}': no take to annotate, the filter `{split.test}` selects none")
+        raise NoFoldsError(f"split '{split.name}': no take to annotate, the filter `{split.test}` selects none")
     remarks: tuple[str, ...] = ()
     if split.clips_as_takes:
         known = [name is not None and material.classes.class_of(name) is not None for name in tested["class"]]
@@ -68,27 +95,27 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
     folds = [_fold(split, name, takes, material) for name, takes in parts]
     usable = [fold for fold in folds if fold.clips and fold.exams]
     if not usable:
-        raise KinedexError(f"split '{split.name}': no fold has both clips to learn from and takes to annotate")
-    remarks = (*remarks, *_in_no_fold(split, tested, parts), *_not_there(split, folds))
+        raise NoFoldsError(f"split '{split.name}': no fold has both clips to learn from and takes to annotate")
+    remarks = (*remarks, *_in_no_fold(split, tested, parts), *_missing(split, folds))
     if split.clips_as_takes:
-        there = {fold.name for fold in usable}
-        clips = sum(takes.height for name, takes in parts if name in there)
+        used = {fold.name for fold in usable}
+        clips = sum(takes.height for name, takes in parts if name in used)
         remarks += (how_clips_are_used(split, clips, [exam for fold in usable for exam in fold.exams]),)
     return [replace(fold, remarks=(*remarks, *fold.remarks)) for fold in usable]
 
 
 def _of_no_class(clips: pl.DataFrame) -> tuple[str, ...]:
-    """The clips whose subclass is in no class, or that have none."""
+    """Return a remark on clips whose subclass is in no class, or that have none."""
     if not clips.height:
         return ()
     subclasses = clips["class"].drop_nulls().unique().sort().to_list()
     bare = clips["class"].null_count()
     parts = [f"of {few(subclasses)}"] * bool(subclasses) + [f"{bare} without a subclass"] * bool(bare)
-    return (f"{counted(clips.height, 'clip')} of no class, left out: {'; '.join(parts)}",)
+    return (f"{counted(clips.height, 'clip')} of no class, excluded: {'; '.join(parts)}",)
 
 
 def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, pl.DataFrame]]) -> list[str]:
-    """The takes without a value of the column that is left out."""
+    """Return a remark on takes without a value of the column that folds are made by."""
     within = {name for _, takes in parts for name in takes["name"]}
     names = [name for name in tested["name"].sort() if name not in within]
     if not names:
@@ -96,8 +123,8 @@ def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, p
     return [f"{counted(len(names), 'take')} without {split.leave_out}, in no fold and not annotated: {few(names)}"]
 
 
-def _not_there(split: Split, folds: Sequence[Fold]) -> list[str]:
-    """The folds without a clip to learn from, with their takes."""
+def _missing(split: Split, folds: Sequence[Fold]) -> list[str]:
+    """Return remarks on the folds without a clip to learn from, with their takes."""
     remarks = []
     for fold in folds:
         if not fold.clips:
@@ -110,7 +137,7 @@ def _not_there(split: Split, folds: Sequence[Fold]) -> list[str]:
 
 
 def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]:
-    """The takes to annotate of each fold."""
+    """Return the takes to annotate of each fold, by its name."""
     if split.leave_out is not None:
         column = split.leave_out
         if column not in tested.columns:
@@ -119,7 +146,7 @@ def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]
             )
         values = tested[column].drop_nulls().unique().sort().to_list()
         if not values:
-            raise KinedexError(f"split '{split.name}': none of the takes to annotate has a value of '{column}'")
+            raise NoFoldsError(f"split '{split.name}': none of the takes to annotate has a value of '{column}'")
         return [(str(value), tested.filter(pl.col(column) == value)) for value in values]
     if split.folds is None:
         return [(WHOLE, tested)]
@@ -133,11 +160,12 @@ def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]
 
 
 def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> Fold:
+    """Make the fold of some takes to annotate."""
     names = set(tested["name"].to_list())
-    left_out = set(names)
+    excluded = set(names)
     if split.leave_out is not None and split.leave_out in material.training.columns:
         value = tested[split.leave_out][0]
-        left_out |= set(material.training.filter(pl.col(split.leave_out) == value)["name"].to_list())
+        excluded |= set(material.training.filter(pl.col(split.leave_out) == value)["name"].to_list())
     trained = {clip for one in material.clips for clip in one.names}
     both = sorted(names & trained)
     if both and split.leave_out is None and split.folds is None:
@@ -145,20 +173,20 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> 
             f"split '{split.name}': takes to annotate are learned from as well: {few(both)}; make `train` and `test` "
             "exclude each other, or use `leave_out` or `folds`"
         )
-    clips = tuple(rest for one in material.clips if (rest := one.without(left_out)).names)
-    said = []
+    clips = tuple(rest for one in material.clips if (rest := one.without(excluded)).names)
+    remarks = []
     gone = sorted({one.subclass for one in material.clips} - {one.subclass for one in clips})
     if gone:
-        said.append(f"{name}: no clips of others, so no template: {few(gone)}")
-    if split.leave_out is not None and not trained & left_out:
-        said.append(f"{name}: no training clip is of {split.leave_out} {name}, so nothing is left out")
+        remarks.append(f"{name}: no clips of others, so no template: {few(gone)}")
+    if split.leave_out is not None and not trained & excluded:
+        remarks.append(f"{name}: no training clip is of {split.leave_out} {name}, so all are learned from")
     if split.clips_as_takes:
         exams = laid_out(split, name, tested, material.classes, material.group)
         if split.orders > 1:
-            said.append(
+            remarks.append(
                 f"clips are laid out in {split.orders} orders, so takes share clips: intervals are narrower than those "
                 "of as many takes of their own"
             )
     else:
         exams = as_they_are(tested, material.place(tested), material.group)
-    return Fold(split.name, name, clips, tuple(exams), tuple(said))
+    return Fold(split.name, name, clips, tuple(exams), tuple(remarks))

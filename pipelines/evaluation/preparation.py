@@ -1,4 +1,4 @@
-"""What a comparison of methods needs before it can annotate: templates, queries and thresholds of every fold."""
+"""The preparation of a comparison of methods: templates, queries and thresholds of every fold."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.ops.annotation.decoding import background
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.annotation.annotators import make_annotator, targets_unknown
-from kinedex.pipelines.annotation.parameters import AnnotationParameters
-from kinedex.pipelines.annotation.preparation import calibrated, queries_of, refined, without_effect
+from kinedex.pipelines.annotation.annotators import targets_unknown
+from kinedex.pipelines.annotation.preparation import calibrated_thresholds, prepare_annotator, queries_of
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.grid import Cell, cell_key
@@ -26,7 +24,21 @@ from kinedex.storage.store.store import Store
 
 @dataclass(frozen=True)
 class Known:
-    """What folds share. templates: by subclass, clips and kind. queries: by fold, those that are learned."""
+    """The material that the folds of all splits share.
+
+    Attributes
+    ----------
+    store : Store
+        The store.
+    classes : Classes
+        The classes to label with.
+    learned_with : TemplateParameters
+        The parameters that templates are learned with, apart from their takes.
+    templates : dict
+        The learned templates by subclass, clips and kind.
+    learned_queries : QueryLearner, optional
+        The queries of each fold, where any method learns them.
+    """
 
     store: Store
     classes: Classes
@@ -36,14 +48,14 @@ class Known:
 
 
 def with_templates(context: StageContext, methods: Sequence[Method], known: Known, folds: Sequence[Fold]) -> Known:
-    """Learn each template that any fold needs once; and the queries, where they are learned."""
+    """Learn each template that a fold needs once, and the queries where they are learned."""
     kinds = list(dict.fromkeys(method.templates for method in methods))
     wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
     features = len(context.feature_set.features)
-    counts = feature_weights(known.learned_with.weights, context.feature_set)
+    weights = feature_weights(known.learned_with.weights, context.feature_set)
     templates = dict(known.templates)
     with context.progress("templates", len(wanted) * len(kinds)) as progress:
-        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, counts):
+        for some in learn_templates(list(wanted.values()), kinds, features, context.executor, weights):
             templates |= {(one.subclass, one.clips, one.kind): one for one in some}
             progress.advance(len(some))
     if known.learned_queries is not None:
@@ -51,42 +63,31 @@ def with_templates(context: StageContext, methods: Sequence[Method], known: Know
     return replace(known, templates=templates)
 
 
-def said_of(methods: Sequence[Method], known: Known) -> list[str]:
-    """What is to be known of methods: queries for none of the classes, and parameters without effect, in words."""
+def method_remarks(methods: Sequence[Method], known: Known) -> list[str]:
+    """Return remarks on queries for none of the classes, and on parameters without effect."""
     remarks = []
     for method in methods:
-        unknown = targets_unknown(_queries(known.store, method), known.classes)
+        unknown = targets_unknown(queries_of(known.store, method), known.classes)
         if unknown:
-            remarks.append(f"{method.name}: keyframe queries for other classes, left out: {few(unknown)}")
-        remarks += [f"{method.name}: {remark}" for remark in without_effect(_params(method))]
+            remarks.append(f"{method.name}: keyframe queries for other classes, excluded: {few(unknown)}")
+        remarks += [f"{method.name}: {remark}" for remark in method.without_effect()]
     return remarks
 
 
-def _queries(store: Store, method: Method) -> list[KeyframeQuery]:
-    return queries_of(store, _params(method))
-
-
-def _params(method: Method) -> AnnotationParameters:
-    """The parameters of the stage `annotate` that mean the same method."""
-    return AnnotationParameters.model_validate(method.model_dump(exclude={"name"}) | {"queries": method.query_files})
-
-
 def make_cell(context: StageContext, known: Known, fold: Fold, method: Method) -> Cell:
-    """A method in a fold, with all that annotates its takes."""
+    """Make the cell of a method in a fold, with the annotator of its takes."""
+    store = known.store
     own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
-    feature_set = known.store.feature_set
-    templates = completed(own, known.learned_with, feature_set, [method.templates], where_possible=True)
+    templates = completed(own, known.learned_with, store.feature_set, [method.templates], where_possible=True)
     if method.learned_queries:
         assert known.learned_queries is not None
         queries: Sequence[KeyframeQuery] = known.learned_queries.queries(fold)
     else:
-        queries = _queries(known.store, method)
-    usual = None
-    if method.method == "best":
-        usual = background([words for one in fold.clips for words in one.words], len(feature_set.features))
-    params = _params(method)
-    annotator = make_annotator(feature_set, templates, known.classes, method.delta, params.common_tau, queries, usual)
-    calibration = calibrated(context, known.store, params, known.classes, fold.clips)
-    annotator = refined(annotator, params, known.store.rate_hz, calibration.taus)
+        queries = queries_of(store, method)
+    calibration = calibrated_thresholds(
+        store, method, known.learned_with, known.classes, lambda: fold.clips, context.executor
+    )
+    words = [words for one in fold.clips for words in one.words]
+    annotator = prepare_annotator(store, method, templates, known.classes, lambda: words, calibration, queries)
     remarks = (*annotator.remarks, *calibration.remarks)
-    return Cell(cell_key(fold, annotator, known.store), fold, method, annotator, remarks)
+    return Cell(cell_key(fold, annotator, store), fold, method, annotator, remarks)

@@ -1,4 +1,4 @@
-"""What an evaluation is: methods by name, and splits of an archive into what is learned from and what is annotated."""
+"""The scheme of a comparison: methods by name, and splits of an archive into takes to learn from and to annotate."""
 
 from __future__ import annotations
 
@@ -6,56 +6,48 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from kinedex.ops.templates.templates import Kind
+from kinedex.catalog.classes import OWN
+from kinedex.pipelines.annotation.parameters import MethodParameters
+from kinedex.pipelines.evaluation.label_files import GroundTruthParameters
 
 LEARNED = "learned"
-"""In place of query files: the queries are learned in each fold, from the fold's own training clips."""
+"""This stands in place of query files: queries are learned in each fold, from its own training clips."""
 
 Metric = Literal["frames", "segments", "overlap", "boundaries", "joined"]
 METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries", "joined")
 Filter = Annotated[str, Field(min_length=1)]
 
 
-class Method(BaseModel):
-    """One way to annotate; the parameters are those of the stage `annotate`."""
-
-    model_config = ConfigDict(extra="forbid")
+class Method(MethodParameters):
+    """An annotation method with its parameters, under a name."""
 
     name: str = Field(min_length=1)
-    method: Literal["thesis", "best"] = "thesis"
-    templates: Kind = "soft"
-    delta: float = Field(0.05, ge=0, lt=0.5)
-    tau: Annotated[float, Field(gt=0, le=1)] | Literal["calibrated"] = 0.13
-    tau_by_class: dict[str, Annotated[float, Field(gt=0, le=1)]] = {}
-    min_seconds: float = Field(0, ge=0, allow_inf_nan=False)
     queries: list[str] | str | None = Field(
         None, description="none: all frames; query files; or 'learned': in each fold from its own training clips"
     )
 
     @property
     def learned_queries(self) -> bool:
-        """Whether queries are learned in each fold."""
+        """True where queries are learned in each fold."""
         return self.queries == LEARNED
 
     @property
     def query_files(self) -> list[str]:
-        """The query files as a list; none where queries are learned, or there are none."""
-        if self.learned_queries:
-            return []
-        return [self.queries] if isinstance(self.queries, str) else list(self.queries or ())
+        """The query files as a list; empty where queries are learned."""
+        return [] if self.learned_queries else super().query_files
 
     @property
     def preselects(self) -> bool:
-        """Whether keyframe queries say where templates are matched."""
+        """True where templates are matched within the hits of keyframe queries only."""
         return self.learned_queries or bool(self.query_files)
 
     def at(self, tau: float) -> Method:
-        """The same method at another threshold, named after it."""
+        """Return the method with another threshold, named after it."""
         return self.model_copy(update={"tau": tau, "tau_by_class": {}, "name": f"{self.curve_name} τ = {tau:g}"})
 
     @property
     def curve_name(self) -> str:
-        """What methods that differ in τ alone have in common, for the sweep."""
+        """A name that methods share which differ in τ alone, for the sweep."""
         how = "without keyframes"
         if self.preselects:
             how = (
@@ -66,33 +58,43 @@ class Method(BaseModel):
 
 
 class Split(BaseModel):
-    """Takes to learn from and takes to annotate; one fold, or one for each value of a column, or k by take."""
+    """Takes to learn from and takes to annotate: one fold, one for each value of a column, or k folds of takes."""
 
     model_config = ConfigDict(extra="forbid")
 
     name: str = Field(min_length=1)
     train: Filter = Field(
-        "class IS NOT NULL", description="takes to learn from, a SQL filter over the columns of takes"
+        "class IS NOT NULL",
+        description="takes to learn from, a SQL filter over the columns of takes; where the method is that of the "
+        "stage annotate, those of the stage learn_templates unless given",
     )
-    test: Filter = Field("class IS NULL", description="takes to annotate, a SQL filter")
+    test: Filter = Field(
+        "class IS NULL",
+        description="takes to annotate, a SQL filter; where the method is that of the stage annotate, its takes unless "
+        "given",
+    )
     leave_out: str | None = Field(
-        None, description="a column of takes: each value among the takes to annotate is left out of the training once"
+        None,
+        description="a column of takes: for each value among the takes to annotate there is a fold whose training "
+        "takes have other values",
     )
-    folds: int | None = Field(None, ge=2, description="so many folds by take, each left out of the training once")
+    folds: int | None = Field(
+        None, ge=2, description="the number of folds of takes, each annotated with templates of the other folds"
+    )
     clips_as_takes: bool = Field(
         False,
         description="the takes to annotate are clips, whose class is the truth; they are laid end to end in a drawn "
         "order, so that archives with few long takes can be evaluated for every actor",
     )
-    clips_a_take: int = Field(9, ge=1, description="so many clips make a take")
+    clips_a_take: int = Field(9, ge=1, description="the number of clips of a take")
     most_clips: int = Field(
         4,
         ge=1,
-        description="so many clips of a class at most in each order, so that none fills it; of every value of "
-        "`divide_by` (such as actor) on its own, as a take has clips of one value",
+        description="the largest number of clips of a class in each order, for every value of `divide_by` (such as "
+        "actor), as a take has clips of one value",
     )
-    orders: int = Field(3, ge=1, description="how often clips are drawn and laid out")
-    seed: int = Field(0, ge=0, description="what drawn orders, and folds by take, follow from")
+    orders: int = Field(3, ge=1, description="the number of orders in which clips are laid end to end")
+    seed: int = Field(0, ge=0, description="the seed of drawn orders, and of folds of takes")
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -102,7 +104,68 @@ class Split(BaseModel):
 
     @property
     def kind(self) -> str:
-        """The kind of split in words."""
+        """The kind of split, for people."""
         if self.leave_out is not None:
             return f"leave one {self.leave_out} out"
-        return f"{self.folds} folds by take" if self.folds is not None else "fixed"
+        return f"{self.folds} folds of takes" if self.folds is not None else "fixed"
+
+
+class ComparisonParameters(GroundTruthParameters):
+    """The parameters of the stage `compare_methods`; templates are learned with those of `learn_templates`."""
+
+    title: str = Field("Methods compared", description="the title of the report")
+    methods: list[Method] = Field(
+        [],
+        description="annotation methods, each with a name; unless given, the method, the classes and the takes of the "
+        "stage annotate",
+    )
+    splits: list[Split] = Field(min_length=1, description="takes to learn from, and takes to annotate")
+    classes: str = Field(OWN, description="'own': every subclass is a class; or a class file")
+    divide_by: str = Field(
+        "actor",
+        description="the column of takes that Table 5.2 is divided by (in the metrics, scope 'group'); of clips laid "
+        "end to end, those of one take have the same value",
+    )
+    taus: list[float] = Field(
+        [],
+        description="thresholds of the sweep (thesis, Figure 5.6), for all methods that use one",
+    )
+    metrics: list[Metric] = Field(
+        list(METRICS),
+        description="measures of the report: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), "
+        "boundaries, and joined: overlap and boundaries once more where touching segments of one class are one",
+    )
+    draws: int = Field(1000, ge=1, description="the number of draws of takes for the 95 % intervals")
+
+    embed: Literal["auto", "all", "none"] | list[str] = Field(
+        "auto",
+        description="takes whose motion the page carries, so that a click on a segment shows it: auto (as many as keep "
+        "the page below 20 MB), all that have a timeline, none, or a list of names",
+    )
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        for what, names in (("methods", [m.name for m in self.methods]), ("splits", [s.name for s in self.splits])):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise ValueError(f"{what}: two are named '{twice[0]}'")
+        return self
+
+    @property
+    def distinct(self) -> list[Method]:
+        """The methods, without those that equal an earlier one except for the name."""
+        settings = [_setting(method) for method in self.methods]
+        return [method for index, method in enumerate(self.methods) if settings[index] not in settings[:index]]
+
+    @property
+    def query_files(self) -> list[str]:
+        """The query files of all methods, each once."""
+        return list(dict.fromkeys(name for method in self.methods for name in method.query_files))
+
+
+def _setting(method: Method) -> dict[str, object]:
+    """Return all that the outcome of a method depends on."""
+    fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
+    if not method.annotation_method.uses_thresholds:
+        del fields["tau"], fields["tau_by_class"]
+    return fields | {"learned": method.learned_queries}

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.evaluation.annotation_scores import measures
+from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.pipelines.evaluation.annotation_scores import Row, measures
 from kinedex.pipelines.evaluation.grid import Segment
 from kinedex.pipelines.evaluation.method_scores import Fate, Judgement, Outcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
-from kinedex.pipelines.evaluation.test_takes import Exam, Fold
+from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
 
 
 @dataclass(frozen=True)
@@ -202,6 +202,18 @@ def _judgement(one: Judgement, study: Study) -> dict[str, object]:
 def scores(counts: Counts) -> dict[str, float | int | None]:
     """Measures and counts by name; a measure that is undefined is None."""
     return {**measures(counts), **asdict(counts)}
+
+
+def evaluation_rows(judged: Judgement, folds: Sequence[Fold]) -> tuple[Row, ...]:
+    """Return a judgement as rows of an evaluation; a group holds the takes with the same value of `divide_by`."""
+    by_fold = {fold.name: pooled(judged.by_take[exam.name] for exam in fold.exams) for fold in folds}
+    return (
+        Row("pooled", "all", judged.pooled),
+        *(Row("fold", name, counts) for name, counts in by_fold.items() if name != WHOLE),
+        *(Row("group", name, counts) for name, counts in judged.by_group.items()),
+        *(Row("class", name, counts) for name, counts in judged.by_class.items()),
+        *(Row("take", name, counts) for name, counts in judged.by_take.items()),
+    )
 
 
 def _segments(found: Sequence[Segment]) -> list[Mapping[str, object]]:

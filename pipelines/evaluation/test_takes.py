@@ -1,4 +1,4 @@
-"""Exams: the takes that are annotated, with what is true of them; as the store has them, or clips laid end to end."""
+"""Exams: takes that are annotated and judged, with their ground truth; takes of the store, or clips laid end to end."""
 
 from __future__ import annotations
 
@@ -14,18 +14,28 @@ from kinedex.pipelines.evaluation.scheme import Split
 from kinedex.pipelines.templates.learning import TrainingClips
 
 WHOLE = "all"
-"""The name of the only fold of a fixed split."""
+"""This is the name of the only fold of a fixed split."""
 
 Truth = tuple[str, int, int]
-"""A class and the analysis frames [start, stop) that it is in."""
+"""A class, and the first analysis frame and the one after the last of a segment of it."""
 
 
 @dataclass(frozen=True)
 class Exam:
-    """A take that is annotated: one of the store, or several clips of the store laid end to end.
+    """A take that is annotated and judged: one of the store, or several clips of the store laid end to end.
 
-    name: the take's, or one made of the fold and a number. group: its value of what Table 5.2 is divided by.
-    take_ids: the parts.
+    Attributes
+    ----------
+    name : str
+        The name of the take, or of the fold with a number.
+    group : str
+        The value of the column that results are divided by (thesis, Table 5.2).
+    take_ids : tuple of int
+        The takes of the store that it is made of.
+    frames : int
+        Its analysis frames.
+    truth : tuple of Truth
+        The segments of its ground truth.
     """
 
     name: str
@@ -37,7 +47,7 @@ class Exam:
 
 @dataclass(frozen=True)
 class Fold:
-    """One fold of a split. remarks: what is to be known of it, in words."""
+    """One fold of a split: the clips to learn from, the takes to annotate, and remarks on both."""
 
     split: str
     name: str
@@ -47,7 +57,17 @@ class Fold:
 
 
 def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[Exam]:
-    """The takes of the store. placed: their ground truth. column: what results are divided by."""
+    """Return takes of the store as exams.
+
+    Parameters
+    ----------
+    tested : polars.DataFrame
+        Rows of takes.
+    placed : GroundTruth
+        Their ground truth.
+    column : str
+        The column of takes that results are divided by.
+    """
     truth: dict[str, list[Truth]] = {}
     for one in placed.segments:
         truth.setdefault(one.take, []).append((one.label, one.start, one.stop))
@@ -68,8 +88,16 @@ def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, col
 
     Parameters
     ----------
-    split: how many clips a take has, how many clips of a class are drawn for each order, and how many orders.
-    fold: its name. clips: rows of takes, each of a class. column: what results are divided by, such as "actor".
+    split : Split
+        The number of clips of a take, of clips of a class in each order, and of orders.
+    fold : str
+        The name of the fold.
+    clips : polars.DataFrame
+        Rows of takes, each of a class.
+    classes : Classes
+        The classes of the labels.
+    column : str
+        The column of takes that results are divided by, such as "actor".
     """
     rows = list(clips.sort("name").iter_rows(named=True))
     groups = sorted({group_of(row, column) for row in rows})
@@ -86,12 +114,12 @@ def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, col
 
 
 def group_of(row: dict[str, object], column: str) -> str:
-    """The value of a column of a take that results are divided by."""
+    """Return the value of the column of a take that results are divided by."""
     return f"no {column}" if row.get(column) is None else str(row[column])
 
 
 def how_clips_are_used(split: Split, clips: int, exams: Sequence[Exam]) -> str:
-    """Say how many of the clips are laid out, and how often."""
+    """Return a remark on how many of the clips are laid out, and how often."""
     uses = [take_id for exam in exams for take_id in exam.take_ids]
     used = len(set(uses))
     return (
@@ -101,7 +129,7 @@ def how_clips_are_used(split: Split, clips: int, exams: Sequence[Exam]) -> str:
 
 
 def _drawn(split: Split, rows: Sequence[dict[str, object]], random: np.random.Generator) -> list[dict[str, object]]:
-    """Clips in a drawn order, of each class `most_clips` at most."""
+    """Return clips in a drawn order, of each class at most `most_clips`."""
     chosen = []
     for label in sorted({str(row["class"]) for row in rows}):
         own = [row for row in rows if row["class"] == label]

@@ -77,8 +77,8 @@ def _files(path: Path) -> list[Path]:
     having = [folder for folder, files in by_folder.items() if files]
     if not having:
         raise KinedexError(
-            f"{path} holds no evaluation: no {', '.join(_NAMES)}; run a pipeline with the stage compare_methods, "
-            "evaluate or leave_one_out"
+            f"{path} holds no evaluation: no {', '.join(_NAMES)}; run a pipeline with the stage compare_methods or "
+            "evaluate"
         )
     if len(having) > 1:
         names = ", ".join(str(folder) for folder in having)

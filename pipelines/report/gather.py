@@ -286,7 +286,12 @@ def _templates(reader: Reader, kind: str, labels: Mapping[str, str]) -> tuple[tu
 
 def _held_out_column(reader: Reader) -> str:
     record = reader.record("leave_one_out")
-    return str(record.params.get("column", "actor")) if record else "actor"
+    if record is None:
+        return "actor"
+    splits = record.params.get("splits")
+    if isinstance(splits, list) and splits:
+        return str(splits[0].get("leave_out") or "actor")
+    return str(record.params.get("column", "actor"))  # of a stage leave_one_out of an earlier version
 
 
 def _learned_from(takes: pl.DataFrame, templates: Sequence[Template], column: str) -> tuple[str, ...]:

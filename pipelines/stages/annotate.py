@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
-import numpy as np
-import numpy.typing as npt
 import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -16,32 +14,29 @@ import pyarrow.compute as pc
 from kinedex.catalog.classes import OWN, Classes
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
-from kinedex.pipelines.annotation.batches import annotate_takes
+from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
+from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import (
-    calibrated,
-    classes_of,
+    annotation_classes,
+    calibrated_thresholds,
     learned_queries,
+    own_thresholds,
+    prepare_annotator,
     queries_of,
-    refined,
     takes_to_annotate,
-    usual_features,
-    without_effect,
+    template_words,
 )
-from kinedex.pipelines.annotation.reuse import fingerprints, kept_annotations, setting_digest
+from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.templates.learning import (
-    read_templates,
-)
+from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
-
-F64 = npt.NDArray[np.float64]
 
 
 class Annotate(Stage[AnnotationParameters]):
@@ -67,20 +62,29 @@ class Annotate(Stage[AnnotationParameters]):
         """Annotate and store the results."""
         with context.writer() as writer:
             store = writer.store
-            takes = takes_to_annotate(store, params)
+            takes = takes_to_annotate(store, params.where)
             templates = read_templates(store, context.key(context.inputs["templates"]), params.templates)
-            classes = classes_of(store, params, templates)
-            queries, learned = queries_of(store, params), learned_queries(context, store)
-            usual = usual_features(store, templates) if params.method == "best" else None
-            annotator = make_annotator(
-                store.feature_set, templates, classes, params.delta, params.common_tau, queries, usual, learned
+            classes = annotation_classes(store, params.classes, templates)
+            queries, keyframes = queries_of(store, params), context.inputs.get("keyframes")
+            learned = learned_queries(store, context.key(keyframes)) if keyframes is not None else []
+            made_with = context.params_of("templates", TemplateParameters)
+            calibration = calibrated_thresholds(
+                store, params, made_with, classes, lambda: training_material(store, made_with)[1], context.executor
             )
-            calibration = calibrated(context, store, params, classes)
-            annotator = refined(annotator, params, store.rate_hz, calibration.taus)
-            remarks = [*annotator.remarks, *calibration.remarks, *without_effect(params)]
+            annotator = prepare_annotator(
+                store,
+                params,
+                templates,
+                classes,
+                lambda: template_words(store, templates),
+                calibration,
+                queries,
+                learned,
+            )
+            remarks = [*annotator.remarks, *calibration.remarks, *params.without_effect()]
             for remark in remarks:
                 context.say(remark)
-            _say_what_is_left_out(context, classes, annotator, queries, learned)
+            _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)
             writer.commit()
         share = _share_searched(done.searched, takes)
@@ -104,27 +108,29 @@ class Annotate(Stage[AnnotationParameters]):
             "method": params.method,
             "delta": params.delta,
             "tau": params.tau,
-            "tau_by_class": _rounded(_own_taus(annotator)),
-            "calibration_f": _rounded(calibration.scores.items()),
+            "tau_by_class": _rounded(own_thresholds(params, calibration, annotator)),
+            "calibration_f": _rounded(calibration.scores),
             "remarks": remarks,
         }
 
 
-def _own_taus(annotator: Annotator) -> Iterator[tuple[str, float]]:
-    """The thresholds of classes that have templates, where classes have thresholds of their own."""
-    labelled = set(annotator.class_index.tolist())
-    if annotator.taus is not None:
-        yield from ((annotator.classes[index], float(annotator.taus[index])) for index in sorted(labelled))
-
-
-def _rounded(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
-    return {name: round(float(value), 6) for name, value in pairs}
+def _rounded(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(float(value), 6) for name, value in values.items()}
 
 
 @dataclass(frozen=True)
 class Done:
-    """What was annotated: how many segments, how many takes were kept from an earlier run, and the share of each
-    take's frames that templates were matched in, by take_id."""
+    """The outcome of an annotation.
+
+    Attributes
+    ----------
+    segments : int
+        The number of segments.
+    kept : int
+        The number of takes whose earlier annotations were up to date.
+    searched : dict of int to float
+        For each take_id the share of its frames that templates were matched in.
+    """
 
     segments: int
     kept: int
@@ -134,14 +140,14 @@ class Done:
 def _annotate(
     context: StageContext, writer: StoreWriter, annotator: Annotator, takes: pl.DataFrame, params: AnnotationParameters
 ) -> Done:
-    """Annotate what is new, and put it into the store with what is kept.
+    """Annotate takes without an annotation that is up to date, and store all annotations.
 
-    Curves go to disk batch by batch, and those of takes that are kept stay in their files; of segments, rows of tables
-    are held, about a hundred bytes each.
+    Curves are written batch by batch, and those that are up to date stay in their files; segments are held in memory,
+    about a hundred bytes each.
     """
     setting = setting_digest(annotator, params.store_curves, context.code)
     prints = fingerprints(writer.store, takes, setting) if context.code else {}
-    kept = kept_annotations(writer.store, context.key(), {} if context.anew else prints)
+    kept = earlier_annotations(writer.store, context.key(), {} if context.anew else prints)
     new = takes.filter(~pl.col("take_id").is_in(list(kept.searched)))
     names = dict(takes.select("take_id", "name").iter_rows())
     segments, searched = [kept.annotations(context.run)], dict(kept.searched)
@@ -150,7 +156,7 @@ def _annotate(
     def curves() -> Iterator[pa.Table]:
         yield from kept.curves(known.again, context.run)
         with context.progress("takes", new.height) as progress:
-            for batch in annotate_takes(context.store_path, annotator, new, context.executor, params.store_curves):
+            for batch in annotate_stored(context.store_path, annotator, new, context.executor, params.store_curves):
                 segments.append(annotations_table(batch, annotator, names, writer.store.rate_hz, context.run))
                 searched.update((one.take_id, float(one.preselected.mean())) for one in batch)
                 progress.advance(len(batch))
@@ -165,7 +171,7 @@ def _annotate(
     return Done(table.num_rows, len(kept.searched), searched)
 
 
-def _say_what_is_left_out(
+def _report_exclusions(
     context: StageContext,
     classes: Classes,
     annotator: Annotator,
@@ -179,18 +185,18 @@ def _say_what_is_left_out(
         context.say(f"classes without a template, which nothing can be labelled with: {few(empty)}")
     unknown = sorted({*targets_unknown(queries, classes), *targets_unknown(learned, classes)})
     if unknown:
-        context.say(f"keyframe queries for other classes, left out: {few(unknown)}")
+        context.say(f"keyframe queries for other classes, excluded: {few(unknown)}")
     used = dict(zip(annotator.subclasses, map(set, annotator.queries), strict=True))
     both = [name for name, own in used.items() if own & set(queries) and own & set(learned)]
     if both:
-        context.say(f"preselected for by queries of files and learned ones, within the hits of either: {few(both)}")
+        context.say(f"with queries of files and learned ones, matched within the hits of either: {few(both)}")
     without = [name for name, own in used.items() if not own]
     if (queries or learned) and without:
         context.say(f"without a keyframe query, matched in all frames: {few(without)}")
 
 
 def _share_searched(searched: Mapping[int, float], takes: pl.DataFrame) -> float:
-    """The share of all frames, over all templates, that curves were computed in."""
+    """Return the share of all frames, over all templates, that templates were matched in."""
     frames = dict(takes.select("take_id", "frames").iter_rows())
     total = sum(frames.values())
     return sum(searched[take_id] * length for take_id, length in frames.items()) / total if total else 0.0

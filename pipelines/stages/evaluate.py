@@ -19,9 +19,7 @@ from kinedex.pipelines.evaluation.annotation_scores import (
     metrics_table,
     write_metrics,
 )
-from kinedex.pipelines.evaluation.ground_truth import (
-    ground_truth_rows,
-)
+from kinedex.pipelines.evaluation.ground_truth import ground_truth_rows
 from kinedex.pipelines.evaluation.label_files import (
     NONE,
     GroundTruthParameters,
@@ -67,7 +65,7 @@ class Evaluate(Stage[GroundTruthParameters]):
             )
             return {"evaluated_takes": 0}
         annotated = context.params_of("annotations", AnnotationParameters)
-        classes = annotated_classes(context, store, context.inputs["annotations"])
+        classes = annotated_classes(store, annotated, context.key(context.inputs["annotations"]))
         truth = ground_truth(store, params, takes, classes)
         annotations = store.result("annotations", run=run_of(store, context.key(context.inputs["annotations"])))
         evaluation = evaluate("annotate", annotations, truth, classes.names)

@@ -11,16 +11,9 @@ from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.templates.learning import (
-    SubclassTemplate,
-    learn_templates,
-    templates_table,
-)
-from kinedex.pipelines.templates.recipes import (
-    feature_weights,
-    templates_of_files,
-)
-from kinedex.pipelines.templates.training import TemplateParameters, clips_to_learn_from, completed, takes_to_learn_from
+from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates, templates_table
+from kinedex.pipelines.templates.recipes import feature_weights, templates_of_files
+from kinedex.pipelines.templates.training import TemplateParameters, completed, training_material
 from kinedex.storage.store.store import Store
 
 
@@ -44,8 +37,7 @@ class LearnTemplates(Stage[TemplateParameters]):
     def run(self, context: StageContext, params: TemplateParameters) -> dict[str, object]:
         """Learn and store the templates."""
         store = context.open()
-        takes = takes_to_learn_from(store, params)
-        clips = clips_to_learn_from(store, params, takes)
+        takes, clips = training_material(store, params)
         given = {one.name for _, one in templates_of_files(params.template_files, store.feature_set)}
         unused = sorted(given & set(takes["class"]))
         if unused:
@@ -79,15 +71,15 @@ class LearnTemplates(Stage[TemplateParameters]):
 
 
 def _warnings(templates: Sequence[SubclassTemplate]) -> dict[str, list[str]]:
-    """What is to be said of templates → of which subclasses, with the kind where it is not true of all kinds."""
+    """Return remarks on templates, each with its subclasses, and with the kind where it is not true of all kinds."""
     kinds: dict[str, set[str]] = {}
     found: dict[str, dict[str, list[str]]] = {}
     for one in templates:
         kinds.setdefault(one.subclass, set()).add(one.kind)
-        said = list(one.remarks)
+        remarks = list(one.remarks)
         if one.learned.rounds == MOST_ROUNDS:
-            said.append(f"not settled after {MOST_ROUNDS} rounds")
-        for text in said:
+            remarks.append(f"not settled after {MOST_ROUNDS} rounds")
+        for text in remarks:
             found.setdefault(text, {}).setdefault(one.subclass, []).append(one.kind)
     return {
         text: [

@@ -47,7 +47,7 @@ class Report(Stage[Params]):
         "templates": Input("learn_templates"),
         "annotations": Input("annotate"),
         "evaluation": Input("evaluate", optional=True),
-        "leave_one_out": Input("leave_one_out", optional=True),
+        "leave_one_out": Input("compare_methods", optional=True),
         "index": Input("index", optional=True),
     }
 

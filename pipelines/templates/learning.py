@@ -1,10 +1,10 @@
-"""Learning templates for the subclasses of an archive: the training clips, the tasks, and the table of results."""
+"""Motion templates of the subclasses of an archive: training clips, tasks for workers, and the table of results."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy.typing as npt
 import polars as pl
 import pyarrow as pa
 
+from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind as Kind
 from kinedex.ops.templates.templates import Learned, Template, learn
@@ -25,21 +26,33 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 _TASK_CELLS = 20_000_000
-"""Cells of the alignments of one round that make a task worth a second or so."""
+"""A task has about so many cells of the alignments of one round, which take a second or so."""
 
 _SPLIT_CELLS = 100_000_000
-"""From this many on, the rounds of one class are worth being divided among all workers."""
+"""From so many cells on, the rounds of one class are divided among all workers."""
 
 LEARNED = "learned"
-"""The origin of a template that was learned from clips of its own class."""
+"""This is the origin of a template that was learned from clips of its own class."""
 
 
 @dataclass(frozen=True)
 class TrainingClips:
-    """The clips of one subclass in the order of their names: names and words, all of them valid frames.
+    """The clips of one subclass, in the order of their names; all frames are valid.
 
-    mirrored: how many of them, the last ones, are mirrored clips of another class (or of this one). source: whose.
-    remarks: what was cut off or left out, in words.
+    Attributes
+    ----------
+    subclass : str
+        The subclass.
+    names : tuple of str
+        The names of the takes.
+    words : tuple of uint64 arrays (L,)
+        The words of each clip.
+    mirrored : int
+        So many of them, the last ones, are clips of `source` with left and right exchanged.
+    source : str
+        The subclass of the mirrored clips.
+    remarks : tuple of str
+        Clips that were shortened or excluded.
     """
 
     subclass: str
@@ -51,27 +64,33 @@ class TrainingClips:
 
     @property
     def cells(self) -> int:
-        """Cells of the alignments of one round: all pairs of frames of all pairs of clips."""
+        """The cells of the alignments of one round: all pairs of frames of all pairs of clips."""
         return sum(len(words) for words in self.words) ** 2
-
-    def without(self, names: set[str]) -> TrainingClips:
-        """Return the clips except those of these names, as plain clips of the subclass."""
-        kept = [index for index, name in enumerate(self.names) if name not in names]
-        return TrainingClips(
-            self.subclass, tuple(self.names[index] for index in kept), tuple(self.words[index] for index in kept)
-        )
 
     @property
     def origin(self) -> str:
-        """Where the template comes from, in words."""
+        """The origin of a template that is learned from these clips."""
         if not self.mirrored:
             return LEARNED
         return f"{LEARNED}, {self.mirrored} of {len(self.names)} clips are those of {self.source} in the mirror"
 
+    def without(self, names: Container[str]) -> TrainingClips:
+        """Return the clips except those of some names."""
+        return self._of([index for index, name in enumerate(self.names) if name not in names])
+
+    def only(self, names: Container[str]) -> TrainingClips:
+        """Return the clips of some names."""
+        return self._of([index for index, name in enumerate(self.names) if name in names])
+
+    def _of(self, chosen: Sequence[int]) -> TrainingClips:
+        return TrainingClips(
+            self.subclass, tuple(self.names[index] for index in chosen), tuple(self.words[index] for index in chosen)
+        )
+
 
 @dataclass(frozen=True)
 class SubclassTemplate:
-    """A template with its provenance: the clips that it was learned from, and what is to be said of them."""
+    """A template with its provenance: the names of its clips, its origin, and remarks on the clips."""
 
     subclass: str
     kind: Kind
@@ -83,7 +102,7 @@ class SubclassTemplate:
 
 @dataclass(frozen=True)
 class Task:
-    """Subclasses whose templates one worker learns."""
+    """The clips of subclasses whose templates one worker learns."""
 
     clips: tuple[TrainingClips, ...]
     kinds: tuple[Kind, ...]
@@ -92,11 +111,19 @@ class Task:
 
 
 def training_takes(store: Store, where: str) -> pl.DataFrame:
-    """The takes that a filter selects for learning, sorted by name; all of them have a class.
+    """Return the takes that a filter selects for learning, sorted by name; all of them have a class.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds the takes.
+    where : str
+        A SQL filter over the columns of takes.
 
     Raises
     ------
-    KinedexError: none is selected, or one without a class; the message says what the archive has.
+    KinedexError
+        The filter selects no take, or one without a class.
     """
     takes = store.takes(where)
     if not takes.height:
@@ -115,13 +142,26 @@ def training_takes(store: Store, where: str) -> pl.DataFrame:
 
 
 def training_clips(store: Store, takes: pl.DataFrame) -> list[TrainingClips]:
-    """Group training takes by subclass and read their words; subclasses and clips in the order of their names.
+    """Group training takes by subclass and read their words.
 
-    Invalid frames at the ends of a clip are cut off; a clip with others, or without any valid frame, is left out.
+    Invalid frames at the ends of a clip are cut off; a clip with others, or without any valid frame, is excluded.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds the takes.
+    takes : polars.DataFrame
+        Rows of takes, each with a class.
+
+    Returns
+    -------
+    list of TrainingClips
+        Subclasses, and the clips of each, in the order of their names.
 
     Raises
     ------
-    KinedexError: a subclass is left without a clip.
+    KinedexError
+        A subclass is left without a clip.
     """
     words = store.words(takes["take_id"].to_list())
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
@@ -153,12 +193,12 @@ def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
         No clip is left.
     """
     kept: dict[str, U64] = {}
-    shortened, left_out = [], []
+    shortened, excluded = [], []
     for name, words in every.items():
         valid = np.flatnonzero(words != NO_WORD)
         inner = words[valid[0] : valid[-1] + 1] if len(valid) else words[:0]
         if not len(valid) or len(inner) > len(valid):
-            left_out.append(name)
+            excluded.append(name)
             continue
         kept[name] = inner
         if len(inner) < len(words):
@@ -166,11 +206,11 @@ def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
     if not kept:
         raise KinedexError(
             f"subclass {subclass} is left without a clip to learn from: all of them have invalid frames "
-            f"({few(left_out)}); leave it out of the training takes, or ingest with a larger `fill_gap_frames`"
+            f"({few(excluded)}); exclude it from the training takes, or ingest with a larger `fill_gap_frames`"
         )
     remarks = []
-    if left_out:
-        remarks.append(f"clips with invalid frames in the middle, left out: {few(left_out)}")
+    if excluded:
+        remarks.append(f"clips with invalid frames in the middle, excluded: {few(excluded)}")
     if shortened:
         remarks.append(f"clips with invalid frames at an end, which are cut off: {few(shortened)}")
     return TrainingClips(subclass, tuple(kept), tuple(kept.values()), remarks=tuple(remarks))
@@ -179,7 +219,7 @@ def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
 def tasks(
     clips: Iterable[TrainingClips], kinds: Sequence[Kind], features: int, feature_weights: F64 | None = None
 ) -> list[Task]:
-    """Divide subclasses into tasks worth a second or more."""
+    """Divide subclasses into tasks of a second or more."""
     groups: list[list[TrainingClips]] = []
     cells = _TASK_CELLS
     for one in clips:
@@ -192,7 +232,7 @@ def tasks(
 
 
 def learn_task(task: Task) -> list[SubclassTemplate]:
-    """Learn the templates of a task (runs in a worker)."""
+    """Learn the templates of a task, in a worker."""
     return [
         learned_template(one, kind, learn(kind, one.words, task.features, task.feature_weights))
         for one in task.clips
@@ -207,10 +247,28 @@ def learn_templates(
     executor: Executor,
     feature_weights: F64 | None = None,
 ) -> Iterator[list[SubclassTemplate]]:
-    """Learn the templates of many subclasses, task by task, the largest last.
+    """Learn the templates of many subclasses in workers, the largest ones last.
 
-    Subclasses are spread over the workers; of a subclass with very many clips, the alignments of each round are. The
-    templates do not depend on the executor, to the last bit.
+    Subclasses are divided among the workers, and so are the alignments of each round of a subclass with very many
+    clips. The templates do not depend on the executor, to the last bit.
+
+    Parameters
+    ----------
+    clips : sequence of TrainingClips
+        The clips of each subclass.
+    kinds : sequence of {"soft", "hard"}
+        The kinds of templates to learn.
+    features : int
+        The number f of features.
+    executor : Executor
+        The workers.
+    feature_weights : float64 array (f,), optional
+        The weight of each feature in alignments and distance curves; all alike unless given.
+
+    Yields
+    ------
+    list of SubclassTemplate
+        The templates of a task.
     """
     most = _SPLIT_CELLS if executor.workers > 1 else math.inf
     split, whole = [one for one in clips if one.cells >= most], [one for one in clips if one.cells < most]
@@ -221,6 +279,28 @@ def learn_templates(
             yield [learned_template(one, kind, learn(kind, one.words, features, feature_weights, executor.map, pieces))]
 
 
+def as_subclass_template(
+    named: NamedTemplate, kind: Kind = "soft", origin: str = "from a file", feature_weights: F64 | None = None
+) -> SubclassTemplate:
+    """Return a template of a file, or of an example, as one that was learned from no clips.
+
+    Parameters
+    ----------
+    named : NamedTemplate
+        The template and its name.
+    kind : {"soft", "hard"}
+        The kind that it stands for.
+    origin : str
+        The origin in results.
+    feature_weights : float64 array (f,), optional
+        The weights of features where the template has none of its own.
+    """
+    template = named.template
+    if template.feature_weights is None:
+        template = replace(template, feature_weights=feature_weights)
+    return SubclassTemplate(named.name, kind, Learned(template, 0, ()), (), origin)
+
+
 def learned_template(clips: TrainingClips, kind: Kind, learned: Learned) -> SubclassTemplate:
     """Return a template with its provenance, and with remarks on clips that are unlike the others."""
     lengths = [len(words) for words in clips.words]
@@ -229,7 +309,7 @@ def learned_template(clips: TrainingClips, kind: Kind, learned: Learned) -> Subc
 
 
 def templates_table(templates: Iterable[SubclassTemplate], run: str, take_filter: str) -> pa.Table:
-    """Lay templates out as results of the kind `templates`."""
+    """Return templates as results of the kind `templates`."""
     rows = [
         {
             "run": run,
@@ -254,15 +334,21 @@ def templates_table(templates: Iterable[SubclassTemplate], run: str, take_filter
 
 
 def read_templates(store: Store, stage: str, kind: Kind) -> list[SubclassTemplate]:
-    """Read the templates of one kind that a stage has stored, by subclass.
+    """Read the templates of one kind that a stage has stored, sorted by subclass.
 
     Parameters
     ----------
-    stage: "<pipeline>/<stage>".
+    store : Store
+        The store to read.
+    stage : str
+        "<pipeline>/<stage>".
+    kind : {"soft", "hard"}
+        The kind of template.
 
     Raises
     ------
-    KinedexError: the stage has not run, or it learned no templates of this kind.
+    KinedexError
+        The stage has not run, or it learned no templates of this kind.
     """
     rows = store.result("templates", run=run_of(store, stage)).to_pylist()
     found = [template_of(row) for row in rows if row["kind"] == kind]
@@ -273,7 +359,7 @@ def read_templates(store: Store, stage: str, kind: Kind) -> list[SubclassTemplat
 
 
 def template_of(row: dict[str, Any]) -> SubclassTemplate:
-    """A row of the results `templates` as what it was made from."""
+    """Return the template of a row of the results `templates`."""
     counts = row["feature_weights"]
     template = Template(
         np.array(row["values"]).reshape(row["columns"], row["features"]),
@@ -287,7 +373,7 @@ def template_of(row: dict[str, Any]) -> SubclassTemplate:
 
 
 def run_of(store: Store, stage: str) -> str:
-    """The run of a stage whose results are live; a KinedexError says that it has not run."""
+    """Return the run of a stage whose results are live; a KinedexError where it has not run."""
     record = store.manifest.stages.get(stage)
     if record is None:
         raise KinedexError(f"stage {stage} has not run on {store.path}")

@@ -1,4 +1,4 @@
-"""Templates that are not simply learned from clips of their class: from files, in the mirror, and combined."""
+"""Templates of mirrored clips, of files and of combinations, and the weights of features."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ F64 = npt.NDArray[np.float64]
 
 
 class Combination(BaseModel):
-    """A motion made of others, one after the other."""
+    """A motion that is made of others, one after the other."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -32,11 +32,24 @@ class Combination(BaseModel):
 
 
 def feature_weights(weights: Mapping[str, float], feature_set: FeatureSet) -> F64 | None:
-    """The weight of every feature, float64 (f,), from those that are named; None where none is.
+    """Return the weight of every feature from the weights of some.
+
+    Parameters
+    ----------
+    weights : mapping of str to float
+        Features by name or number; the others have the weight 1.
+    feature_set : FeatureSet
+        The f features.
+
+    Returns
+    -------
+    float64 array (f,), optional
+        None where no feature is named.
 
     Raises
     ------
-    KinedexError: no such feature, named twice, or none that counts.
+    KinedexError
+        There is no such feature, one is named twice, or all weights are 0.
     """
     if not weights:
         return None
@@ -60,12 +73,23 @@ def with_mirrored(
 
     Parameters
     ----------
-    mirror: class → the class that its mirrored clips are examples of. A class that has clips of its own gets the
+    clips : sequence of TrainingClips
+        The clips of each class.
+    mirror : mapping of str to str
+        A class, and the class that its mirrored clips are examples of. A class that has clips of its own gets the
         mirrored ones behind them; a class can be its own mirror image.
+    feature_set : FeatureSet
+        The features, with their mirror images.
+
+    Returns
+    -------
+    list of TrainingClips
+        Sorted by class.
 
     Raises
     ------
-    KinedexError: no clip is of a class, or one class is given the clips of two.
+    KinedexError
+        A class has no clips, or one class is given the clips of two.
     """
     known = {one.subclass: one for one in clips}
     found = dict(known)
@@ -74,9 +98,7 @@ def with_mirrored(
         if source not in known:
             raise KinedexError(f"mirror: there are no clips of '{source}'{did_you_mean(source, known)}")
         if target in given:
-            raise KinedexError(
-                f"mirror: '{target}' is said to be the mirror image of both '{given[target]}' and '{source}'"
-            )
+            raise KinedexError(f"mirror: '{target}' is the mirror image of both '{given[target]}' and '{source}'")
         given[target] = source
         one = known[source]
         words = tuple(feature_set.mirrored(clip) for clip in one.words)
@@ -88,11 +110,14 @@ def with_mirrored(
 
 
 def templates_of_files(files: Iterable[str], feature_set: FeatureSet) -> list[tuple[str, NamedTemplate]]:
-    """The templates of template files, each with the file it stands in.
+    """Read the templates of template files, each with the path of its file.
 
     Raises
     ------
-    ConfigError: a file is wrong. KinedexError: two templates have one name.
+    ConfigError
+        A file is wrong.
+    KinedexError
+        Two templates have the same name.
     """
     found: dict[str, tuple[str, NamedTemplate]] = {}
     for file in files:
@@ -103,37 +128,24 @@ def templates_of_files(files: Iterable[str], feature_set: FeatureSet) -> list[tu
     return list(found.values())
 
 
-def given_templates(
-    given: Iterable[tuple[str, NamedTemplate]], kinds: Sequence[Kind], counts: F64 | None
-) -> list[SubclassTemplate]:
-    """Templates of files in the place of learned ones, for every kind; a template's own feature weights go first."""
-    return [
-        SubclassTemplate(
-            one.name,
-            kind,
-            Learned(
-                one.template
-                if one.template.feature_weights is not None
-                else replace(one.template, feature_weights=counts),
-                0,
-                (),
-            ),
-            (),
-            f"from {Path(file).name}",
-        )
-        for file, one in given
-        for kind in kinds
-    ]
-
-
 def combined(
     templates: Sequence[SubclassTemplate], combinations: Mapping[str, Combination], kinds: Sequence[Kind]
 ) -> list[SubclassTemplate]:
-    """Templates of motions made of others.
+    """Make the templates of motions that are made of others.
+
+    Parameters
+    ----------
+    templates : sequence of SubclassTemplate
+        The templates of the parts.
+    combinations : mapping of str to Combination
+        The combinations by their names.
+    kinds : sequence of {"soft", "hard"}
+        The kinds of templates to make.
 
     Raises
     ------
-    KinedexError: a part has no template, or a template has the name already.
+    KinedexError
+        A part has no template, or a template has the name already.
     """
     known = {(one.subclass, one.kind): one for one in templates}
     names = sorted({one.subclass for one in templates})

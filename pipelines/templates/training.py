@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import polars as pl
@@ -11,12 +12,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, training_clips, training_takes
+from kinedex.pipelines.templates.learning import (
+    SubclassTemplate,
+    TrainingClips,
+    as_subclass_template,
+    training_clips,
+    training_takes,
+)
 from kinedex.pipelines.templates.recipes import (
     Combination,
     combined,
     feature_weights,
-    given_templates,
     templates_of_files,
     with_mirrored,
 )
@@ -56,17 +62,34 @@ class TemplateParameters(BaseModel):
         return list(dict.fromkeys(self.methods))
 
 
-def takes_to_learn_from(store: Store, params: TemplateParameters) -> pl.DataFrame:
-    """The training takes; there may be none where all templates come from files."""
+def training_material(store: Store, params: TemplateParameters) -> tuple[pl.DataFrame, list[TrainingClips]]:
+    """Return the training takes of an archive, and the clips of every subclass that is learned.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds the takes.
+    params : TemplateParameters
+        Its mirrored clips are included, and subclasses with a template of a file are not.
+
+    Returns
+    -------
+    polars.DataFrame
+        Rows of takes; none where the filter selects none and templates come from files.
+    list of TrainingClips
+        By subclass.
+
+    Raises
+    ------
+    KinedexError
+        No take is selected and no template comes from a file, or a take has no class.
+    """
     takes = store.takes(params.where)
-    return takes if params.template_files and not takes.height else training_takes(store, params.where)
-
-
-def clips_to_learn_from(store: Store, params: TemplateParameters, takes: pl.DataFrame) -> list[TrainingClips]:
-    """The clips of every subclass that is learned: mirrored ones included, those with a template of a file left out."""
+    if takes.height or not params.template_files:
+        takes = training_takes(store, params.where)
     given = {one.name for _, one in templates_of_files(params.template_files, store.feature_set)}
     clips = with_mirrored(training_clips(store, takes), params.mirror, store.feature_set)
-    return [one for one in clips if one.subclass not in given]
+    return takes, [one for one in clips if one.subclass not in given]
 
 
 def completed(
@@ -77,20 +100,41 @@ def completed(
     *,
     where_possible: bool = False,
 ) -> list[SubclassTemplate]:
-    """Learned templates with those of files and those made of others, by subclass and kind.
+    """Add the templates of files and of combinations to learned ones.
 
     Parameters
     ----------
-    kinds: None takes all methods. where_possible: leave out what is made of templates that are not there.
+    learned : sequence of SubclassTemplate
+        The learned templates.
+    params : TemplateParameters
+        The files and combinations.
+    feature_set : FeatureSet
+        The features of the templates.
+    kinds : sequence of {"soft", "hard"}, optional
+        The kinds of templates; those of `params` unless given.
+    where_possible : bool
+        True excludes combinations of templates that are missing.
+
+    Returns
+    -------
+    list of SubclassTemplate
+        Sorted by subclass and kind.
 
     Raises
     ------
-    KinedexError: there is none at all, or one that is needed for another is missing.
+    KinedexError
+        There is no template at all, or a combination lacks one.
     """
     kinds = params.kinds if kinds is None else list(kinds)
-    counts = feature_weights(params.weights, feature_set)
-    files = templates_of_files(params.template_files, feature_set)
-    every = [*learned, *given_templates(files, kinds, counts)]
+    weights = feature_weights(params.weights, feature_set)
+    every = [
+        *learned,
+        *(
+            as_subclass_template(one, kind, f"from {Path(file).name}", weights)
+            for file, one in templates_of_files(params.template_files, feature_set)
+            for kind in kinds
+        ),
+    ]
     names = {one.subclass for one in every}
     wanted = {name: one for name, one in params.combine.items() if not where_possible or names.issuperset(one.parts)}
     every += combined(every, wanted, kinds)

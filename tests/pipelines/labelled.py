@@ -15,6 +15,7 @@ from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.stage import Stage
+from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.store.writer import StoreWriter
@@ -70,7 +71,7 @@ class Line:
         "learn_templates": {},
         "annotate": {"templates": "learn_templates"},
         "evaluate": {"annotations": "annotate"},
-        "leave_one_out": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
+        "compare_methods": {"templates": "learn_templates", "annotations": "annotate", "evaluation": "evaluate"},
     }
 
     PIPELINE = "test"
@@ -107,6 +108,11 @@ class Line:
             writer.record_stage(record)
             writer.commit()
         return summary
+
+    def leave_out(self, column: str = "actor") -> Mapping[str, object]:
+        """Repeat the annotation for each value of a column, with templates of the others."""
+        splits = [{"name": f"leave one {column} out", "leave_out": column}]
+        return self.run(CompareMethods, splits=splits, embed="none")
 
 
 CLIPS = [

@@ -266,7 +266,7 @@ def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
     page = (line.store / str(summary["files"][0])).read_text()  # type: ignore[index]
     for text in (
         "walk: clips with invalid frames at an end, which are cut off: al_walk_001",
-        "kick: clips with invalid frames in the middle, left out: al_kick_002",
+        "kick: clips with invalid frames in the middle, excluded: al_kick_002",
     ):
         assert text in line.said.getvalue()
         assert text in page
@@ -344,9 +344,7 @@ def test_own_queries_preselect_besides_learned_ones_of_the_same_name(store: Path
     own = tmp_path / "own.yaml"
     own.write_text('kick: {keyframes: [{set: upper, pattern: "**************"}]}\n')  # any pose
     assert searched(queries=str(own)) == {**learned, "kick": 1.0}
-    assert "preselected for by queries of files and learned ones, within the hits of either: kick" in (
-        line.said.getvalue()
-    )
+    assert "with queries of files and learned ones, matched within the hits of either: kick" in (line.said.getvalue())
 
 
 def test_no_query_is_named_as_another_class(store: Path) -> None:

@@ -226,7 +226,7 @@ def test_an_interruption_in_the_first_fold_loses_no_run_of_the_others(
 def test_the_same_method_twice_is_compared_once(line: Comparing) -> None:
     found = line.compare([BEST, {**BEST, "name": "again", "queries": []}], [{"name": "eve"}])
     assert list(found["splits"][0]["methods"]) == ["best"]
-    assert found["remarks"] == ["the same as a method before it, left out: again"]
+    assert found["remarks"] == ["the same as an earlier method, excluded: again"]
 
 
 def test_what_a_method_found_stands_under_its_own_name(line: Comparing) -> None:
@@ -255,8 +255,8 @@ def test_thresholds_make_no_other_method_of_one_without(line: Comparing) -> None
     found = line.compare(methods, [{"name": "eve"}])
     assert list(found["splits"][0]["methods"]) == ["own τ"]
     assert found["remarks"] == [
-        "the same as a method before it, left out: best",
-        "own τ: `tau_by_class` has no effect with `method: best`, in which τ does not matter",
+        "the same as an earlier method, excluded: best",
+        "own τ: `tau_by_class` has no effect with `method: best`, which uses no thresholds",
     ]
 
 

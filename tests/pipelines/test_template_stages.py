@@ -14,12 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError
-from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_takes
+from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_stored
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.stages.leave_one_out import LeaveOneOut
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import TRUTH, Line, labelled_line, long_take, write_store
 
@@ -99,21 +98,21 @@ def test_exactly_the_takes_that_were_annotated_are_evaluated(line: Line):
     ]
     line.params["annotate"] = Annotate.parameters(where="class IS NULL")  # as a filter whose answer has changed since
     assert line.run(Evaluate)["evaluated_takes"] == 1
-    assert line.run(LeaveOneOut)["folds"] == 1
-    written = json.loads((line.store / "results/reports/test/leave_one_out.json").read_text())
-    assert list(written["takes"]) == ["cat_take01"]
+    assert line.leave_out()["folds"] == 1
+    written = json.loads((line.store / "results/reports/test/methods.json").read_text())
+    assert list(written["splits"][0]["methods"]["annotate"]["takes"]) == ["cat_take01"]
 
 
 def test_takes_that_changed_since_they_were_annotated_are_not_evaluated(line: Line, tmp_path: Path):
     line.run(LearnTemplates, methods=["soft"])
     line.run(Annotate)
     write_store(line.store, [long_take("cat_take01", "cat", "walk")], tmp_path / "archive")
-    for stage in (Evaluate, LeaveOneOut):
-        line.params["evaluate"] = Evaluate.parameters()
+    line.params["evaluate"] = Evaluate.parameters()
+    for run in (lambda: line.run(Evaluate), line.leave_out):
         with pytest.raises(
             KinedexError, match=r"replaced or dropped since: cat_take01; run it again: `--force annotate`"
         ):
-            line.run(stage)
+            run()
     line.run(Annotate, where="name = 'bob_take01'")
     assert line.run(Evaluate)["evaluated_takes"] == 1
 
@@ -127,12 +126,12 @@ def test_curves_are_written_batch_by_batch_and_not_kept(line: Line, monkeypatch:
     most = []
 
     def watched(*given: object) -> Iterator[list[TakeAnnotation]]:
-        for batch in annotate_takes(*given):  # type: ignore[arg-type]
+        for batch in annotate_stored(*given):  # type: ignore[arg-type]
             alive.extend(weakref.ref(one.curves) for one in batch if one.curves is not None)
             most.append(sum(one() is not None for one in alive))
             yield batch
 
-    monkeypatch.setattr(annotate, "annotate_takes", watched)
+    monkeypatch.setattr(annotate, "annotate_stored", watched)
     line.run(Annotate, where="true")
     assert len(most) == 11
     assert max(most) <= 3
@@ -171,8 +170,8 @@ def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metric
     line.run(LearnTemplates, methods=["soft"])
     summary = line.run(Annotate)
     line.run(Evaluate)
-    line.run(LeaveOneOut)
-    remark = "templates of wildcards alone, which would fit anything, left out: blur"
+    line.leave_out()
+    remark = "templates of wildcards alone, which would fit anything, excluded: blur"
     assert summary["remarks"] == [remark]
     assert line.said.getvalue().count(remark) == 3  # once for all, once for each of two actors
     assert json.loads((line.store / "results/reports/test/metrics.json").read_text())["remarks"] == [remark]
@@ -209,7 +208,7 @@ def test_a_takes_own_class_can_be_the_ground_truth_and_there_can_be_none(line: L
     assert line.run(Evaluate, ground_truth="none") == {"evaluated_takes": 0}
     assert open_store(line.store).result("metrics").num_rows == 0
     assert not (line.store / "results/reports/test/metrics.json").exists()
-    assert line.run(LeaveOneOut) == {"folds": 0}
+    assert line.leave_out() == {"splits": 0, "methods": 1}
 
 
 def test_nothing_is_evaluated_where_nobody_has_labels_but_a_pattern_that_was_given_must_find_some(
@@ -221,7 +220,7 @@ def test_nothing_is_evaluated_where_nobody_has_labels_but_a_pattern_that_was_giv
     assert line.run(Evaluate) == {"evaluated_takes": 0}
     said = line.said.getvalue()
     assert "no ground truth, nothing to evaluate: the source has no file '**/ground_truth.csv'" in said
-    assert line.run(LeaveOneOut) == {"folds": 0}
+    assert line.leave_out() == {"splits": 0, "methods": 1}
     assert line.run(Evaluate, source=str(tmp_path / "archive")) == {"evaluated_takes": 0}
     with pytest.raises(KinedexError, match=r"no file '\*\*/ground_truth.csv' below .*archive"):
         line.run(Evaluate, ground_truth="**/ground_truth.csv")
@@ -262,16 +261,16 @@ def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: 
     line.run(LearnTemplates, methods=["soft"])
     line.run(Annotate)
     plain = line.run(Evaluate)
-    summary = line.run(LeaveOneOut)
+    summary = line.leave_out()
     assert summary["folds"] == 2
     said = line.said.getvalue()
-    assert "cat: no training clip is of actor cat, so the fold equals the plain result" in said
+    assert "cat: no training clip is of actor cat, so all are learned from" in said
     rows = {(row["scope"], row["name"]): row for row in open_store(line.store).result("metrics").to_pylist()[6:]}
     assert rows["pooled", "all"]["evaluation"] == "leave one actor out"
     assert rows["fold", "bob"]["frames_manual"] + rows["fold", "cat"]["frames_manual"] == 24 + 30 + 20 + 25
-    written = json.loads((line.store / "results/reports/test/leave_one_out.json").read_text())
-    assert list(written["folds"]) == ["bob", "cat"]
-    assert written["pooled"]["f2"] == summary["f2"]
+    (split,) = json.loads((line.store / "results/reports/test/methods.json").read_text())["splits"]
+    assert [fold["name"] for fold in split["folds"]] == ["bob", "cat"]
+    assert split["methods"]["annotate"]["pooled"]["f2"] == summary["f2"]
     assert plain["f2"] == 1
 
 
@@ -279,10 +278,13 @@ def test_left_out_values_that_leave_nothing_to_learn_from_are_said(line: Line):
     line.run(LearnTemplates, where="class IS NOT NULL AND actor = 'bob'", methods=["soft"])
     line.run(Annotate)
     line.run(Evaluate)
-    assert line.run(LeaveOneOut)["folds"] == 1
-    assert "bob: all training clips are of actor bob; there is no fold without them" in line.said.getvalue()
+    assert line.leave_out()["folds"] == 1
+    assert (
+        "bob: all training clips are of actor bob, so there is no such fold; not annotated: 1 take"
+        in line.said.getvalue()
+    )
     with pytest.raises(KinedexError, match="takes have no column 'actr'; did you mean 'actor'"):
-        line.run(LeaveOneOut, column="actr")
+        line.leave_out("actr")
 
 
 @pytest.fixture(scope="module")

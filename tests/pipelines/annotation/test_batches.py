@@ -12,15 +12,16 @@ from hypothesis import strategies as st
 
 from kinedex.catalog.classes import Classes, MotionClass, load_classes
 from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
-from kinedex.ops.annotation.decoding import background
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Learned, Template, learn_soft
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation import batches as annotating
+from kinedex.pipelines.annotation import methods
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_words, split_takes
+from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.search.preselection import preselect, template_ranges
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from tests.oracles import annotation as naive
@@ -52,7 +53,7 @@ KICK = KeyframeQuery(
 
 def test_motions_are_found_where_they_are():
     take = np.concatenate([motion(name) for name in ("rest", "walk", "rest", "kick", "kick", "rest")])
-    (found,) = annotate_words(annotator("kick", "walk", "rest"), laid_out([take]), keep_curves=True)
+    (found,) = annotate_words(annotator("kick", "walk", "rest"), laid_out([take]), store_curves=True)
     labels = [("kick", "rest", "walk")[s.class_index] for s in found.segments if s.cost == 0]
     assert labels == ["rest", "walk", "rest", "kick", "rest"]  # two kicks in a row are one stretch of kicking
     kick = next(s for s in found.segments if s.class_index == 0)
@@ -66,14 +67,14 @@ def test_labelled_together_motions_in_a_row_are_told_apart():
     names = ("rest", "walk", "rest", "kick", "kick", "rest")
     take = np.concatenate([motion(name) for name in names])
     templates = [template(subclass) for subclass in ("kick", "walk")]
-    usual = background([take], 40)
-    made = make_annotator(BODY, templates, load_classes("own", ["kick", "walk"]), 0.05, 0.13, (), usual)
+    classes = load_classes("own", ["kick", "walk"])
+    made = make_annotator(BODY, templates, classes, 0.05, 0.13, method=BestMethod, clips=lambda: [take])
     (found,) = annotate_words(made, laid_out([take]))
     lengths = np.cumsum([0, *(len(motion(name)) for name in names)]).tolist()
     expected = [(lengths[i], lengths[i + 1], name) for i, name in enumerate(names) if name != "rest"]
     assert [(s.start, s.stop, ("kick", "walk")[s.class_index]) for s in found.segments] == expected
     assert all(segment.cost == 0 and segment.confidence > 0.5 for segment in found.segments)
-    assert made.method == "templates in a row"
+    assert made.label == "templates in a row"
 
 
 def test_labelled_together_a_motion_is_found_in_the_hits_of_its_keyframes_only():
@@ -82,7 +83,7 @@ def test_labelled_together_a_motion_is_found_in_the_hits_of_its_keyframes_only()
     classes = load_classes("own", ["kick", "walk"])
     nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
     for query, expected in ((KICK, [1, 0]), (nowhere, [1])):
-        made = make_annotator(BODY, templates, classes, 0.05, 0.13, (query,), background([take], 40))
+        made = make_annotator(BODY, templates, classes, 0.05, 0.13, (query,), method=BestMethod, clips=lambda: [take])
         (found,) = annotate_words(made, laid_out([take]))
         assert [one.class_index for one in found.segments] == expected
 
@@ -103,9 +104,9 @@ def test_takes_do_not_influence_each_other(takes: list[np.ndarray], with_keyfram
     templates = [template("kick", 3), template("walk", 3), template("rest", 1)]  # the last has a single column
     classes = load_classes("own", [one.subclass for one in templates])
     one = make_annotator(BODY, templates, classes, 0.05, 0.13, queries)
-    together = annotate_words(one, laid_out(takes), keep_curves=True)
+    together = annotate_words(one, laid_out(takes), store_curves=True)
     for found, take in zip(together, takes, strict=True):
-        (alone,) = annotate_words(one, laid_out([take]), keep_curves=True)
+        (alone,) = annotate_words(one, laid_out([take]), store_curves=True)
         assert found.segments == alone.segments
         np.testing.assert_array_equal(found.curves, alone.curves)
         np.testing.assert_array_equal(found.preselected, alone.preselected)
@@ -115,7 +116,7 @@ def test_keyframes_narrow_the_search_but_not_the_result():
     take = np.concatenate([motion(name) for name in ("walk", "rest", "walk", "kick", "walk", "rest", "walk")])
     words = laid_out([take])
     (everywhere,) = annotate_words(annotator("kick", "walk"), words)
-    (narrowed,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, keep_curves=True)
+    (narrowed,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, store_curves=True)
     assert narrowed.preselected[0] < 0.6
     assert narrowed.preselected[1] == 1
     assert narrowed.curves is not None
@@ -133,7 +134,7 @@ def test_a_query_for_a_class_serves_the_subclasses_that_have_none_of_their_own()
         BODY, [template("kick"), template("walk"), template("wave")], classes, 0.05, 0.13, (for_legs, KICK)
     )
     assert made.queries == ((KICK,), (for_legs,), ())
-    assert made.method == "templates within keyframe hits"
+    assert made.label == "templates within keyframe hits"
     assert made.class_index.tolist() == [0, 0, 1]
 
 
@@ -152,10 +153,10 @@ def test_learned_queries_preselect_besides_those_of_files_for_a_subclass_or_its_
 def test_two_queries_of_one_name_both_preselect():
     nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
     words = laid_out([np.concatenate([motion(name) for name in ("walk", "rest", "kick", "walk")])])
-    (expected,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, keep_curves=True)
+    (expected,) = annotate_words(annotator("kick", "walk", queries=(KICK,)), words, store_curves=True)
     assert 0 < expected.preselected[0] < 1
     for queries in ((KICK, nowhere), (nowhere, KICK)):
-        (found,) = annotate_words(annotator("kick", "walk", queries=queries), words, keep_curves=True)
+        (found,) = annotate_words(annotator("kick", "walk", queries=queries), words, store_curves=True)
         assert found.segments == expected.segments
         assert found.preselected.tolist() == expected.preselected.tolist()
 
@@ -187,7 +188,7 @@ def test_templates_that_fit_anything_are_left_out_and_those_that_nearly_do_are_n
     assert made.subclasses == ("kick", "faint", "walk")
     assert made.classes == ("faint", "kick", "nothing", "walk")
     assert made.remarks == (
-        "templates of wildcards alone, which would fit anything, left out: nothing",
+        "templates of wildcards alone, which would fit anything, excluded: nothing",
         "templates with less than 1 fixed entry a column on average, which fit almost anything: faint (0.75)",
     )
     assert not make_annotator(BODY, [template("kick")], classes, 0.05, 0.13).remarks
@@ -222,8 +223,8 @@ def test_takes_do_not_influence_each_other_where_they_are_explained_within_keyfr
     nowhere = replace(KICK, keyframes=tuple(replace(one, mask=0x3FFF, value=0x3FFF) for one in KICK.keyframes))
     queries = {"nowhere": (nowhere,), "somewhere": (KICK,), "two": (start, replace(start, target="walk"))}[where]
     templates = [template("kick", 3), template("walk", 3)]
-    usual = background([motion("walk"), motion("rest")], 40)
-    one = make_annotator(BODY, templates, load_classes("own", ["kick", "walk"]), 0.05, 0.13, queries, usual)
+    classes, clips = load_classes("own", ["kick", "walk"]), [motion("walk"), motion("rest")]
+    one = make_annotator(BODY, templates, classes, 0.05, 0.13, queries, method=BestMethod, clips=lambda: clips)
     for found, take in zip(annotate_words(one, laid_out(takes)), takes, strict=True):
         (alone,) = annotate_words(one, laid_out([take]))
         assert found.segments == alone.segments
@@ -250,7 +251,7 @@ def test_segments_are_those_of_whole_curves_labelled_frame_by_frame(
             starts = dict(zip(ends.tolist(), begins.tolist(), strict=True))
             own.append(naive.modified(curve[start:stop].tolist(), starts, tau))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(annotating, "NARROW", narrow)
+        patch.setattr(methods, "NARROW", narrow)
         found = annotate_words(one, words)
     for take, own in zip(found, modified, strict=True):
         expected = naive.annotate(own, one.class_index.tolist(), tau)

@@ -64,7 +64,7 @@ def test_a_store_without_annotations_says_the_whole_command_that_makes_some(tmp_
     takes = [long_take("cat_1", "cat", "walk")]
     store = open_store(write_store(tmp_path / "my store", takes, tmp_path / "my archive"))
     command = f"kinedex run annotate --store '{tmp_path}/my store' --set 'source={tmp_path}/my archive'"
-    with pytest.raises(KinedexError, match=f"nothing was annotated; `{command}` does it"):
+    with pytest.raises(KinedexError, match=f"nothing was annotated; `{command}` annotates it"):
         annotate_stage(store)
 
 

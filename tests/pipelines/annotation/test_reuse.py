@@ -13,6 +13,7 @@ import pytest
 from kinedex.catalog.classes import Classes, load_classes
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.reuse import setting_digest
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.stages import annotate
@@ -141,7 +142,7 @@ def test_an_annotation_that_fails_leaves_the_old_curves_and_no_file(tmp_path: Pa
     def failing(*given: object) -> object:
         raise KinedexError("out of power")
 
-    monkeypatch.setattr(annotate, "annotate_takes", failing)
+    monkeypatch.setattr(annotate, "annotate_stored", failing)
     with pytest.raises(KinedexError, match="out of power"):
         line.run(Annotate)
     after = open_store(line.store)
@@ -199,18 +200,20 @@ def test_takes_that_are_asked_for_no_longer_go(tmp_path: Path):
 
 
 def test_every_part_of_an_annotator_decides_its_hash():
-    one = annotator("kick", "walk")
+    one, templates = annotator("kick", "walk"), [template("kick"), template("walk")]
     assert setting_digest(one, True, "a") == setting_digest(annotator("kick", "walk"), True, "a")
     others: list[Annotator] = [
         annotator("kick", "walk", tau=0.1),
         annotator("kick", "wave"),
         annotator("kick", "walk", queries=(KICK,)),
-        replace(one, taus=np.array([0.1, 0.2])),
+        make_annotator(BODY, templates, _classes(), 0.05, {"kick": 0.1, "walk": 0.2}),
         replace(one, min_frames=3),
         replace(one, class_index=one.class_index[::-1]),
         make_annotator(BODY, [template("kick"), template("walk", 6)], _classes(), 0.05, 0.13),
-        make_annotator(BODY, [template("kick"), template("walk")], _classes(), 0.05, 0.13, (), np.full(40, 0.5)),
-        make_annotator(BODY, [template("kick"), template("walk")], _classes(), 0.05, 0.13, (), np.full(40, 0.4)),
+        *(
+            make_annotator(BODY, templates, _classes(), 0.05, 0.13, method=BestMethod, clips=lambda clip=clip: [clip])
+            for clip in (motion("kick"), motion("walk"))
+        ),
     ]
     digests = {setting_digest(other, True, "a") for other in others}
     assert len(digests) == len(others)

@@ -17,7 +17,6 @@ from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.stages.leave_one_out import LeaveOneOut
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.storage.store.store import open_store
 from tests.oracles.dtw import accumulated
@@ -164,7 +163,7 @@ def test_the_stage_calibrates_on_what_its_templates_were_learned_from(tmp_path: 
         assert given == {**summary["tau_by_class"], "walk": 0.5}  # type: ignore[dict-item]
         best = line.run(Annotate, tau="calibrated", method="best", tau_by_class={"walk": 0.5})
         assert best["tau_by_class"] == {}
-        remark = "`tau: calibrated` and `tau_by_class` have no effect with `method: best`, in which τ does not matter"
+        remark = "`tau: calibrated` and `tau_by_class` have no effect with `method: best`, which uses no thresholds"
         assert best["remarks"] == [remark]
         assert remark in line.said.getvalue()
         with_classes = line.run(Annotate, tau="calibrated", classes=str(tmp_path / "classes.yaml"))
@@ -173,5 +172,5 @@ def test_the_stage_calibrates_on_what_its_templates_were_learned_from(tmp_path: 
         line.run(Annotate, tau="calibrated")
         assert set(open_store(line.store).result("annotations").column("class").to_pylist()) == {"walk", "kick"}
         line.run(Evaluate)
-        assert line.run(LeaveOneOut)["folds"] == 1
+        assert line.leave_out()["folds"] == 1
         line.executor.close()

@@ -75,7 +75,7 @@ def test_clips_that_are_not_used_are_told() -> None:
     assert max(used) < 100
     assert sum(used.values()) == 2 * 2 * 2 * 2  # actors, orders, classes, most_clips
     assert said(folds)[:2] == [
-        "2 clips of no class, left out: of dance; 1 without a subclass",
+        "2 clips of no class, excluded: of dance; 1 without a subclass",
         f"{len(used)} of 12 clips are used, each {16 / len(used):.1f} times on average (orders: 2, most_clips: 2)",
     ]
 

@@ -15,7 +15,6 @@ from kinedex.pipelines.stages import learn_templates
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.stages.leave_one_out import LeaveOneOut
 from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, Line, clip, labelled_line, write_store
@@ -55,7 +54,7 @@ def test_clips_in_the_mirror_teach_another_class_or_the_same(line: Line):
     assert rows["walk"]["origin"] == "learned"
     with pytest.raises(KinedexError, match="mirror: there are no clips of 'kik'; did you mean 'kick'"):
         line.run(LearnTemplates, mirror={"kik": "x"})
-    with pytest.raises(KinedexError, match="'x' is said to be the mirror image of both 'kick' and 'wave'"):
+    with pytest.raises(KinedexError, match="'x' is the mirror image of both 'kick' and 'wave'"):
         line.run(LearnTemplates, mirror={"kick": "x", "wave": "x"})
 
 
@@ -70,7 +69,7 @@ def test_motions_that_follow_each_other_are_one_template(line: Line):
     found = open_store(line.store).result("annotations").to_pylist()
     assert ("walk_then_kick", 20 // 4) in {(row["class"], row["start"]) for row in found}
     line.run(Evaluate, unknown_labels="ignore")
-    line.run(LeaveOneOut)
+    line.leave_out()
     with pytest.raises(KinedexError, match="'x' needs a template of 'wolk'; did you mean 'walk'"):
         line.run(LearnTemplates, combine={"x": {"parts": ["wolk", "kick"]}})
     with pytest.raises(KinedexError, match="'kick' has a template already"):
@@ -92,7 +91,7 @@ def test_a_template_of_a_file_takes_the_place_of_a_learned_one(line: Line, tmp_p
     assert "templates from files, so their clips are not learned from: kick" in line.said.getvalue()
     line.run(Annotate)
     assert line.run(Evaluate)["f2"] == 1
-    assert line.run(LeaveOneOut)["folds"] == 2
+    assert line.leave_out()["folds"] == 2
     summary = line.run(LearnTemplates, where="false", template_files=[str(file)], methods=["soft"])
     assert (summary["templates"], summary["clips"]) == (1, 0)
     file.write_text(file.read_text() + "walk:\n  rows: {F1: '01'}\n")
@@ -110,7 +109,7 @@ def test_features_can_be_weighted_by_name(line: Line):
     assert not np.any(quantise(one.learned.template, 0.05).mask & np.uint64(1))
     line.run(Annotate)
     line.run(Evaluate)
-    line.run(LeaveOneOut)
+    line.leave_out()
     for weights, said in [({"F41": 1}, "no feature F41"), ({"F1": 1, "rhand_forwards": 2}, "are the same feature"),
                           ({name.name: 0 for name in BODY.features}, "at least one feature must count")]:  # fmt: skip
         with pytest.raises(KinedexError, match=said):
@@ -130,10 +129,10 @@ def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(li
     row = templates_by_name(line)["kick"]
     assert row["clips"] == ["ann_kick_001", "ann_kick_002", "bob_kick_003", "dan_kick_ends"]
     assert row["remarks"] == [
-        "clips with invalid frames in the middle, left out: dan_kick_hole",
+        "clips with invalid frames in the middle, excluded: dan_kick_hole",
         "clips with invalid frames at an end, which are cut off: dan_kick_ends",
     ]
-    assert "warning: kick: clips with invalid frames in the middle, left out: dan_kick_hole" in line.said.getvalue()
+    assert "warning: kick: clips with invalid frames in the middle, excluded: dan_kick_hole" in line.said.getvalue()
     with pytest.raises(KinedexError, match=r"subclass kick is left without a clip .*\(dan_kick_hole\)"):
         line.run(LearnTemplates, where="name = 'dan_kick_hole'")
 

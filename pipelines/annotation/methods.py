@@ -1,0 +1,215 @@
+"""Annotation methods: the contract that a method fulfils, and the two methods that kinedex has.
+
+A method is a frozen dataclass with three class attributes (`name`, `label`, `uses_thresholds`). `prepare` makes one
+from templates and training clips; `annotate` labels takes with it. It is sent to workers, so it must be picklable.
+Its fields are hashed to find annotations that are up to date, so they must hold all that its segments depend on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.annotation.decoding import Decoding, background, confidences, explain, lay_columns
+from kinedex.ops.annotation.segment_costs import least_costs
+from kinedex.ops.annotation.segments import Matches, Segment, annotate
+from kinedex.ops.distances.costs import encode
+from kinedex.ops.distances.pruning import Coarse, coarse_bounds
+from kinedex.ops.distances.range_minima import minima_within
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.templates import QuantisedTemplate, Template
+from kinedex.ops.words import U64, TakeWords
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+NARROW = 4
+"""Bounds exclude frames unless a template is matched in less than one frame in so many: they would cost more than they
+save."""
+
+
+@dataclass(frozen=True)
+class ClassTemplates:
+    """The templates that an annotation labels with, sorted into classes.
+
+    Attributes
+    ----------
+    learned : tuple of Template, length S
+        The templates as they were learned, with values in [0, 1].
+    quantised : tuple of QuantisedTemplate, length S
+        The same with values 0, 1 and wildcards.
+    class_index : int64 array (S,)
+        The class of each template.
+    thresholds : float64 array (P,)
+        The threshold τ of each class.
+    """
+
+    learned: tuple[Template, ...]
+    quantised: tuple[QuantisedTemplate, ...]
+    class_index: I64
+    thresholds: F64
+
+
+class AnnotationMethod(Protocol):
+    """A method that labels the frames of takes by templates.
+
+    Attributes
+    ----------
+    name : str
+        The value of the parameter `method` that selects it.
+    label : str
+        What the column `method` of annotations says.
+    uses_thresholds : bool
+        True where segments depend on the thresholds τ.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+    uses_thresholds: ClassVar[bool]
+
+    @classmethod
+    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> Self:
+        """Make the method from templates.
+
+        Parameters
+        ----------
+        templates : ClassTemplates
+            The templates to label with.
+        clips : callable
+            Returns the words of the training clips, uint64 (L,) each; reads them when called.
+        """
+        ...
+
+    def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
+        """Label the frames of takes.
+
+        Parameters
+        ----------
+        words : TakeWords
+            The words of T takes, laid end to end.
+        ranges : sequence of int64 arrays (R, 2), length S
+            The frames that each template may label, as ascending half-open ranges of the words.
+
+        Returns
+        -------
+        list of list of Segment, length T
+            The segments of each take in the order of their starts, in frames of the take.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ThesisMethod:
+    """Label frames with the nearest class below its threshold (thesis, Section 5.2)."""
+
+    name: ClassVar[str] = "thesis"
+    label: ClassVar[str] = "templates"
+    uses_thresholds: ClassVar[bool] = True
+
+    templates: tuple[QuantisedTemplate, ...]
+    class_index: I64
+    thresholds: F64
+
+    @classmethod
+    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> ThesisMethod:
+        """Make the method; it needs no clips."""
+        return cls(templates.quantised, templates.class_index, templates.thresholds)
+
+    def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
+        """Label takes; see `AnnotationMethod.annotate`."""
+        return annotate(self._matches(words, ranges), self.class_index, words.offsets, self.thresholds)
+
+    def _matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
+        # A frame beside a minimum below τ is no lower, whatever it costs, so minima are exact without whole curves.
+        taus = self.thresholds[self.class_index]
+        coded = encode(words.words)
+        wide = [s for s, own in enumerate(ranges) if NARROW * int((own[:, 1] - own[:, 0]).sum()) > len(words.words)]
+        coarse: list[Coarse | None] = [None] * len(ranges)
+        bounds = coarse_bounds([self.templates[s] for s in wide], coded, taus[wide], whole_takes(words))
+        for s, bound in zip(wide, bounds, strict=True):
+            coarse[s] = bound
+        return minima_within(self.templates, words.words, taus, ranges, coded, coarse)
+
+
+@dataclass(frozen=True)
+class BestMethod:
+    """Label all frames of a take together: the row of templates and background that explains them best."""
+
+    name: ClassVar[str] = "best"
+    label: ClassVar[str] = "templates in a row"
+    uses_thresholds: ClassVar[bool] = False
+
+    templates: tuple[Template, ...]
+    quantised: tuple[QuantisedTemplate, ...]
+    class_index: I64
+    usual: F64
+    decoding: Decoding
+
+    @classmethod
+    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> BestMethod:
+        """Make the method; the usual postures of clips are its background."""
+        usual = background(clips(), templates.learned[0].values.shape[1])
+        return cls(templates.learned, templates.quantised, templates.class_index, usual, Decoding())
+
+    def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
+        """Label takes; the cost of a segment is the least distance within, NaN where no path ends there."""
+        columns = lay_columns(self.templates, self.usual, self.decoding)
+        whole = whole_takes(words)
+        within = None
+        if not all(own is whole or np.array_equal(own, whole) for own in ranges):
+            within = [_ranges_by_take(own, words.offsets) for own in ranges]
+        takes, sure = [], []
+        for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
+            own = words.words[start:stop]
+            allowed = None if within is None else [by_take[take] for by_take in within]
+            found = explain(self.templates, self.usual, own, self.decoding, allowed, columns)
+            sure.append(
+                confidences(found, self.templates, self.class_index, self.usual, own, self.decoding, columns).tolist()
+            )
+            takes.append(found)
+        every = [
+            (one.template, one.start + first, one.stop + first)
+            for found, first in zip(takes, words.offsets.tolist(), strict=False)
+            for one in found
+        ]
+        costs = least_costs(self.quantised, words.words, ranges, *np.array(every, np.int64).reshape(-1, 3).T)
+        costs[np.isinf(costs)] = np.nan
+        cost = iter(costs.tolist())
+        return [
+            [
+                Segment(one.start, one.stop, int(self.class_index[one.template]), next(cost), one.template, confidence)
+                for one, confidence in zip(found, own, strict=True)
+            ]
+            for found, own in zip(takes, sure, strict=True)
+        ]
+
+
+METHODS: dict[str, type[AnnotationMethod]] = {one.name: one for one in (ThesisMethod, BestMethod)}
+"""The methods of kinedex by their names."""
+
+
+def annotation_method(name: str) -> type[AnnotationMethod]:
+    """Return the method of a name; a KinedexError names the nearest."""
+    if name not in METHODS:
+        raise KinedexError(f"there is no annotation method '{name}'{did_you_mean(name, METHODS)}")
+    return METHODS[name]
+
+
+def whole_takes(words: TakeWords) -> I64:
+    """Return the range of each take among words laid end to end, int64 (T, 2)."""
+    return np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+
+
+def _ranges_by_take(ranges: I64, offsets: I64) -> list[I64]:
+    """Return ranges of words laid end to end take by take, cut at the ends of takes, in frames of the take."""
+    firsts = np.searchsorted(ranges[:, 1], offsets[:-1], side="right")
+    lasts = np.searchsorted(ranges[:, 0], offsets[1:], side="left")
+    return [
+        np.clip(ranges[first:last] - start, 0, stop - start)
+        for first, last, (start, stop) in zip(firsts.tolist(), lasts.tolist(), pairwise(offsets.tolist()), strict=True)
+    ]
