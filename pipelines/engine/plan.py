@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.pipelines.engine.code_digest import code_digest, plugin_digest
 from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
-from kinedex.pipelines.engine.stage import TAKES, Stage
+from kinedex.pipelines.engine.stage import STAGES, TAKES, Stage
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.store import Store, open_store
-
-ROOT = Path(__file__).resolve().parents[2]
-"""The folder of the rooms: in a checkout, or in the installed package."""
 
 FORCED = "--force"
 """The reason of a stage that runs because it was asked for."""
@@ -104,7 +101,7 @@ class Planner:
     def _parts(self, stage: PipelineStage, store: Store | None, reading: Reading | None) -> dict[str, str]:
         """What a stage's fingerprint is made of."""
         parts = {
-            "code": code_digest(type(stage.kind).__module__),
+            "code": _code(stage.kind),
             "parameters": _hash(stage.params.model_dump(mode="json")),
             "files": stage.kind.external_digest(stage.params, store),
             **({"takes": _takes(store)} if reading is None else {"reading": reading.digest}),
@@ -181,65 +178,10 @@ def _gone(stage: PipelineStage, store: Store, record: StageRecord) -> str | None
     return f"{missing[0]} is gone" if missing else None
 
 
+def _code(kind: Stage[BaseModel]) -> str:
+    distribution = STAGES.distribution(kind.name)
+    return plugin_digest(distribution, type(kind)) if distribution else code_digest(type(kind))
+
+
 def _hash(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
-
-
-@cache
-def code_digest(module: str) -> str:
-    """A hash of a module's source and of every project module that it imports, however indirectly."""
-    seen: dict[str, bytes] = {}
-    waiting = [module]
-    while waiting:
-        name = waiting.pop()
-        if name in seen:
-            continue
-        source = _source(name)
-        if source is not None:
-            seen[name] = source[0]
-            waiting += source[1]
-    hasher = hashlib.sha256()
-    for name in sorted(seen):
-        hasher.update(name.encode() + b"\0" + seen[name] + b"\0")
-    return hasher.hexdigest()[:16]
-
-
-@cache  # the stages of a pipeline stand on much the same modules
-def _source(name: str) -> tuple[bytes, tuple[str, ...]] | None:
-    """A project module's source and what it imports; None where there is no such module."""
-    path = _module_file(name)
-    if path is None:
-        return None
-    content = path.read_bytes()
-    return content, tuple(imports_of(content.decode(), name))
-
-
-def imports_of(source: str, module: str) -> list[str]:
-    """The project modules that a source imports, packages and names in them alike."""
-    names: list[str] = []
-    for node in _statements(ast.parse(source).body):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                package = module.split(".")[: -node.level] or [module]
-                base = ".".join([*package, base] if base else package)
-            names.append(base)
-            names += [f"{base}.{alias.name}" for alias in node.names]
-    return sorted({name for name in names if name.startswith("kinedex.")})
-
-
-def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
-    """Every statement, at any depth; expressions, of which there are many more, hold no imports."""
-    for statement in body:
-        yield statement
-        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
-            yield from _statements(getattr(statement, block, ()))
-
-
-def _module_file(name: str) -> Path | None:
-    path = ROOT.joinpath(*name.split(".")[1:])
-    if path.with_suffix(".py").is_file():
-        return path.with_suffix(".py")
-    return path / "__init__.py" if (path / "__init__.py").is_file() else None

@@ -18,8 +18,8 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
 from kinedex.pipelines.annotation.reuse import setting_digest
 from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.engine.plan import code_digest
 from kinedex.pipelines.evaluation.scheme import Method
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
 from kinedex.storage.snapshot.schemas import result_schema
@@ -27,9 +27,6 @@ from kinedex.storage.store.store import Store, open_store
 
 SAVE_SECONDS = 20.0
 """Finished cells are kept at least so often."""
-
-CODE = "kinedex.pipelines.annotation.batches"
-"""The module whose sources, with all that it imports, decide what a cell finds."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,7 @@ def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
     for exam in fold.exams:
         parts = [str(checksums[take_id]) for take_id in exam.take_ids]
         hasher.update(json.dumps([exam.name, exam.frames, parts]).encode())
-    hasher.update(setting_digest(annotator, False, code_digest(CODE)).encode())
+    hasher.update(setting_digest(annotator, False, code_digest(annotate_task)).encode())
     return hasher.hexdigest()[:32]
 
 

@@ -15,11 +15,12 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.pipelines.engine.plan import code_digest
+from kinedex.pipelines.engine.code_digest import code_digest
+from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
 from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
-from kinedex.storage.formats.motion.bodies import FORMS, Given
+from kinedex.storage.formats.motion.bodies import FORMS, Given, read_body
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups
 from kinedex.storage.store.writer import StoreWriter
@@ -184,11 +185,7 @@ def _matters(given: Given, form: Format) -> object:
 
 def _recipe(feature_set: FeatureSet, mappings: str, given: object) -> str:
     """What a take's rows depend on besides its own files; when it changes, the take is read again."""
-    code = [
-        code_digest(module)
-        for module in ("kinedex.storage.formats.motion.bodies", "kinedex.pipelines.ingestion.analysis")
-    ]
-    return digest([feature_set.digest, mappings, given, code])
+    return digest([feature_set.digest, mappings, given, code_digest(read_body, analyse, blind)])
 
 
 def digest(parts: object) -> str:

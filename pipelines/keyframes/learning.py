@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import count, pairwise
-from pathlib import Path
 from typing import Literal
 from zlib import crc32
 
@@ -17,11 +16,6 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.keyframes import fitness
-from kinedex.ops.keyframes import genetic_algorithm as genetics
-from kinedex.ops.keyframes import genetic_operators as breeding
-from kinedex.ops.keyframes import greedy_selection as greedy
-from kinedex.ops.keyframes import training_task as learned_from
 from kinedex.ops.keyframes.consensus import AtLeast, Consensus, find_consensus
 from kinedex.ops.keyframes.fitness import training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evolve, random_search
@@ -34,10 +28,9 @@ from kinedex.ops.keyframes.training_task import (
     make_training_task,
     steady_entries,
 )
-from kinedex.ops.templates import templates as template_code
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import U64
-from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.keyframes.margins import Margins, clips_hit, margins_of
 from kinedex.pipelines.templates.learning import TrainingClips
 
@@ -105,9 +98,8 @@ def _digest(text: str, *groups: Sequence[U64]) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """A hash of the sources that a run follows from: what older code has run is not what today's would find."""
-    modules = (breeding, fitness, genetics, greedy, learned_from, template_code)
-    return files_digest([Path(str(module.__file__)) for module in modules])
+    """Return a hash of the code of a run, so that runs of other code are not taken for its own."""
+    return code_digest(do_runs)
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ def test_clips_that_come_back_as_they_were_leave_templates_as_they_are(archive: 
 def test_another_filter_or_other_code_learns_again(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
     archive.params["learn_templates"]["where"] = "class IS NOT NULL"
     assert archive.run()[0].ran == ("learn_templates", "annotate")
-    monkeypatch.setattr(plan, "code_digest", lambda module: f"new {module}")
+    monkeypatch.setattr(plan, "code_digest", lambda kind: f"new {kind.name}")
     assert archive.run()[0].ran == ("ingest", "learn_templates", "annotate")
 
 

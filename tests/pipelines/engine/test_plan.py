@@ -14,7 +14,7 @@ from kinedex.ops.errors import ConfigError, KinedexError, NewStoreError, Paramet
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import SerialExecutor
-from kinedex.pipelines.engine.plan import imports_of, make_plan
+from kinedex.pipelines.engine.plan import make_plan
 from kinedex.pipelines.engine.runner import StageFailed, run_pipeline
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.index import Index
@@ -196,32 +196,3 @@ def test_a_run_that_is_killed_in_a_stage_leaves_no_record_of_it(
 def test_errors_cross_from_a_worker_process_whole(error: KinedexError) -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert (type(copy), str(copy)) == (type(error), str(error))
-
-
-def test_imports_are_found_at_any_depth() -> None:
-    source = """
-import kinedex.ops.a
-def f():
-    from kinedex.catalog import b
-    try:
-        pass
-    except ValueError:
-        import kinedex.storage.c
-    else:
-        import kinedex.storage.d
-    finally:
-        import kinedex.storage.e
-    match 1:
-        case 2:
-            with open("x"):
-                from . import g
-    while False:
-        import numpy
-    else:
-        from .h import i
-"""
-    assert imports_of(source, "kinedex.pipelines.stages.z") == [
-        "kinedex.catalog", "kinedex.catalog.b", "kinedex.ops.a", "kinedex.pipelines.stages",
-        "kinedex.pipelines.stages.g", "kinedex.pipelines.stages.h", "kinedex.pipelines.stages.h.i",
-        "kinedex.storage.c", "kinedex.storage.d", "kinedex.storage.e",
-    ]  # fmt: skip
