@@ -1,4 +1,4 @@
-"""`python -m benchmarks [PART …]`: all benchmarks or some parts, a table on the terminal, and JSON in build/bench."""
+"""`python -m benchmarks [PART …]`: run all benchmarks or some parts; print a table and write JSON to build/bench."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
 
 
 def main(parts: Sequence[str]) -> None:
-    """Run everything, or these parts, on one core, with a calibration before and after."""
+    """Run all parts, or those named, on one core, with a calibration before and after."""
     for part in parts:
         if part not in PARTS:
             sys.exit(f"{part}: no part of the benchmarks{did_you_mean(part, PARTS)}")

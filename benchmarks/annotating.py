@@ -1,11 +1,10 @@
-"""Annotation at the size of the thesis's experiment: 133,019 frames, 69 subclasses of about 50 columns, on one core.
+"""Time annotation at the size of the thesis's experiment (5.4): 133,019 frames, 69 subclasses, on one core.
 
-The words are those of the synthetic archive, its takes laid out again and again in a drawn order; the templates are
-learned from the clips of one actor and one class each, and stretched or shortened to the thesis's mean length. Queries
-ask for three of a template's own columns, or for some features of them, so that the wanted share of the frames is left,
-margins included, on average over the templates: a twentieth (the thesis's learned queries made annotation 15 times as
-fast), and 15 % (what the hand-made queries of its authors leave of HDM05 takes). What labels are found means nothing
-here; what it costs does.
+The words are those of the synthetic archive, its takes repeated in a drawn order. Each template is learned from the
+clips of one actor and one class and resampled to the thesis's mean length of about 50 columns. Queries contain three of
+a template's own columns, or some features of them, so that a chosen share of the frames is left on average, margins
+included: a twentieth (the thesis's learned queries made annotation 15 times as fast) and 15 % (the share that the
+authors' manual queries leave of HDM05 takes). Only the cost of the labels is of interest here, not the labels.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from kinedex.storage.store.store import Store
 FRAMES, SUBCLASSES, COLUMNS = 133_019, 69, 50
 DELTA, TAU = 0.05, 0.13
 KEPT = (0.05, 0.15)
-"""The shares of the frames that queries leave, margins included, about."""
+"""Approximate shares of the frames that queries leave, margins included."""
 
 _POSITIONS = (8, 25, 42)
 _GAP = Gap(8, 34)
@@ -38,7 +37,7 @@ _THINNED = (1, 2, 3, 4)  # a keyframe asks for every feature of its set, for eve
 
 
 def figures(store: Store) -> list[Figure]:
-    """The thesis's method without and with preselection, and all frames labelled together."""
+    """Time the thesis's method without and with preselection, and the method best."""
     batches = _words(store)
     templates = _templates(store)
     classes = load_classes("own", [one.subclass for one in templates])
@@ -66,7 +65,7 @@ def figures(store: Store) -> list[Figure]:
 
 
 def _share(annotator: Annotator, batches: list[TakeWords]) -> float:
-    """The share of the frames within the ranges of the templates, margins included, on average over the templates."""
+    """Return the share of the frames within the ranges, margins included, averaged over the templates."""
     inside = sum(int((own[:, 1] - own[:, 0]).sum()) for batch in batches for own in ranges_of(annotator, batch))
     return inside / len(annotator.templates) / sum(len(batch.words) for batch in batches)
 
@@ -77,7 +76,7 @@ def _run(annotator: Annotator, batches: list[TakeWords]) -> None:
 
 
 def _words(store: Store) -> list[TakeWords]:
-    """Takes of the archive in a drawn order until there are enough frames, in batches as the stage has them."""
+    """Return takes in a drawn order until there are enough frames, in batches as the stage makes them."""
     takes = store.takes("class IS NULL")
     words = store.words(takes["take_id"].to_list())
     random, pieces, frames = np.random.default_rng(0), list[np.ndarray](), 0
@@ -96,7 +95,7 @@ def _words(store: Store) -> list[TakeWords]:
 
 
 def _templates(store: Store) -> list[SubclassTemplate]:
-    """A template for each class and actor, of `COLUMNS` columns."""
+    """Learn a template of `COLUMNS` columns for each class and actor."""
     clips = store.takes("class IS NOT NULL").sort("class", "actor", "name")
     words = store.words(clips["take_id"].to_list())
     place = {take: index for index, take in enumerate(words.take_ids.tolist())}
@@ -104,8 +103,8 @@ def _templates(store: Store) -> list[SubclassTemplate]:
     for (label, actor), group in clips.group_by("class", "actor", maintain_order=True):
         own = [words.take(place[take]) for take in group.sort("name")["take_id"].to_list()][:3]
         values = learn_soft(own, len(store.feature_set.features)).template.values
-        stretched = values[np.linspace(0, len(values) - 1, COLUMNS).round().astype(int)]
-        learned = Learned(Template(stretched, np.ones(COLUMNS)), 1, (0.0,) * len(own))
+        resampled = values[np.linspace(0, len(values) - 1, COLUMNS).round().astype(int)]
+        learned = Learned(Template(resampled, np.ones(COLUMNS)), 1, (0.0,) * len(own))
         found.append(SubclassTemplate(f"{label} {actor}", "soft", learned, tuple(group["name"].to_list())))
     while len(found) < SUBCLASSES:
         again = found[len(found) % clips.select(pl.struct("class", "actor").n_unique()).item()]
@@ -114,7 +113,7 @@ def _templates(store: Store) -> list[SubclassTemplate]:
 
 
 def _queries(one: SubclassTemplate, features: FeatureSet, words: TakeWords) -> list[tuple[float, KeyframeQuery]]:
-    """Queries for three columns of a template, in each feature set and more and less exact, with what each leaves."""
+    """Return queries for three columns of a template, more and less strict, with the share that each leaves."""
     quantised = quantise(one.learned.template, DELTA)
     alone = load_classes("own", [one.subclass])
     found = []

@@ -1,4 +1,4 @@
-"""The archive that benchmarks work on: synthetic, made once into build/, brought into a store once."""
+"""Make the synthetic archive of the benchmarks, and its store, once in build/."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MINUTES = 12.0
 
 
 def archive() -> Path:
-    """The folder of the synthetic archive."""
+    """Return the folder of the synthetic archive; make it if it is missing."""
     folder = BUILD / f"archive-{MINUTES:g}min"
     if not (folder / "takes" / "ground_truth.csv").is_file():
         write_archive(folder, minutes=MINUTES)
@@ -22,7 +22,7 @@ def archive() -> Path:
 
 
 def store() -> Store:
-    """A store of that archive with its index."""
+    """Return a store of that archive with its index."""
     path = BUILD / "store"
     run_pipeline("ingest", path, assignments={"source": str(archive())}, terminal=silent())
     return open_store(path)

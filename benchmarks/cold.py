@@ -1,4 +1,4 @@
-"""`python -m benchmarks.cold STORE QUERIES`: seconds from opening a store to the answer, in a process of its own."""
+"""`python -m benchmarks.cold STORE QUERIES`: time the way from opening a store to the answer, in a new process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kinedex.storage.store.store import open_store
 
 
 def main(store: str, file: str) -> None:
-    """Answer the queries of a file, and print how long it took from opening the store."""
+    """Search the queries of a file, and print the seconds since the store was opened."""
     began = time.perf_counter()
     opened = open_store(store)
     search_store(opened, read_queries(file, opened.feature_set))

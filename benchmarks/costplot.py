@@ -1,4 +1,4 @@
-"""Cost against size on log-log axes, as an SVG (the papers' Figure 3.10)."""
+"""Plot cost over size on log-log axes as SVG (thesis, Figure 3.10)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _WIDTH, _HEIGHT, _EDGE = 640, 420, 60
 
 
 def write_plot(file: Path, sizes: F64, times: F64, title: str) -> None:
-    """Draw one dot per query: word runs of all its lists against milliseconds, with the line of slope 1 through all."""
+    """Draw one dot per query, milliseconds over the word runs of its lists, and a line of slope 1."""
     shown = sizes > 0
     x, y = np.log10(sizes[shown]), np.log10(times[shown] * 1e3)
     left, right = float(np.floor(x.min())), float(np.ceil(x.max()))

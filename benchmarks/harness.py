@@ -1,4 +1,4 @@
-"""How benchmarks are timed, printed and written: the best of several runs, beside something else in the same run."""
+"""Time benchmarks, print and write them: the best of several runs, beside a comparison in the same run."""
 
 from __future__ import annotations
 
@@ -22,13 +22,26 @@ from kinedex.pipelines.console.terminal import Terminal
 
 @dataclass(frozen=True)
 class Figure:
-    """One benchmark: how much work of what unit was done in how many seconds, and how long the other way took.
+    """One benchmark: an amount of work, the seconds it took, and the same for what it is compared with.
 
-    seconds, other_seconds: the best of several runs. other: what it is compared with, done on the same work in the
-    same run, or what is asked for; where nothing could be timed, why.
+    Memory, slopes and nanoseconds a run have no rate: their `seconds` is None, and less is better.
 
-    Memory, a slope, nanoseconds a run have no rate: for these seconds is None, amount is what was found, and
-    other_amount what it is compared with. Less is better.
+    Attributes
+    ----------
+    name : str
+        The work.
+    amount : float
+        The amount of work in `unit`; where nothing is timed, the measured value.
+    unit : str
+        The unit of `amount`.
+    seconds : float or None
+        The best time of several runs.
+    other : str
+        The comparison, on the same work in the same run, or the required value; the reason where nothing was timed.
+    other_seconds : float or None
+        The best time of the comparison.
+    other_amount : float or None
+        The value of the comparison where nothing is timed.
     """
 
     name: str
@@ -41,28 +54,28 @@ class Figure:
 
     @property
     def rate(self) -> float | None:
-        """Units a second."""
+        """Return the units done in a second; None where nothing is timed."""
         return None if self.seconds is None else self.amount / self.seconds
 
     @property
     def ratio(self) -> float | None:
-        """How many times as fast as the other way; where nothing is timed, how many times as small."""
+        """Return how many times as fast as the comparison this is; where nothing is timed, as small."""
         if self.seconds is not None:
             return None if self.other_seconds is None else self.other_seconds / self.seconds
         return self.other_amount / self.amount if self.other_amount is not None and self.amount else None
 
     @property
     def shown(self) -> str:
-        """The rate, or where nothing is timed the amount, with its unit."""
+        """Return the rate with its unit, or the amount where nothing is timed."""
         if self.rate is not None:
             return f"{self.rate:,.4g} {self.unit}/s"
         return f"{self.amount:,.4g} {self.unit}".rstrip() if self.amount else "–"
 
 
 def seconds(work: Callable[[], object], runs: int = 5) -> float:
-    """The best time of some runs, after one that does not count (it compiles, and fills the caches).
+    """Return the best time of several runs, after one that compiles and fills the caches.
 
-    Whatever else the machine does can only add to a time, so the least is nearest to what the work itself takes.
+    Other work of the machine only adds to a time, so the least is nearest to the cost of the work itself.
     """
     work()
     times = []
@@ -74,18 +87,18 @@ def seconds(work: Callable[[], object], runs: int = 5) -> float:
 
 
 def silent() -> Terminal:
-    """A terminal that nobody sees."""
+    """Return a terminal whose output is dropped."""
     return Terminal(Console(file=io.StringIO()))
 
 
 def calibrate() -> Figure:
-    """What the machine is worth this minute: sorting random numbers, which no part of kinedex does."""
+    """Measure the speed of the machine by sorting random numbers, which no part of kinedex does."""
     numbers = np.random.default_rng(0).random(2_000_000)
     return Figure("calibration: numpy sort", 2.0, "M numbers", seconds(lambda: np.sort(numbers)))
 
 
 def show(figures: list[Figure]) -> Table:
-    """The figures as a table for the terminal."""
+    """Lay the figures out as a table for the terminal."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("benchmark", "rate or amount", "seconds", "beside it, in the same run", "times as good"):
         table.add_column(column, justify="left" if column[:2] == "be" else "right", no_wrap=True)
@@ -101,7 +114,7 @@ def show(figures: list[Figure]) -> Table:
 
 
 def write(figures: list[Figure], folder: Path) -> Path:
-    """Write the figures as JSON, named after the moment."""
+    """Write the figures as JSON into a file named after the time, and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     moment = datetime.now(UTC)
     path = folder / f"{moment:%Y%m%d-%H%M%S}.json"

@@ -1,4 +1,4 @@
-"""Words to a published index: how fast, in how much memory, and what ten more takes cost; on one core."""
+"""Measure the index: words to a published index, its memory, and the cost of ten more takes; on one core."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TAKES_A_PART = 2000
 
 
 def figures(store: Store) -> list[Figure]:
-    """Time the index of the store's words, tiled to twenty hours of motion."""
+    """Time the index of the store's words, repeated to twenty hours of motion."""
     large = twenty_hours(store)
     frames = float(large.takes()["frames"].sum()) / 1e6
     whole = seconds(lambda: _build_anew(large), 3)
@@ -42,7 +42,7 @@ def figures(store: Store) -> list[Figure]:
 
 
 def twenty_hours(store: Store) -> Store:
-    """A store of twenty hours of the same motion over and over; made once."""
+    """Return a store of twenty hours of repeated motion; make it if it is missing."""
     words = store.words()
     return store_of_words(_tile(words, math.ceil(HOURS * 3600 * 30 / len(words.words))), store.feature_set)
 
@@ -61,7 +61,7 @@ def _build_anew(store: Store) -> Path:
 
 
 def _peak_mb(store: Store) -> float:
-    """The peak memory of a process that builds the index, in MiB."""
+    """Return the peak memory of a process that builds the index, in MiB."""
     shutil.rmtree(store.path / "index", ignore_errors=True)
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.indexing", str(store.path)], check=True, capture_output=True, text=True
@@ -70,7 +70,7 @@ def _peak_mb(store: Store) -> float:
 
 
 def _ten_more(store: Store, whole: float) -> Figure:
-    """Ten more takes in an index of many; every run begins with the index of the version before."""
+    """Time ten more takes in an index of many; every run begins with the index of the version before."""
     build_index(store)
     more = BUILD / "index-ten-more"
 
@@ -93,7 +93,7 @@ def _ten_more(store: Store, whole: float) -> Figure:
 
 
 def _by_sql(store: Store) -> None:
-    """What one would write without kernels: gaps and islands by window functions, for the three sets of words."""
+    """Time the runs in SQL: gaps and islands by window functions, for the three sets of words."""
     parts = ", ".join(quote(str(store.path / part.path)) for part in store.manifest.frames)
     file = BUILD / "by-sql.duckdb"
     file.unlink(missing_ok=True)
@@ -118,7 +118,7 @@ def store_of_words(words: TakeWords, feature_set: FeatureSet) -> Store:
 
 
 def _add(path: Path, feature_set: FeatureSet, words: TakeWords, name: str) -> None:
-    """Add takes that have words, and no positions."""
+    """Add takes that have words and no positions."""
     names = [f"{name}_{i:06d}" for i in range(len(words))]
     takes = takes_schema()
     with StoreWriter.open(path, feature_set) as writer:
@@ -145,7 +145,7 @@ def _row(take_id: int, name: str, frames: int, schema: pa.Schema) -> dict[str, o
 
 
 def own_peak_mb() -> float:
-    """The peak memory of this process; what `getrusage` says would be that of the process that has started it, too."""
+    """Return the peak memory of this process; `getrusage` would include the process that started it."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next(float(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM"))
 

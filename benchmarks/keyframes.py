@@ -1,4 +1,4 @@
-"""Learning keyframe queries: one genetic run on a training set of 24 minutes and 69 classes, on one core."""
+"""Time keyframe learning: one genetic run on a training set of 24 minutes and 69 classes, on one core."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Learning templates: a class of 20 clips of 100 columns, and how it grows with the clips."""
+"""Time template learning: a class of 20 clips of 100 columns, and its growth with the clips."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from kinedex.storage.store.store import Store
 from tests.oracles import warping as naive
 
 CLIPS, COLUMNS = 20, 100
-FEW = 30  # columns of what the tests' naive twin aligns: it takes seconds for more
+FEW = 30  # columns that the tests' naive twin aligns; more would take it seconds
 
 
 def figures(store: Store) -> list[Figure]:
     """Time soft and hard learning of one class, and a class three times as large."""
     features = len(store.feature_set.features)
-    clips = stretched(store, 3 * CLIPS, COLUMNS)
+    clips = resampled(store, 3 * CLIPS, COLUMNS)
     few = clips[:CLIPS]
     soft, hard = learn("soft", few, features), learn("hard", few, features)
     alignments = CLIPS * (CLIPS - 1)
@@ -42,10 +42,10 @@ def figures(store: Store) -> list[Figure]:
     ]  # fmt: skip
 
 
-def stretched(store: Store, count: int, columns: int) -> list[U64]:
-    """The words of the first clips of the class that has most, each stretched or thinned to so many columns.
+def resampled(store: Store, count: int, columns: int) -> list[U64]:
+    """Return the words of clips of the largest class, each resampled to a number of columns.
 
-    A class with fewer clips gives some of them twice, from another frame on: no two are the same.
+    A class with fewer clips gives some of them twice, from another frame on, so that no two are the same.
     """
     takes = store.takes("class IS NOT NULL")
     name = takes.group_by("class").len().sort("len", "class")["class"][-1]
@@ -58,7 +58,7 @@ def stretched(store: Store, count: int, columns: int) -> list[U64]:
 
 
 def aligned_naively(first: U64, second: U64, features: int) -> float:
-    """The cost of one pair, with plain lists."""
+    """Compute the cost of one pair with plain lists."""
     one, other = bits(first, features).tolist(), bits(second, features).tolist()
     cost = [[sum(abs(a - b) for a, b in zip(x, y, strict=True)) / features for y in other] for x in one]
     return naive.align(cost, [1.0] * len(one), [1.0] * len(other))[0]

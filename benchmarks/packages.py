@@ -1,4 +1,4 @@
-"""What readers of motion files are compared with: packages of the `bench` group, which do the same work."""
+"""Other readers of motion files: packages of the `bench` group that do the same work."""
 
 from __future__ import annotations
 
@@ -36,11 +36,18 @@ def of_c3d(path: Path) -> Readers:
 
 
 def beside(name: str, path: Path, ours: Callable[[], object], readers: Readers) -> Iterable[Figure]:
-    """Time our reading of a file, and for each package its own, in the same run.
+    """Time our reader of a file and those of other packages in the same run.
 
     Parameters
     ----------
-    name: of the figures. path: the file. ours: reads it. readers: package name → its way of reading it.
+    name : str
+        The name of the figures.
+    path : Path
+        The file.
+    ours : callable
+        Reads the file.
+    readers : dict
+        Package name → its function that reads the file.
     """
     megabytes = path.stat().st_size / 1e6
     time = seconds(ours)
@@ -50,6 +57,6 @@ def beside(name: str, path: Path, ours: Callable[[], object], readers: Readers) 
         except ImportError:
             yield Figure(name, megabytes, "MB", time, f"{package}: not installed (make bench installs it)")
             continue
-        with contextlib.redirect_stdout(io.StringIO()):  # some report on what they read
+        with contextlib.redirect_stdout(io.StringIO()):  # some packages print while they read
             other = seconds(lambda module=module, read=read: read(module), 1)
         yield Figure(name, megabytes, "MB", time, f"{package} {metadata.version(package)}", other)

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.ranking`: distance curves and ranking on one core, beside a plain double loop and packages.
+"""`python -m benchmarks.ranking`: time distance curves and ranking, beside a plain double loop and packages.
 
 `python -m benchmarks` runs this too.
 """
@@ -31,19 +31,19 @@ from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store
 
 COLUMNS, FRAMES, WORDS = 60, 400_000, 4_000
-"""The size that a curve is timed at."""
+"""The size at which a curve is timed."""
 
 DELTA, TAU, TOP = 0.1, 0.1, 100
-"""Templates, thresholds and hits of the rankings."""
+"""Numbers of templates, thresholds and hits of the rankings."""
 
 THREAD_HOURS = 10.0
-"""How much threads share."""
+"""The size at which threads are compared."""
 
 HDM05 = Path(__file__).resolve().parents[2] / "shared" / "data" / "hdm05"
 RUNS = 5
 
 FEW = 4_000
-"""Frames that packages are timed at which keep the whole matrix, or are slow; times are per cell."""
+"""Frames at which packages are timed that store the whole matrix, or are slow; times are per cell."""
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -51,7 +51,7 @@ I64 = npt.NDArray[np.int64]
 
 @nb.njit(nogil=True)
 def plain(table: F64, codes: npt.NDArray[np.int32]) -> F64:
-    """Row by row and cell by cell, as the equations stand, on a whole matrix."""
+    """Fill a whole matrix cell by cell, as the equations are printed."""
     columns, frames = table.shape[1], len(codes)
     total = np.full((columns, frames), np.inf)
     for n in range(columns):
@@ -69,7 +69,7 @@ def plain(table: F64, codes: npt.NDArray[np.int32]) -> F64:
 
 
 def figures(store: Store) -> list[Figure]:
-    """Curves at a fixed size in three ways, packages, and rankings of real takes, tiled to that size."""
+    """Time curves at a fixed size in three ways, packages, and rankings of takes repeated to that size."""
     return [*_curves(), *_rankings(store), *_threads()]
 
 
@@ -82,8 +82,7 @@ def _made_up() -> tuple[QuantisedTemplate, npt.NDArray[np.uint64]]:
 
 
 def _curves() -> list[Figure]:
-    """The sweep in float64, which annotation, calibration and evaluation run, and in float32, which callers of
-    `distance_curves` can ask for and no stage does; rankings sweep bounds in 8 and 16 bits."""
+    """Time the sweep in float64, which annotation uses, and in float32; rankings sweep bounds in 8 and 16 bits."""
     template, words = _made_up()
     coded, layout = encode(words), lay_out([template])
     pieces = pieces_of(np.array([[0, FRAMES]]), 4096, 2 * (COLUMNS - 1))
@@ -105,7 +104,7 @@ def _curves() -> list[Figure]:
 
 
 def _packages(template: QuantisedTemplate, words: npt.NDArray[np.uint64]) -> dict[str, Callable[[], object]]:
-    """The same work by others: librosa with our costs and steps; the others with their own steps on the 40 bits."""
+    """Time other packages: librosa with our costs and steps, the others with their own steps on the 40 bits."""
     rows = cost_table(lay_out([template]), words)[:, :COLUMNS].T.copy()
     columns, frames = template.values(40), bits(words, 40).astype(np.float64)
     found: dict[str, Callable[[], object]] = {}
@@ -131,9 +130,9 @@ def _packages(template: QuantisedTemplate, words: npt.NDArray[np.uint64]) -> dic
 
 
 def _archive(store: Store) -> tuple[str, list[str], list[QuantisedTemplate], TakeWords]:
-    """Real motion, its classes' templates, and its takes repeated to 400,000 frames.
+    """Return motion, the templates of its classes, and its takes repeated to 400,000 frames.
 
-    HDM05 from ../shared where it is, the clips that templates are learned from among the takes; else the synthetic one.
+    The motion is HDM05, with its clips, where ../shared has it; else the synthetic archive.
     """
     name = "synthetic takes"
     if HDM05.is_dir():
@@ -154,19 +153,18 @@ def _archive(store: Store) -> tuple[str, list[str], list[QuantisedTemplate], Tak
 
 
 def _rankings(store: Store) -> list[Figure]:
-    """The best hits of all classes below τ together and one by one, and all hits; cells are those of the whole curves.
+    """Time the best hits of all classes below τ, together and one by one, and all hits; in cells of whole curves.
 
-    Skipped are frames for which no more than the coarse bound was computed. What could be skipped at
-    most, by whatever bound, are all but blocks of 8 frames with a distance below τ and the 2(N − 1) frames that lead in
-    to them.
+    A frame counts as skipped where only its coarse bound was computed. No bound could skip the blocks of 8 frames with
+    a distance below τ and the 2(N − 1) frames before each of them.
     """
     archive, names, templates, words = _archive(store)
     coded, thresholds = encode(words.words), np.full(len(templates), TAU)
-    stretches = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+    intervals = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     frames, columns = len(words.words), np.array([len(template) for template in templates])
     cells = float(columns.sum()) * frames / 1e9
-    bounds = coarse_bounds(templates, coded, thresholds, stretches)
-    shared = seconds(lambda: coarse_bounds(templates, coded, thresholds, stretches), RUNS)
+    bounds = coarse_bounds(templates, coded, thresholds, intervals)
+    shared = seconds(lambda: coarse_bounds(templates, coded, thresholds, intervals), RUNS)
     found, alone_in_all, own_in_all = [], 0.0, 0.0
     for name, template, bound in zip(names, templates, bounds, strict=True):
         hits = rank(template, words, TAU, TOP, coded=coded, coarse=bound)
@@ -182,13 +180,13 @@ def _rankings(store: Store) -> list[Figure]:
     found.append(Figure(title, cells, "G cells", together, "one by one", alone_in_all))
     computed = possible = 0
     for template, bound in zip(templates, bounds, strict=True):
-        computed += len(template) * bounds_below(template, coded, TAU, stretches, bound).computed
-        exact = bounds_below(template, coded, TAU, stretches).units < CAP
+        computed += len(template) * bounds_below(template, coded, TAU, intervals, bound).computed
+        exact = bounds_below(template, coded, TAU, intervals).units < CAP
         blocks = np.logical_or.reduceat(exact, np.arange(0, frames, BLOCK))
-        left = surviving(blocks, stretches, 2 * (len(template) - 1))
+        left = surviving(blocks, intervals, 2 * (len(template) - 1))
         possible += len(template) * int((left[:, 2] - left[:, 0]).sum())
     time = seconds(lambda: rank_together(templates, words, thresholds, None, coded), 3)
-    plain = seconds(lambda: [distance_curves([t], words.words, stretches, np.float32) for t in templates], 1)
+    plain = seconds(lambda: [distance_curves([t], words.words, intervals, np.float32) for t in templates], 1)
     whole = int(columns.sum()) * frames
     title = f"{archive}, all hits, {_share(whole, computed)} of {_share(whole, possible)} skipped"
     return [*found, Figure(title, cells, "G cells", time, "float32 curves alone", plain)]
@@ -199,7 +197,7 @@ def _share(frames: int, computed: int) -> str:
 
 
 def _threads() -> list[Figure]:
-    """Ten hours by all classes of the synthetic archive, in one thread and in two: by the clock, with reading."""
+    """Time the ranking of ten hours by all classes, reading included, in one thread and in two."""
     searched, many = searched_classes(), made_up(THREAD_HOURS)
     one, two = (seconds(lambda w=workers: rank_takes(many, searched, TAU, TOP, workers=w), 3) for workers in (1, 2))
     cells = sum(len(each.template) for each in searched) * sum(many.takes()["frames"]) / 1e9

@@ -1,8 +1,8 @@
-"""`python -m benchmarks.ranking_memory --hours 100`: the memory and time of ranking a large archive by all classes.
+"""`python -m benchmarks.ranking_memory --hours 100`: measure memory and time of ranking an archive by all classes.
 
-The archive has words and no positions: the takes of the synthetic archive over and over, with a bit flipped at random
-in a twentieth of the frames, so that there are many different words, as in motion that does not repeat itself. The
-peak is that of a process that opens the store, learns the templates, and ranks; Python and its packages are in it.
+The archive has words and no positions: the repeated takes of the synthetic archive, with a bit flipped at random in a
+twentieth of the frames, so that there are as many different words as in motion that does not repeat itself. The
+peak is that of a process that opens the store, learns the templates and ranks, Python and its packages included.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from kinedex.storage.store.store import Store, open_store
 
 RATE_HZ = 30
 SPOILED = 0.05
-"""The share of frames in which a bit is flipped."""
+"""Share of the frames in which a bit is flipped."""
 
 
 def made_up(hours: float) -> Store:
-    """A store of so many hours; made once."""
+    """Return a store of some hours of motion; make it if it is missing."""
     words = store().words()
     times = -(-int(hours * 3600 * RATE_HZ) // len(words.words))
     rng = np.random.default_rng(0)
@@ -42,7 +42,7 @@ def made_up(hours: float) -> Store:
 
 
 def searched_classes() -> list[RankedTemplate]:
-    """The templates of the classes of the synthetic archive."""
+    """Learn the templates of the classes of the synthetic archive."""
     known = store()
     searched = []
     for (name,), group in known.takes("class IS NOT NULL").sort("class", "name").group_by("class", maintain_order=True):
@@ -53,7 +53,7 @@ def searched_classes() -> list[RankedTemplate]:
 
 
 def rank_all(path: Path, workers: int | None) -> dict[str, float]:
-    """Rank a store by every class of the synthetic archive at once, and tell the peak memory of this process."""
+    """Rank a store by every class at once, and return the peak memory of this process."""
     searched = searched_classes()
     opened = open_store(path)
     before = own_peak_mb()
@@ -69,7 +69,7 @@ def rank_all(path: Path, workers: int | None) -> dict[str, float]:
 
 
 def main() -> None:
-    """Make the archive, rank it in a process of its own, and print what that took."""
+    """Make the archive, rank it in a new process, and print time and memory."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, default=100.0)
     parser.add_argument("--workers", type=int, help="threads; all cores unless given")
@@ -82,11 +82,11 @@ def main() -> None:
     workers = [] if chosen.workers is None else ["--workers", str(chosen.workers)]
     command = [sys.executable, "-m", "benchmarks.ranking_memory", "--rank", str(path), *workers]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-    told = json.loads(done.stdout.splitlines()[-1])
+    measured = json.loads(done.stdout.splitlines()[-1])
     make_console().print(
         "{frames:,} frames ({hours:.1f} h) ranked by {templates} templates in {seconds:.1f} s, "
         "{billion_cells_a_second:.2f} G cells/s; peak {peak_mib:.0f} MiB, {peak_mib_before:.0f} of it before".format(
-            **told
+            **measured
         ),
         markup=False,
     )

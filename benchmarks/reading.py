@@ -1,4 +1,4 @@
-"""Motion files to words: parsing, kinematics with features, and the whole way into a committed store, on one core."""
+"""Time motion files to words: parsing, kinematics and features, and the ingest into a store, on one core."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ JOINED_MB = 5.0
 
 
 def figures() -> list[Figure]:
-    """Time reading on the longest take, and the ingest of the whole archive."""
+    """Time the reading of the longest take, and the ingest of the whole archive."""
     root = archive()
     amc = max((root / "takes").glob("*.amc"), key=lambda file: file.stat().st_size)
     asf = root / "takes" / f"{amc.stem.rsplit('_', 1)[0]}.asf"
@@ -42,7 +42,7 @@ def figures() -> list[Figure]:
 
 
 def _joined_bvh() -> Iterable[Figure]:
-    """Many takes of one skeleton, joined to one file: header, names and all frames are read from its bytes."""
+    """Time a file of many takes of one skeleton: header, names and all frames are read from its bytes."""
     name = "BVH file to numbers"
     files = sorted((SHARED / "bandai").rglob("*.bvh"))
     if not files:
@@ -73,7 +73,7 @@ def _c3d() -> Iterable[Figure]:
 
 
 def _posing(skeleton: Skeleton, channels: np.ndarray) -> Figure:
-    """Channels to words: every joint that a feature needs, the root's turn, and all features in every source frame."""
+    """Time channels to words: joints, the root's rotation and all features, in every source frame."""
     feature_set = load_feature_set()
     fit = load_skeleton("acclaim", feature_set.joints).fit(skeleton.bones)
 
@@ -96,9 +96,9 @@ def _posing(skeleton: Skeleton, channels: np.ndarray) -> Figure:
 
 
 def _ingesting(root: Path) -> Iterable[Figure]:
-    """AMC files to a store: from the scan of the folder to parts and manifest flushed to disk, in a warm process.
+    """Time AMC files to a store, from the scan of the folder to the manifest on disk, in a warm process.
 
-    Checksums, skeletons, parsing, features, Parquet and the commit are in it; the start of a process is not.
+    Checksums, skeletons, parsing, features, Parquet and the commit are included; the start of a process is not.
     """
     size = sum(file.stat().st_size for file in root.rglob("*.amc")) / 1e6
     alone = BUILD / "ingest-alone.yaml"

@@ -29,7 +29,7 @@ def recursion(lists: list[I64], gaps: list[tuple[int, int]]) -> I64:
     return extend_and_unite(found[:, :count].T, np.arange(takes + 1, dtype=np.int64) << TAKE_BITS)
 
 
-# Not cached, either of them: what calls itself does not survive being read from numba's cache.
+# Neither is cached: a recursive function does not work when it is loaded from numba's cache.
 @njit(nogil=True)
 def _all_matches(starts, stops, offsets, low, high, found):  # type: ignore[no-untyped-def]
     count = len(offsets) - 1

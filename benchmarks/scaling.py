@@ -1,4 +1,4 @@
-"""`python -m benchmarks.scaling --hours H`: how an ingest grows with its workers, and what memory each takes."""
+"""`python -m benchmarks.scaling --hours H`: measure an ingest with one and two workers, and the memory of each."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from kinedex.pipelines.synth.archive import write_archive
 
 @dataclass(frozen=True)
 class Ingest:
-    """One ingest of the archive, measured: seconds of its stages, and the most memory of each process in MiB.
+    """One ingest of the archive: the seconds of its stages, and the peak memory of each process in MiB.
 
-    seconds: from the first stage's start to the last one's end, the start of Python left out. peaks: of the workers;
-    with one worker, of the only process.
+    `seconds` runs from the first stage's start to the last one's end, without the start of Python. `peaks` are those of
+    the workers; with one worker, of the only process.
     """
 
     workers: int
@@ -45,14 +45,14 @@ class Ingest:
 
 
 class Watched(ProcessExecutor):
-    """Worker processes that say with every result how much memory they have needed at most."""
+    """Worker processes that report their peak memory with every result."""
 
     def __init__(self, workers: int) -> None:
         super().__init__(workers)
         self.peaks: dict[int, float] = {}
 
     def map(self, function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        """Apply a function to every item, and note the peak memory of the process that did it."""
+        """Apply a function to every item, and return the peak memory of the process with the results."""
         for process, peak, result in super().map(_Watching(function), items):
             self.peaks[process] = max(peak, self.peaks.get(process, 0.0))
             yield result
@@ -68,7 +68,7 @@ class _Watching:
 
 
 def peak_mib() -> float:
-    """The most memory that this process has had at a time."""
+    """Return the peak memory of this process in MiB."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / (1 << 20) if sys.platform == "darwin" else most / 1024
 
@@ -88,7 +88,7 @@ def ingest(source: Path, store: Path, workers: int) -> Ingest:
 
     records = open_store(store).manifest.stages
     stages = {name.split("/")[1]: record.seconds for name, record in records.items()}
-    # a lone item is done in this very process; the workers are those that are not it
+    # a single item is done in this process; all other processes are workers
     peaks = [peak for pool in pools for process, peak in pool.peaks.items() if process != os.getpid()] or [peak_mib()]
     return Ingest(workers, seconds, stages, sorted(peaks), peak_mib())
 
@@ -109,7 +109,7 @@ def _on_cores(count: int) -> Iterator[None]:
 
 @contextmanager
 def watched(pools: list[Watched]) -> Iterator[None]:
-    """Let a run of more than one worker use `Watched` ones."""
+    """Make runs of several workers use `Watched` ones."""
     from kinedex.pipelines.engine import runner
 
     really = runner.make_executor
@@ -128,14 +128,14 @@ def watched(pools: list[Watched]) -> Iterator[None]:
 
 
 def _in_a_process_of_its_own(source: Path, workers: int) -> Ingest:
-    """Measure in a fresh process, whose peak memory no earlier run has raised."""
+    """Measure in a new process, whose peak memory no earlier run has raised."""
     words = [sys.executable, "-m", "benchmarks.scaling", "--archive", str(source), "--only", str(workers)]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
     return Ingest(**json.loads(done.stdout.splitlines()[-1]))
 
 
 def main() -> None:
-    """Make the archive where it is not there yet, ingest it with one worker and with two, and print what came of it."""
+    """Make the archive if it is missing, ingest it with one worker and with two, and print the measurements."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="of motion in the archive (an hour takes 370 MB)")
     parser.add_argument("--workers", type=int, default=2, help="how many to compare with one")
@@ -149,7 +149,7 @@ def main() -> None:
         return
     source = given.archive or archive(given.hours)
     files = [path for path in source.rglob("*") if path.suffix.lower() in (".amc", ".bvh")]
-    for path in files:  # fill the cache of the file system, as far as it goes, for both alike
+    for path in files:  # fill the cache of the file system equally for both
         path.read_bytes()
     calibrations = [calibrate().rate]
     runs: list[Ingest] = []
@@ -162,14 +162,14 @@ def main() -> None:
 
 
 def archive(hours: float) -> Path:
-    """The folder of a synthetic archive of so many hours; made once."""
+    """Return the folder of a synthetic archive of some hours; make it if it is missing."""
     folder = BUILD / f"archive-{60 * hours:g}min"
     write_archive(folder, minutes=60 * hours)
     return folder
 
 
 def _warm_up() -> None:
-    """Compile what an ingest needs, into the cache, before the clock runs."""
+    """Compile the kernels of an ingest into the cache before anything is timed."""
     small = BUILD / "archive-1min"
     write_archive(small, minutes=1)
     run_pipeline("ingest", BUILD / "scaling-warm", assignments={"source": str(small)}, terminal=silent())

@@ -51,7 +51,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Case:
-    """Motion of some hours, and the chains of keyframes that are searched in it, each with its Σ."""
+    """Motion of some hours, and the queries that are searched in it, each with its Σ."""
 
     words: TakeWords
     feature_set: FeatureSet
@@ -97,7 +97,7 @@ def _runs(words: TakeWords) -> Figure:
 
 
 def _material(store: Store) -> tuple[TakeWords, list[KeyframeQuery], str]:
-    """Takes to draw from, queries, and what these are called."""
+    """Return the takes to draw from, the queries, and the name of both."""
     file = SHARED / "keyframe_queries.json"
     if not file.is_file():
         queries = [chain for query in read_queries("example", store.feature_set) for chain in query.chains]
@@ -112,7 +112,7 @@ def _material(store: Store) -> tuple[TakeWords, list[KeyframeQuery], str]:
 
 
 def _draw(pool: TakeWords, hours: float) -> TakeWords:
-    """Takes drawn at random until they last so many hours."""
+    """Draw takes at random until they last some hours."""
     wanted = int(hours * 3600 * 30)
     mean = len(pool.words) / len(pool)
     chosen = np.random.default_rng(0).integers(0, len(pool), int(1.2 * wanted / mean) + 100)
@@ -129,7 +129,7 @@ def _case(pool: TakeWords, hours: float, queries: list[KeyframeQuery], feature_s
 
 
 def _sigma(words: TakeWords, chains: list[KeyframeQuery], feature_set: FeatureSet) -> F64:
-    """The word runs of all lists of each chain, set by set, so that only one set's runs are in memory."""
+    """Count the word runs of all lists of each query, set by set, so that only one set's runs are in memory."""
     total = np.zeros(len(chains))
     for name, one in feature_set.sets.items():
         lists = inverted_lists(words.words, words.offsets, one.first, one.count)
@@ -163,7 +163,7 @@ def _check(case: _Case, lists: dict[str, InvertedLists]) -> None:
 
 
 def _best(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """The least time of several runs: what is measured in microseconds suffers from whatever else the machine does."""
+    """Return the least time of several runs; other work of the machine disturbs times of microseconds."""
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()
@@ -235,7 +235,7 @@ def _slope(runs: F64, times: F64) -> float:
 
 
 def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
-    """A process that opens a store of these hours and answers one query: the one of median Σ, and the largest."""
+    """Time a process that opens a store and answers one query: the one of median Σ, and the largest."""
     from benchmarks.indexing import _add
 
     path = BUILD / f"search-store-{len(case.words.words)}"
@@ -264,7 +264,7 @@ def _process(command: list[str]) -> tuple[float, float]:
 
 
 def _in_sql(store: Store, queries: list[KeyframeQuery]) -> list[Figure]:
-    """The same queries as one SQL statement each, on the store of twelve minutes; both must find the same."""
+    """Time the same queries as one SQL statement each on twelve minutes; both must find the same."""
     chosen = queries[:: max(len(queries) // 6, 1)]
     ids = store.takes().sort("take_id")["take_id"].to_numpy().astype(np.int64)
     sliced = sliced_words(store.words(ids.tolist()), store.feature_set)

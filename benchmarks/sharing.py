@@ -1,6 +1,6 @@
-"""How much memory two processes need that search an archive at the same time: its slices mapped, or each its own.
+"""Measure the memory of two processes that search an archive at the same time, with mapped slices and with own copies.
 
-What is counted is what a process has more than before it opened the store, by `Pss` of `/proc/self/smaps_rollup`: a
+Counted is the memory that a process has gained since it opened the store, by `Pss` of `/proc/self/smaps_rollup`: a
 page that two processes share counts half for each.
 """
 
@@ -24,7 +24,7 @@ PROCESSES = 2
 
 
 def figures(store: Store) -> list[Figure]:
-    """The memory of two processes that search the same twenty hours."""
+    """Measure two processes that search the same twenty hours."""
     large = twenty_hours(store)
     build_index(large)
     mapped, own = (_together(large.path, how) for how in ("mapped", "own"))
@@ -43,7 +43,7 @@ def _together(store: Path, how: str) -> float:
     ]
     total = 0.0
     try:
-        # a line says that a process has searched; only when all have is it asked what it needs
+        # each process prints a line after its search; their memory is read when all have
         for reader in readers:
             assert reader.stdout is not None
             reader.stdout.readline()
@@ -65,7 +65,7 @@ def _pss_mib() -> float:
 
 
 def main(path: str, how: str) -> None:
-    """Search by the shipped queries, and say how much more memory that needs than to have been started."""
+    """Search the shipped queries, and print the memory gained since the start."""
     store = open_store(path)
     queries = read_queries("example", store.feature_set)
     few = TakeWords(np.zeros(1, np.int64), np.array([0, 1]), np.zeros(1, np.uint64))

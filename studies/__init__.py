@@ -1,4 +1,4 @@
-"""Studies: what is accurate, and how we know; programs `python -m studies.NAME` that `python -m studies` lists.
+"""Studies of accuracy: programs `python -m studies.NAME`, which `python -m studies` lists.
 
 Speed and memory are the subject of `benchmarks/`. The tables that studies print stand in docs/studies.md,
 docs/accuracy.md, docs/keyframe-study.md and docs/thesis.md, under the command that printed them.
@@ -7,4 +7,4 @@ docs/accuracy.md, docs/keyframe-study.md and docs/thesis.md, under the command t
 from pathlib import Path
 
 BUILD = Path(__file__).resolve().parents[1] / "build" / "studies"
-"""Stores and archives that studies make."""
+"""The folder of stores and archives that studies make."""

@@ -1,10 +1,10 @@
-"""`python -m studies.bandai SOURCE`: Bandai's takes labelled by content, from five example clips of each content.
+"""`python -m studies.bandai SOURCE`: label Bandai's takes by content, from five example clips of each content.
 
-All BVH files below SOURCE come into one store; content and style stand in their names. Of every content with at least
-`--least` takes, five are drawn as examples, whatever their style; every other take counts as unlabelled, and gets the
-content that labels most of its frames, or none. That is repeated with other draws. Nothing is chosen by the results:
-the parameters are those of the pipeline `annotate`. (Those of method best were chosen, among other things, on takes of
-dataset 1 with styles left out, `studies.decoding`; dataset 2 had no part in it.)
+All BVH files below SOURCE are ingested into one store; their names contain content and style. Of every content with at
+least `--least` takes, five are drawn as examples, whatever their style; every other take counts as unlabelled and gets
+the content that labels most of its frames, or none. This is repeated with other draws. Nothing is chosen by the
+results: the parameters are those of the pipeline `annotate`. (Those of method best were chosen, among others, on takes
+of dataset 1 with styles left out, see `studies.decoding`; dataset 2 had no part in it.)
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from kinedex.pipelines.templates.learning import learn_templates, training_clips
 from kinedex.storage.store.store import Store, open_store
 from studies import BUILD
 
-PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."  # the style stands in `actor`
+PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."  # the column `actor` holds the style
 Bool = npt.NDArray[np.bool_]
 F64 = npt.NDArray[np.float64]
 
@@ -45,25 +45,32 @@ SCHEMA = {
 
 @dataclass(frozen=True)
 class Draw:
-    """Names of the example takes, and the takes that count as unlabelled."""
+    """The names of the example takes, and the takes that count as unlabelled."""
 
     examples: tuple[str, ...]
     rest: pl.DataFrame
 
 
 def ingest(source: Path, path: Path) -> Store:
-    """Bring the files into a store, whose takes have content as class and style as actor; once."""
+    """Ingest the files into a store whose takes have content as class and style as actor."""
     assignments = {"source": str(source), "patterns": f"['{PATTERN}']"}
     run_pipeline("ingest", path, assignments=assignments, terminal=silent())
     return open_store(path)
 
 
 def draw(takes: pl.DataFrame, seed: int, examples: int, least: int) -> Draw:
-    """Draw the examples of each content that has enough takes; takes of other contents are left out.
+    """Draw the examples of each content that has enough takes; takes of other contents are excluded.
 
     Parameters
     ----------
-    takes: with the columns name and class. examples: of a class. least: takes that a class must have to take part.
+    takes : polars.DataFrame
+        Takes with the columns name and class.
+    seed : int
+        The seed of the draw.
+    examples : int
+        The number of examples of a class.
+    least : int
+        The number of takes that a class must have to take part.
     """
     generator = np.random.default_rng(seed)
     chosen: list[str] = []
@@ -77,7 +84,7 @@ def draw(takes: pl.DataFrame, seed: int, examples: int, least: int) -> Draw:
 
 
 def annotators(store: Store, examples: Sequence[str], executor: Executor) -> dict[str, Annotator]:
-    """An annotator of each method, with the templates of the example takes."""
+    """Return an annotator of each method with the templates of the example takes."""
     takes = store.takes().filter(pl.col("name").is_in(examples))
     clips = training_clips(store, takes)
     features = len(store.feature_set.features)
@@ -93,7 +100,7 @@ def annotators(store: Store, examples: Sequence[str], executor: Executor) -> dic
 
 
 def labelled(store: Store, drawn: Draw, seed: int, executor: Executor) -> Iterator[dict[str, object]]:
-    """One row for each unlabelled take and method: its label, and how many of its frames are labelled how."""
+    """Yield a row for each unlabelled take and method: its label, and its frames labelled right and wrong."""
     rows = {row["take_id"]: row for row in drawn.rest.iter_rows(named=True)}
     for method, annotator in annotators(store, drawn.examples, executor).items():
         for batch in annotate_stored(store.path, annotator, drawn.rest, executor, False):
@@ -108,7 +115,7 @@ def labelled(store: Store, drawn: Draw, seed: int, executor: Executor) -> Iterat
 
 
 def winner(covered: Bool, costs: F64) -> int | None:
-    """The class that labels most frames; of those that label as many, the one of the least cost; None: no label.
+    """Return the class that labels most frames, of several the one of the least cost; None without labels.
 
     Segments of the thesis's method overlap, and often several classes label all of a take.
     """
@@ -132,11 +139,13 @@ def _row(
 
 
 def summary(rows: pl.DataFrame, *by: str) -> pl.DataFrame:
-    """Per cent of takes, and of frames, labelled right: mean and standard deviation over the draws.
+    """Return per cent of takes and of frames labelled right: mean and standard deviation over the draws.
 
     Returns
     -------
-    Columns of `by`, takes (a draw, on average), accuracy, sd, frames (labelled right), wrong, none (not labelled).
+    polars.DataFrame
+        The columns of `by`, takes (a draw, on average), accuracy, sd, frames (labelled right), wrong, none (not
+        labelled).
     """
     one = rows.group_by(*by, "seed").agg(
         takes=pl.len(),
@@ -159,7 +168,7 @@ def summary(rows: pl.DataFrame, *by: str) -> pl.DataFrame:
 
 
 def confusions(rows: pl.DataFrame, method: str, most: int) -> pl.DataFrame:
-    """What takes of a content are labelled with instead, the most frequent first; takes: a draw, on average."""
+    """Return the labels that takes of a content get instead, the most frequent first; takes are means over draws."""
     seeds = rows["seed"].n_unique()
     own = rows.filter(pl.col("method") == method)
     totals = own.group_by("content").agg(of=pl.len() / seeds)
@@ -169,7 +178,7 @@ def confusions(rows: pl.DataFrame, method: str, most: int) -> pl.DataFrame:
 
 
 def side_by_side(rows: pl.DataFrame, by: str) -> list[str]:
-    """A Markdown table: accuracy of both methods by a column, and of best the shares of frames."""
+    """Return a Markdown table of the accuracy of both methods by a column."""
     lines = [
         f"| {by} | takes | thesis: takes right | frames right | wrong | best: takes right | frames right | wrong |",
         "|---|---|---|---|---|---|---|---|",
@@ -192,7 +201,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path, default=BUILD / "bandai-store")
     parser.add_argument("--seeds", type=int, default=10, help="draws of the examples")
     parser.add_argument("--examples", type=int, default=5, help="of each content")
-    parser.add_argument("--least", type=int, default=8, help="contents with fewer takes are left out")
+    parser.add_argument("--least", type=int, default=8, help="contents with fewer takes are excluded")
     given = parser.parse_args()
     store = ingest(given.source, given.store)
     takes = store.takes().with_columns(set=pl.col("name").str.extract(r"^(dataset-\d)"))
@@ -209,7 +218,7 @@ def main() -> None:
 
 
 def report(rows: pl.DataFrame, seeds: int) -> None:
-    """Print everything: altogether, by data set, content and style, and what is confused."""
+    """Print all tables: altogether, by data set, content and style, and the confusions."""
     print(f"{seeds} draws; mean ± standard deviation over them\n")
     for by in ("archive", "set", "content", "style"):
         print("\n".join(side_by_side(rows, by)) + "\n")

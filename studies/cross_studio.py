@@ -1,9 +1,9 @@
-"""`python -m studies.cross_studio STORE TRUTH`: why takes of another studio were labelled as they were, in features.
+"""`python -m studies.cross_studio STORE TRUTH`: explain the labels of takes of another studio by features.
 
-The store is that of `kinedex run hdm05-cmu`, TRUTH its ground truth. For each manual segment: what both methods label
-it with (best: and how sure that is); what a label of its class alone is worth to method best there (below 0 it costs
-more than it gains); the template of its own class that fits best there (if its class has one), and the template that
-fits best of all others, each with its distance, and the features that the distance is made of.
+The store is that of `kinedex run hdm05-cmu`, TRUTH its ground truth. Each manual segment has a row: its labels by both
+methods, with the confidence of method best; the value of a label of its own class to method best (below 0 it costs
+more than it gains); the template of its own class that fits best there, if there is one, and the best of all others,
+each with its distance and the features that make up the distance.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ F64 = npt.NDArray[np.float64]
 
 STAGE = "hdm05-cmu/learn_templates"
 DELTA, TAU = 0.05, 0.13
-"""As `configs/pipelines/hdm05-cmu.yaml` has them."""
+"""The parameters of `configs/pipelines/hdm05-cmu.yaml`."""
 
 MOST_FEATURES = 4
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a template fits best within a stretch: distance, its frames [start, stop), and what each feature adds."""
+    """The best place of a template within an interval: distance, frames [start, stop), parts of features."""
 
     subclass: str
     cost: float
@@ -52,17 +52,19 @@ class Fit:
 
 
 def contributions(template: QuantisedTemplate, words: U64, features: int) -> F64:
-    """What each feature adds to the distance of the best path over all of some words, from the first to the last.
+    """Return the part of each feature in the distance of the best path from the first of some words to the last.
 
-    Plain, for a single stretch: the steps and the weights are those of `ops.distances.dtw.distance_curves`.
+    Steps and weights are those of `ops.distances.dtw.distance_curves`.
 
     Returns
     -------
-    float64 (f,), whose sum is the distance.
+    float64 array (f,)
+        The parts, whose sum is the distance.
 
     Raises
     ------
-    ValueError: no path leads through: the words are more than twice as many as the columns, or less than half.
+    ValueError
+        No path leads through: the words are more than twice as many as the columns, or less than half.
     """
     wrong = bits((words[None, :] ^ template.value[:, None]).ravel() & np.repeat(template.mask, len(words)), features)
     counted = np.maximum(np.bitwise_count(template.mask), 1).astype(float)
@@ -70,7 +72,7 @@ def contributions(template: QuantisedTemplate, words: U64, features: int) -> F64
     local = parts.sum(axis=2)
     total = np.full(local.shape, np.inf)
     total[0, 0] = local[0, 0]
-    steps = ((1, 1, 1), (1, 2, 1), (2, 1, 2))  # template, take, how often the local cost counts
+    steps = ((1, 1, 1), (1, 2, 1), (2, 1, 2))  # step in the template, step in the take, weight of the local cost
     came = np.zeros(local.shape, np.int64)
     for n in range(1, local.shape[0]):
         for m in range(1, local.shape[1]):
@@ -92,7 +94,7 @@ def contributions(template: QuantisedTemplate, words: U64, features: int) -> F64
 
 
 def best_fit(annotator: Annotator, words: U64, start: int, stop: int, chosen: Sequence[int]) -> Fit | None:
-    """The template of some that fits best with an end in a stretch of a take; None where no path ends there."""
+    """Return the template that fits best with an end in an interval of a take; None where no path ends there."""
     curves = distance_curves([annotator.templates[index] for index in chosen], words)[:, start:stop]
     if not curves.size or not np.isfinite(curves.min()):
         return None
@@ -104,9 +106,9 @@ def best_fit(annotator: Annotator, words: U64, start: int, stop: int, chosen: Se
 
 
 def begin_of(template: QuantisedTemplate, words: U64, end: int) -> int:
-    """The frame where a best path that ends at a frame begins; of several the last one.
+    """Return the last frame at which a best path to a given last frame can begin.
 
-    A range that begins later leaves out paths, so that the distance at the end only grows with where it begins.
+    A range that begins later excludes paths, so that the distance at its end never decreases with its first frame.
     """
     low, high = max(0, end - 2 * (len(template) - 1)), end + 1
     least = distance_curves([template], words, np.array([[low, end + 1]]))[0, end]
@@ -120,8 +122,7 @@ def begin_of(template: QuantisedTemplate, words: U64, end: int) -> int:
 
 
 def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str:
-    """What labels how much of a manual segment, the most first; in per cent of its frames. Of method best also the
-    confidence, or the range of confidences."""
+    """List the labels of a manual segment in per cent of its frames, the most first; of best with confidences."""
     counts: Counter[str] = Counter()
     sure: dict[str, list[float]] = {}
     for one in annotate_words(annotator, words)[0].segments:
@@ -139,7 +140,7 @@ def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str
 
 
 def worth(annotator: Annotator, words: U64, manual: Manual, chosen: Sequence[int]) -> str:
-    """The value of the best single segment that some templates make of a manual segment's frames, entry included."""
+    """Return the value of the best single segment that templates make of a manual segment, with its entry cost."""
     row = annotator.row
     assert row is not None
     free = replace(row.decoding, entry=0.0)
@@ -148,8 +149,8 @@ def worth(annotator: Annotator, words: U64, manual: Manual, chosen: Sequence[int
     return f"{value - row.decoding.entry:+.2f}".replace("-", "−")
 
 
-def said(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
-    """A fit in words."""
+def described(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
+    """Describe a fit in words."""
     if fit is None:
         return "–"
     order = np.argsort(-fit.shares, kind="stable")[:MOST_FEATURES]
@@ -160,7 +161,7 @@ def said(fit: Fit | None, annotator: Annotator, rate_hz: float) -> str:
 
 
 def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
-    """The lines of the table, one for each manual segment."""
+    """Return the lines of the table, one for each manual segment."""
     templates = read_templates(store, STAGE, "soft")
     words = template_words(store, templates)
     thesis, best = (
@@ -175,8 +176,8 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
         own = [index for index, at in enumerate(thesis.class_index) if thesis.classes[at] == manual.label]
         others = [index for index in range(len(thesis.templates)) if index not in own]
         fits = [best_fit(thesis, words.words, manual.start, manual.stop, chosen) for chosen in (own, others) if chosen]
-        mine = said(fits[0], thesis, store.rate_hz) if own else "no template"
-        other = said(fits[-1], thesis, store.rate_hz)
+        mine = described(fits[0], thesis, store.rate_hz) if own else "no template"
+        other = described(fits[-1], thesis, store.rate_hz)
         seconds = f"{manual.start / store.rate_hz:.1f}–{manual.stop / store.rate_hz:.1f}"
         by = [labels_within(annotator, words, manual) for annotator in (thesis, best)]
         by.append(worth(best, words.words, manual, own) if own else "–")
@@ -185,7 +186,7 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
 
 
 def main() -> None:
-    """Print which classes correspond, and the table as Markdown."""
+    """Print the corresponding classes, and the table as Markdown."""
     parser = argparse.ArgumentParser(prog="python -m studies.cross_studio", description=__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("truth", type=Path)

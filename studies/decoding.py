@@ -1,9 +1,9 @@
-"""`python -m studies.decoding STORE`: how the parameters of method best were chosen, on example clips alone.
+"""`python -m studies.decoding STORE`: choose the parameters of method best on example clips alone.
 
 The clips of one actor at a time are left out, laid end to end in a drawn order, and labelled with the templates of the
 others. Parameters that suit other people of the same studio may not suit anything else, so the same clips are also
-changed, to stand for what other archives do; and content in styles that no example shows is labelled where a second
-store has any. Takes to annotate, and their ground truth, are not looked at. See `SETS`.
+changed to resemble other archives; and content in styles that no example shows is labelled where a second store has
+any. Takes to annotate, and their ground truth, are not used. See `SETS`.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ SETS = {
     "fast": "closed, with two of seven frames left out",
     "slow": "closed, with three of seven frames twice",
     "habits": "closed; in each take five features, drawn, are always on or always off, as by another habit or studio",
-    "amid": "closed, with stretches of 1.5 to 5 s of another archive's take between the clips",
+    "amid": "closed, with intervals of 1.5 to 5 s of another archive's take between the clips",
     "styles": "contents in styles left out, three at a time, laid end to end",
     "styles open": "the same with templates of half of the contents, drawn twice",
     "alone": "the same as styles, every clip a take of its own",
 }
 
-MOST_CLIPS, CLIPS_A_TAKE, ORDERS = 4, 9, 3  # of a class in a drawn order, so that no class fills the takes
+MOST_CLIPS, CLIPS_A_TAKE, ORDERS = 4, 9, 3  # clips of a class in a drawn order, so that no class fills the takes
 OPEN_SETS, OPEN_CLASSES = 4, 5
 PACE = 1.4
 HABITS = 5
@@ -58,14 +58,16 @@ BANDS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
 @dataclass(frozen=True)
 class Setting:
-    """What is tried: how often the background is split, and the rest."""
+    """The parameters that are tried: the splits of the background, and the others."""
 
     decoding: Decoding = field(default_factory=Decoding)
     splits: int = SPLITS
 
 
 GRID = [
-    Setting(Decoding(0.05, 1.0, 0.05, 0.1, -0.06), 0),  # what closed and open alone chose, when there was one posture
+    Setting(
+        Decoding(0.05, 1.0, 0.05, 0.1, -0.06), 0
+    ),  # chosen on the sets closed and open alone, with one average posture
     *(Setting(splits=splits) for splits in (0, 1, 3)),
     *(Setting(Decoding(smoothing=smoothing)) for smoothing in (0.02, 0.04, 0.05)),
     *(Setting(Decoding(entry=entry)) for entry in (0.4, 1.0, 1.5)),
@@ -77,7 +79,7 @@ GRID = [
 
 @dataclass(frozen=True)
 class Clip:
-    """One example clip; group: who or what is left out together."""
+    """One example clip; clips of one group are left out together."""
 
     group: str
     label: str
@@ -86,14 +88,14 @@ class Clip:
 
 @dataclass(frozen=True)
 class LaidOut:
-    """Clips laid end to end: words, and for each clip its class and frames."""
+    """Clips laid end to end: their words, and the class and frames of each clip."""
 
     words: U64
     truth: tuple[tuple[str, int, int], ...]
 
 
 class Fold:
-    """What is learned from the clips of some groups, and the takes made of the others'."""
+    """Templates and background of the clips of some groups, and the takes made of the others'."""
 
     def __init__(self, clips: Sequence[Clip], takes: Sequence[LaidOut], features: int) -> None:
         self.takes, self._features, self._words = takes, features, [clip.words for clip in clips]
@@ -104,7 +106,7 @@ class Fold:
         self._usual: dict[int, F64] = {}
 
     def usual(self, splits: int) -> F64:
-        """The background, learned once."""
+        """Return the background, learned once."""
         if splits not in self._usual:
             self._usual[splits] = background(self._words, self._features, splits)
         return self._usual[splits]
@@ -112,7 +114,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Trial:
-    """Takes of a fold, and the classes that are looked for in them, and counted."""
+    """Takes of a fold, and the classes that are labelled in them and counted."""
 
     fold: Fold
     takes: Sequence[LaidOut]
@@ -120,11 +122,11 @@ class Trial:
 
     @cached_property
     def known(self) -> list[tuple[str, Learned]]:
-        """The classes that have a template."""
+        """Return the classes that have a template."""
         return [(label, self.fold.learned[label]) for label in self.labels if label in self.fold.learned]
 
     def explained(self, setting: Setting) -> Iterator[tuple[LaidOut, list[Explained], F64]]:
-        """Each take, what explains it, and how sure that is."""
+        """Yield each take with its explanation and the confidences."""
         templates = [one.template for _, one in self.known]
         usual = self.fold.usual(setting.splits)
         columns, classes = lay_columns(templates, usual, setting.decoding), np.arange(len(templates))
@@ -133,14 +135,14 @@ class Trial:
             yield take, found, confidences(found, templates, classes, usual, take.words, setting.decoding, columns)
 
     def best(self, setting: Setting) -> Counts:
-        """How well the best explanation does."""
+        """Count the labels of the best explanation."""
         return pooled(
             self._compare(take, [(self.known[one.template][0], one.start, one.stop) for one in found])
             for take, found, _ in self.explained(setting)
         )
 
     def thesis(self, feature_set: FeatureSet, tau: float) -> Counts:
-        """How well the thesis's method does."""
+        """Count the labels of the thesis's method."""
         templates = [SubclassTemplate(label, "soft", learned, ()) for label, learned in self.known]
         classes = load_classes("own", {label for label, _ in self.known})
         annotator = make_annotator(feature_set, templates, classes, 0.05, tau)
@@ -160,7 +162,7 @@ class Trial:
 
 
 def clips_of(store: Store, where: str) -> list[Clip]:
-    """The clips that a filter selects, by name."""
+    """Return the clips that a filter selects, by name."""
     takes = store.takes(f"class IS NOT NULL AND actor IS NOT NULL AND ({where})").sort("name")
     words = store.words(takes["take_id"].to_list())
     place = {take: index for index, take in enumerate(words.take_ids.tolist())}
@@ -168,7 +170,7 @@ def clips_of(store: Store, where: str) -> list[Clip]:
 
 
 def laid_out(clips: Sequence[Clip], orders: int, most: int, a_take: int) -> list[LaidOut]:
-    """Clips laid end to end, in drawn orders."""
+    """Lay clips end to end in drawn orders."""
     found = []
     for seed in range(orders):
         random = np.random.default_rng(seed)
@@ -184,7 +186,7 @@ def laid_out(clips: Sequence[Clip], orders: int, most: int, a_take: int) -> list
 
 
 def _joined(parts: Sequence[tuple[str | None, U64]]) -> LaidOut:
-    """Words laid end to end; what has no label belongs to no class."""
+    """Lay words end to end; words without a label belong to no class."""
     edges = pairwise(np.cumsum([0, *(len(words) for _, words in parts)]).tolist())
     truth = [(label, *edge) for (label, _), edge in zip(parts, edges, strict=True) if label is not None]
     return LaidOut(np.concatenate([words for _, words in parts]), tuple(truth))
@@ -195,14 +197,14 @@ def _parts(take: LaidOut) -> list[tuple[str, U64]]:
 
 
 def paced(take: LaidOut, pace: float) -> LaidOut:
-    """A take of another pace: frames are left out or come twice. (How fast limbs are in a frame stays as it was.)"""
+    """Change the pace of a take: drop frames or repeat them. (Features of speed stay as they were.)"""
     return _joined(
         [(label, words[np.arange(0, len(words) - 0.5, pace).round().astype(int)]) for label, words in _parts(take)]
     )
 
 
 def with_habits(take: LaidOut, random: np.random.Generator, features: int) -> LaidOut:
-    """A take in which some features, drawn, are always on or always off."""
+    """Set some drawn features of a take always on or always off."""
     words = take.words.copy()
     for feature in random.permutation(features)[:HABITS].tolist():
         bit, on = np.uint64(1 << feature), random.random() < 0.5
@@ -211,7 +213,7 @@ def with_habits(take: LaidOut, random: np.random.Generator, features: int) -> La
 
 
 def amid(take: LaidOut, others: U64, rate_hz: float, random: np.random.Generator) -> LaidOut:
-    """A take with stretches of something else before each of its clips."""
+    """Insert an interval of other motion before each clip of a take."""
     parts: list[tuple[str | None, U64]] = []
     for part in _parts(take):
         length = int(rate_hz * random.uniform(1.5, 5.0))
@@ -221,7 +223,7 @@ def amid(take: LaidOut, others: U64, rate_hz: float, random: np.random.Generator
 
 
 def of_people(store: Store, where: str, other: str | None) -> dict[str, list[Trial]]:
-    """One actor left out at a time."""
+    """Return the folds that leave out one actor each."""
     clips, features = clips_of(store, where), len(store.feature_set.features)
     labels = sorted({clip.label for clip in clips})
     folds = []
@@ -235,7 +237,7 @@ def of_people(store: Store, where: str, other: str | None) -> dict[str, list[Tri
     def changed(change: Callable[[LaidOut], LaidOut]) -> list[Trial]:
         return [Trial(fold, [change(take) for take in fold.takes], labels) for fold in folds]
 
-    habits, stretches = np.random.default_rng(2), np.random.default_rng(3)
+    habits, intervals = np.random.default_rng(2), np.random.default_rng(3)
     sets = {
         "closed": changed(lambda take: take),
         "open": [Trial(fold, fold.takes, some) for some in drawn for fold in folds],
@@ -245,12 +247,12 @@ def of_people(store: Store, where: str, other: str | None) -> dict[str, list[Tri
     }
     if other is not None:
         words = store.words([store.take_id(other)]).words
-        sets["amid"] = changed(lambda take: amid(take, words, store.rate_hz, stretches))
+        sets["amid"] = changed(lambda take: amid(take, words, store.rate_hz, intervals))
     return sets
 
 
 def of_styles(store: Store, where: str) -> dict[str, list[Trial]]:
-    """Some styles left out at a time; the styles of a store of `studies.bandai` stand in `actor`."""
+    """Return the folds that leave out some styles each; a store of `studies.bandai` has the style as actor."""
     clips, features = clips_of(store, where), len(store.feature_set.features)
     every = [clip.label for clip in clips]
     labels = sorted({label for label in every if every.count(label) >= LEAST_CLIPS})
@@ -270,7 +272,7 @@ def of_styles(store: Store, where: str) -> dict[str, list[Trial]]:
 
 
 def grid(sets: Mapping[str, Sequence[Trial]], feature_set: FeatureSet) -> Table:
-    """F1 and F2 of every setting on every set, and of the thesis's method."""
+    """Lay out F (frames) and F (segments) of every setting and of the thesis's method on every set."""
     table = Table(box=box.SIMPLE_HEAD, title="F1 F2", title_justify="left")
     for name in ("splits", "smoothing", "entry", "skip", "stay", "gain", *sets, "mean"):
         table.add_column(name, justify="right", min_width=len(name.split()[0]))
@@ -290,7 +292,7 @@ def grid(sets: Mapping[str, Sequence[Trial]], feature_set: FeatureSet) -> Table:
 
 
 def reliability(sets: Mapping[str, Sequence[Trial]]) -> Table:
-    """Of the segments of each band of confidence, how many are of the class that most of their frames have."""
+    """Lay out the share of right segments by confidence: those of the class that most of their frames have."""
     table = Table(box=box.SIMPLE_HEAD, title="right, of segments by confidence", title_justify="left")
     for name in ("confidence", *sets, "all"):
         table.add_column(name, justify="right")

@@ -1,9 +1,9 @@
-"""`python -m studies.few_clips STORE`: how good labels are that were learned from few example clips.
+"""`python -m studies.few_clips STORE`: judge labels that were learned from few example clips.
 
-The store is that of `kinedex run annotate` with ground truth. So many clips are drawn of every class, of two people at
-least (one clip is of one; a class that has fewer gives all), and all takes with ground truth are labelled by templates
-of them alone. That is repeated with other draws. Parameters are those of the pipeline `annotate`; nothing is chosen by
-the results.
+The store is that of `kinedex run annotate` with ground truth. A number of clips is drawn of every class, of two people
+at least if it is above one; a class that has fewer gives all. All takes with ground truth are labelled by templates of
+these clips alone. This is repeated with other draws. Parameters are those of the pipeline `annotate`; nothing is chosen
+by the results.
 """
 
 from __future__ import annotations
@@ -37,11 +37,17 @@ def draw(clips: pl.DataFrame, count: int | None, seed: int) -> list[str]:
 
     Parameters
     ----------
-    clips: with the columns name, class, actor. count: of a class; a class with fewer gives all. None: all.
+    clips : polars.DataFrame
+        Clips with the columns name, class, actor.
+    count : int or None
+        The number of clips of a class; a class with fewer gives all, as does every class for None.
+    seed : int
+        The seed of the draw.
 
     Returns
     -------
-    Their names, class by class.
+    list of str
+        The names of the clips, class by class.
     """
     generator = np.random.default_rng(seed)
     chosen: list[str] = []
@@ -49,14 +55,14 @@ def draw(clips: pl.DataFrame, count: int | None, seed: int) -> list[str]:
         order = generator.permutation(group.height)
         people = group["actor"].to_numpy()[order]
         if count and 1 < count < len(order) and len(set(people[:count])) == 1 < len(set(people)):
-            # all are of one person: the first of somebody else stands in for the last of them
+            # all are of one person: replace the last one by the first clip of another person
             order[count - 1] = order[int(np.argmax(people != people[0]))]
         chosen += group["name"].gather(order[:count]).to_list()
     return chosen
 
 
 def annotators(store: Store, names: Sequence[str], classes: str, executor: Executor) -> dict[str, Annotator]:
-    """An annotator of each method, with the templates of the clips of these names; classes: a file, or `own`."""
+    """Return an annotator of each method with templates of the named clips; `classes` is a file, or `own`."""
     takes = store.takes().filter(pl.col("name").is_in(names))
     features = len(store.feature_set.features)
     clips = training_clips(store, takes)
@@ -72,11 +78,12 @@ def annotators(store: Store, names: Sequence[str], classes: str, executor: Execu
 
 
 def truth_of(store: Store) -> Truth:
-    """The manual segments that the store's evaluation was made with.
+    """Return the manual segments of the store's evaluation.
 
     Raises
     ------
-    SystemExit: it has none.
+    SystemExit
+        The store has none.
     """
     rows = pl.DataFrame(store.result("ground_truth")).select("take_id", "class", "start", "stop").unique()
     if not rows.height:
@@ -88,7 +95,7 @@ def truth_of(store: Store) -> Truth:
 
 
 def counts(annotator: Annotator, words: TakeWords, truth: Truth) -> Counts:
-    """What the labels of these takes and the manual segments have in common, over all takes and classes."""
+    """Count the agreement of labels and manual segments over all takes and classes."""
     automatic: dict[tuple[int, str], list[tuple[int, int]]] = {}
     for one in annotate_words(annotator, words):
         for segment in one.segments:
@@ -98,7 +105,7 @@ def counts(annotator: Annotator, words: TakeWords, truth: Truth) -> Counts:
 
 
 def line(name: str, clips: Sequence[int], found: Mapping[str, Sequence[Counts]]) -> str:
-    """A row of the Markdown table: clips drawn, then mean ± standard deviation over the draws."""
+    """Return a row of the Markdown table: clips drawn, then mean ± standard deviation over the draws."""
     cells = []
     for method in METHODS:
         for values in ([one.f1 for one in found[method]], [one.f2 for one in found[method]]):

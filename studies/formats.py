@@ -1,4 +1,4 @@
-"""`python -m studies.formats AMC ASF BVH`: how far a take differs between formats, and after an export as CSV."""
+"""`python -m studies.formats AMC ASF BVH`: compare a take between formats, and after an export as CSV."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOWER = ("root", "lhip", "lknee", "lankle", "ltoes", "rhip", "rknee", "rankle", 
 
 
 def main() -> None:
-    """Print how far joints and words of the two files are apart, and words of an exported take from its own."""
+    """Print the differences of joints and words between the files, and of words after an export."""
     parser = argparse.ArgumentParser(prog="python -m studies.formats", description=__doc__)
     for name in ("amc", "asf", "bvh"):
         parser.add_argument(name, type=Path)

@@ -1,4 +1,4 @@
-"""Where learned keyframe queries are tested: takes with known segments, and what is hit, kept, and labelled there."""
+"""Test learned keyframe queries on takes with known segments: count the segments hit, frames kept, and labels."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from kinedex.storage.store.store import Store
 
 CLIPS_A_TAKE = 9
 DELTA, TAU = 0.05, 0.13
-"""Of the annotation; the thesis's."""
+"""The parameters of the annotation; those of the thesis."""
 
 
 @dataclass(frozen=True)
 class Searched:
-    """Takes to search: words, and for each take its segments (class, start, stop)."""
+    """Takes to search: their words, and the segments (class, start, stop) of each take."""
 
     words: TakeWords
     segments: tuple[tuple[tuple[str, int, int], ...], ...]
@@ -33,11 +33,18 @@ class Searched:
 
 @dataclass(frozen=True)
 class Measured:
-    """How one class's queries did.
+    """The results of one class's queries.
 
-    hit: int64 (n, 2), for each of its n segments whether a hit touches it, and 1. kept: int64 (T, 2), of each take the
-    frames kept and all frames. covered: the share of a segment that is kept, on average. own: the class's share of the
-    frames.
+    Attributes
+    ----------
+    hit : int64 array (n, 2)
+        For each of n segments 1 or 0, for a hit that touches it or none, and 1.
+    kept : int64 array (T, 2)
+        The frames kept and all frames of each take.
+    covered : float
+        The mean share of a segment that is kept.
+    own : float
+        The class's share of the frames.
     """
 
     label: str
@@ -48,17 +55,17 @@ class Measured:
 
     @property
     def hit_share(self) -> float:
-        """The share of the segments that are hit."""
+        """Return the share of the segments that are hit."""
         return float(self.hit[:, 0].mean())
 
     @property
     def kept_share(self) -> float:
-        """The share of the frames that are kept."""
+        """Return the share of the frames that are kept."""
         return float(self.kept[:, 0].sum() / self.kept[:, 1].sum())
 
 
 def joined(clips: Sequence[TrainingClips], seed: int) -> Searched:
-    """Clips one after the other in random order, as takes of `CLIPS_A_TAKE`."""
+    """Join clips in random order to takes of `CLIPS_A_TAKE` clips."""
     every = [(one.subclass, words) for one in clips for words in one.words]
     order = np.random.default_rng(seed).permutation(len(every)).tolist()
     pieces, segments = [], []
@@ -76,7 +83,7 @@ def joined(clips: Sequence[TrainingClips], seed: int) -> Searched:
 
 
 def with_ground_truth(store: Store) -> Searched | None:
-    """The takes of the store that have manual labels, as an evaluation has stored them."""
+    """Return the takes of the store that have manual labels, as an evaluation has stored them."""
     rows = store.result("ground_truth").to_pylist()
     ids = sorted({row["take_id"] for row in rows})
     if not ids:
@@ -88,7 +95,7 @@ def with_ground_truth(store: Store) -> Searched | None:
 
 
 def measured(outcome: Outcome, searched: Searched, features: int) -> Measured | None:
-    """Search one class's queries, and compare with the segments of the class; None where it has none."""
+    """Search one class's queries, and compare with the segments of the class; return None if it has none."""
     words = searched.words
     hits = np.zeros(len(words.words), bool)
     kept = np.zeros_like(hits)
@@ -119,11 +126,12 @@ def measured(outcome: Outcome, searched: Searched, features: int) -> Measured | 
 def annotated(
     store: Store, clips: Sequence[TrainingClips], outcomes: Sequence[Outcome], searched: Searched, executor: Executor
 ) -> dict[str, Counts]:
-    """Label the takes by the thesis's method, within what the queries keep, or everywhere where there are none.
+    """Label the takes by the thesis's method within the frames that the queries keep, or in all frames without queries.
 
     Returns
     -------
-    class → how its labels compare with the segments.
+    dict
+        Class → the counts that compare its labels with the segments.
     """
     templates = [one for part in learn_templates(clips, ["soft"], _features(store), executor) for one in part]
     classes = load_classes("own", [one.subclass for one in clips])

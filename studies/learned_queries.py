@@ -1,11 +1,11 @@
-"""`python -m studies.learned_queries STORE`: how well learned keyframe queries find people who were left out.
+"""`python -m studies.learned_queries STORE`: test learned keyframe queries on people who were left out.
 
 Queries are learned without the clips of one actor and searched in these, joined to takes in random order; for every
 actor in turn, and for every variant of the learning. Takes with ground truth, if the store has some, are searched with
-queries learned from all clips: they choose nothing. Tables are Markdown, as in docs/keyframe-study.md.
+queries learned from all clips; nothing is chosen by them. Tables are Markdown, as in docs/keyframe-study.md.
 
-Intervals hold 95 %. Those of shares draw people within each class, and segments (or takes) of each person; of one
-person alone, takes. Those of counts are Wilson's.
+Intervals cover 95 %. Those of shares draw people within each class, and segments (or takes) of each person; of a single
+person, takes. Those of counts are Wilson's.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ VARIANTS: dict[str, dict[str, object]] = {
     "100 generations": {"generations": 100},
     "beta 4": {"beta": 4.0},
 }
-"""What is changed of the numbers of `configs/pipelines/keyframes.yaml`, or, by their names, of the thesis's."""
+"""The changes of each variant to the numbers of `configs/pipelines/keyframes.yaml` or of the thesis."""
 
 
 @dataclass
 class Found:
-    """What was found where: of each class that is there, and, where that was asked for, what labels came of it."""
+    """The results at one place: those of each class, and the counts of its labels where takes are annotated."""
 
     classes: list[Measured] = field(default_factory=list)
     labels: dict[str, Counts] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Study:
-    """What all variants have in common."""
+    """The settings that all variants share."""
 
     store: Store
     executor: Executor
@@ -119,7 +119,7 @@ def main() -> None:
 
 
 def measure(study: Study, variant: str) -> dict[str, Found]:
-    """Learn without each actor, search that actor; then learn from all, and search the takes with ground truth."""
+    """Learn without each actor and search that actor; then learn from all and search the takes with ground truth."""
     takes = study.store.takes("class IS NOT NULL")
     clips = training_clips(study.store, takes)
     actor_of = dict(takes.select("name", "actor").iter_rows())
@@ -139,7 +139,7 @@ def measure(study: Study, variant: str) -> dict[str, Found]:
 
 
 def params_of(variant: str, runs: int, seed: int) -> KeyframeParameters:
-    """The parameters of a variant."""
+    """Return the parameters of a variant."""
     own: dict[str, object] = {"runs": runs, "seed": 2012 + seed, **VARIANTS[variant]}
     if variant.endswith(THESIS):
         return KeyframeParameters(**own)  # type: ignore[arg-type]
@@ -151,7 +151,7 @@ def params_of(variant: str, runs: int, seed: int) -> KeyframeParameters:
 def _search(
     study: Study, clips: Sequence[TrainingClips], searched: Searched, params: KeyframeParameters | None, found: Found
 ) -> None:
-    """Learn from clips, search takes, and add what is found there; without parameters there are no queries."""
+    """Learn from clips, search takes, and add the results; without parameters there are no queries."""
     outcomes = [] if params is None else _learned(study, clips, params)
     features = len(study.store.feature_set.features)
     every = [measured(outcome, searched, features) for outcome in outcomes]
@@ -193,7 +193,7 @@ def _shares(rows: Sequence[Measured], people: int) -> list[str]:
     hit = two_stage_interval([[one.hit for one in own] for own in classes])
     kept = two_stage_interval([[one.kept for one in own] for own in classes])
     return [
-        # of one person alone there is nobody else to draw
+        # a single person leaves nobody else to draw
         f"{np.mean([one.hit_share for one in rows]):.3f}" + (f" ({hit[0]:.2f}–{hit[1]:.2f})" if people > 1 else ""),
         _count(rows),
         f"{np.mean([one.covered for one in rows]):.2f}",

@@ -1,10 +1,10 @@
-"""`python -m studies.long_archive --hours H`: a large synthetic archive annotated on two cores, and a small one.
+"""`python -m studies.long_archive --hours H`: annotate a large and a small synthetic archive on two cores.
 
-The archive is made and ingested where that has not been done: hours of long takes, no two alike, and half an hour of
-clips, the same in every archive, of which templates are learned (an hour takes some 350 MB, 20 s of a core to make
-and 10 s to ingest). All long takes are annotated by worker processes, and compared with their ground truth. Printed are
-what each stage before took, the speed of annotation in hours of motion a minute, the most memory of each process, and
-F1 and F2 with their intervals. At last one more take comes into the archive, and what that costs is printed.
+The archive is made and ingested if it is missing: hours of long takes, no two alike, and half an hour of clips, the
+same in every archive, from which templates are learned (an hour takes some 350 MB, 20 s of a core to make and 10 s to
+ingest). All long takes are annotated by worker processes and compared with their ground truth. Printed are the seconds
+of the stages before, the speed of annotation in hours of motion a minute, the peak memory of each process, and F
+(frames) and F (segments) with their intervals. At last one take is added to the archive, and its cost is printed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from studies import BUILD
 NAME = "long-archive"
 CLIP_MINUTES = 30.0
 CLIPS = 12
-"""Clips of each actor and class that templates are learned from."""
+"""The number of clips of each actor and class that templates are learned from."""
 
 METHODS: dict[str, dict[str, Any]] = {
     "thesis": {"method": "thesis"},
@@ -52,7 +52,7 @@ DEFAULT = ("thesis", "best", "thesis, learned queries")
 
 @dataclass(frozen=True)
 class Prepared:
-    """What was done before annotation: seconds by stage, and the most memory of workers and of the coordinator."""
+    """The stages before annotation: their seconds, and the peak memory of workers and of the coordinator."""
 
     stages: dict[str, float]
     worker_mib: list[float]
@@ -63,11 +63,24 @@ class Prepared:
 class Annotated:
     """One annotation of the long takes.
 
-    motion_hours: of the long takes. stages: seconds by stage, of those that ran. cpu_seconds: of all processes, their
-    start and the evaluation included, which other work on the machine changes less. worker_mib: the most memory of each
-    worker; coordinator_mib: of the process that collects, writes and evaluates. kept: takes that an earlier run had
-    annotated. searched: the share of frames that templates were matched in. f1, f2: each with its interval over takes
-    (95 %).
+    Attributes
+    ----------
+    motion_hours : float
+        The length of the long takes.
+    stages : dict
+        The seconds of each stage that ran.
+    cpu_seconds : float
+        The processor time of all processes, their start and the evaluation included.
+    worker_mib : list of float
+        The peak memory of each worker.
+    coordinator_mib : float
+        The peak memory of the process that collects, writes and evaluates.
+    kept : int
+        The number of takes that an earlier run had annotated.
+    searched : float
+        The share of the frames in which templates were matched.
+    f1, f2 : list of float
+        F (frames) and F (segments), each with its 95 % interval over takes.
     """
 
     method: str
@@ -85,12 +98,12 @@ class Annotated:
 
     @property
     def hours_a_minute(self) -> float:
-        """Hours of motion annotated in a minute."""
+        """Return the hours of motion annotated in a minute."""
         return self.motion_hours / (self.stages["annotate"] / 60)
 
 
 def stages(source: Path, method: str | None, clips: int = CLIPS, runs: int = 8) -> dict[str, Any]:
-    """A pipeline as its file says it: up to the templates, or up to the evaluation of one method."""
+    """Return a pipeline as in a file: up to the templates, or up to the evaluation of one method."""
     train = f"class IS NOT NULL AND TRY_CAST(clip AS INTEGER) <= {clips}"
     ingest = load_pipeline("annotate", {"source": str(source)}).stage("ingest").params
     found: dict[str, Any] = {
@@ -114,11 +127,22 @@ def stages(source: Path, method: str | None, clips: int = CLIPS, runs: int = 8) 
 def run(
     source: Path, store: Path, method: str | None, workers: int, runs: int = 8, *, anew: bool = True
 ) -> Annotated | Prepared:
-    """Do in this process what is missing of a pipeline; without a method up to the templates.
+    """Run the missing stages of a pipeline in this process; without a method up to the templates.
 
     Parameters
     ----------
-    runs: of keyframe learning, at most. anew: annotate in any case, every take.
+    source : Path
+        The archive.
+    path : Path
+        The store.
+    method : str or None
+        The method of annotation.
+    workers : int
+        The number of worker processes.
+    runs : int
+        The greatest number of runs of keyframe learning.
+    anew : bool
+        Annotate every take again.
     """
     file = store.parent / f"{store.name}.yaml"
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -128,7 +152,7 @@ def run(
     force = frozenset({"annotate"}) if anew and method is not None else frozenset[str]()
     with watched(pools):
         ran = run_pipeline(file, store, executor="processes", workers=workers, force=force, terminal=silent()).ran
-    spent = os.times()  # workers that have ended count
+    spent = os.times()  # includes workers that have ended
     cpu = spent.user + spent.system + spent.children_user + spent.children_system
     opened = open_store(store)
     records = {name.split("/")[1]: one for name, one in opened.manifest.stages.items() if name.startswith(f"{NAME}/")}
@@ -146,7 +170,7 @@ def run(
 
 
 def intervals(store: Store, run: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """F1 and F2 of an evaluation, each with its interval over takes."""
+    """Return F (frames) and F (segments) of an evaluation, each with its interval over takes."""
     rows = pl.from_arrow(store.result("metrics", run=run))
     assert isinstance(rows, pl.DataFrame)
     names = list(vars(Counts()))
@@ -161,7 +185,7 @@ def intervals(store: Store, run: str) -> tuple[tuple[float, float, float], tuple
 def in_a_process_of_its_own(
     source: Path, store: Path, method: str, workers: int, runs: int, *, anew: bool = True
 ) -> dict[str, Any]:
-    """Run in a fresh process, whose peak memory no earlier stage has raised."""
+    """Run in a new process, whose peak memory no earlier stage has raised."""
     words = [sys.executable, "-m", "studies.long_archive", "--archive", str(source), "--store", str(store)]
     words += ["--workers", str(workers), "--runs", str(runs), "--only", method, *([] if anew else ["--on"])]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
@@ -170,7 +194,7 @@ def in_a_process_of_its_own(
 
 
 def archive(hours: float, workers: int) -> tuple[Path, float | None]:
-    """The folder of an archive with so many hours of long takes, and the seconds that it took to make, where it did."""
+    """Return the folder of an archive with hours of long takes, and the seconds of its making if it was made."""
     folder = BUILD / f"long-archive-{hours:g}h"
     begin = time.perf_counter()
     made = write_archive(folder, minutes=60 * hours + CLIP_MINUTES, clip_minutes=CLIP_MINUTES, jobs=workers).made
@@ -178,8 +202,7 @@ def archive(hours: float, workers: int) -> tuple[Path, float | None]:
 
 
 def one_more(source: Path) -> Path:
-    """Put one more take into an archive: a copy of its first one by another name, which nothing tells apart from new
-    motion."""
+    """Add a take to an archive: a copy of its first one under another name, which counts as new motion."""
     first = min((source / "takes").glob("*_take*.amc"))
     added = first.with_name(first.name.split("_take")[0] + "_take99999.amc")
     shutil.copyfile(first, added)
@@ -194,7 +217,7 @@ def _forget(path: Path, take: str) -> None:
 
 
 def line(hours: str, one: Annotated) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     return (
         f"| {hours} | {one.method} | {one.takes} | {one.stages['annotate']:.1f} | {one.hours_a_minute:.1f} | "
         f"{one.cpu_seconds:.1f} | {_mib(one.worker_mib)} | {one.coordinator_mib:.0f} | {one.searched:.1%} | "
@@ -250,7 +273,7 @@ def _study(hours: float, given: argparse.Namespace) -> None:
     )
     methods = given.method or DEFAULT
     for method in methods:
-        if "queries" in method:  # they are learned in a process of their own, too
+        if "queries" in method:  # queries are learned in a process of their own
             in_a_process_of_its_own(source, store, method, given.workers, given.runs, anew=False)
         found = Annotated(**in_a_process_of_its_own(source, store, method, given.workers, given.runs))
         print(line(f"{hours:g}", found), flush=True)

@@ -1,4 +1,4 @@
-"""`python -m studies.manual_queries STORE QUERIES`: what the authors' manual queries keep (thesis, Tables 3.2 and 3.3).
+"""`python -m studies.manual_queries STORE QUERIES`: print Tables 3.2 and 3.3 of the thesis for manual queries.
 
 QUERIES is a file of keyframe queries, JSON or YAML, whose names are those of Table 3.2. Printed are, for each query, K,
 the average of its stiffness vector, the word runs of all its lists, the time of the search, and the share of the frames

@@ -1,7 +1,8 @@
-"""`python -m studies.rates STORE`: how much words depend on the rate of the source.
+"""`python -m studies.rates STORE`: measure how far words depend on the rate of the source.
 
-The takes of a store are written as BVH at the analysis rate (30 Hz) and read again. Joints lie where they lay; what
-differs is that velocities and hysteresis saw all source frames then, and every fourth of them (at 120 Hz) now.
+The takes of a store are written as BVH at the analysis rate (30 Hz) and read again. The positions of joints are the
+same; velocities and hysteresis were computed from all source frames before, and from every fourth of them (at 120 Hz)
+now.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from kinedex.storage.store.store import Store, open_store
 
 
 def compare(store: Store, where: str, folder: Path) -> str:
-    """One line about the words of takes at their own rate and at the analysis rate."""
+    """Compare the words of takes at their own rate and at the analysis rate, in one line."""
     names = store.takes(where).sort("name")["name"].to_list()
     (folder / "bvh").mkdir()
     for name in names:
@@ -38,15 +39,15 @@ def compare(store: Store, where: str, folder: Path) -> str:
         bits += int(np.bitwise_count(differ).sum())
         by_feature += [int(np.count_nonzero(differ >> np.uint64(i) & np.uint64(1))) for i in range(len(by_feature))]
     worst = np.argsort(by_feature)[::-1][:5]
-    said = ", ".join(f"{store.feature_set.features[i].name} {by_feature[i] / frames:.1%}" for i in worst)
+    worst_features = ", ".join(f"{store.feature_set.features[i].name} {by_feature[i] / frames:.1%}" for i in worst)
     return (
         f"{len(names)} takes, {frames:,} frames: {same / frames:.1%} of the words are the same, "
-        f"{bits / frames / len(by_feature):.2%} of the bits differ; most often {said}"
+        f"{bits / frames / len(by_feature):.2%} of the bits differ; most often {worst_features}"
     )
 
 
 def main() -> None:
-    """Print how many words change with the rate."""
+    """Print the share of words that change with the rate."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("store", type=Path, help="a store of takes faster than 30 Hz")
     parser.add_argument("--where", default="class IS NULL", help="takes to compare: a SQL filter")

@@ -1,6 +1,6 @@
-"""`python -m studies.stiffness QUERIES …`: the histogram of stiffness in query files (thesis, Figures 3.9 and 4.4).
+"""`python -m studies.stiffness QUERIES …`: print the histogram of stiffness in query files (Figures 3.9 and 4.4).
 
-Figure 3.9 is that of the queries which the authors of the papers wrote by hand, Figure 4.4 that of learned queries
+Figure 3.9 of the thesis shows queries that its authors wrote by hand, Figure 4.4 learned queries
 (`kinedex keyframes export STORE -o learned.yaml`). A gap that is written as a range has the stiffness of Eq. 4.7.
 """
 

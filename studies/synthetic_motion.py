@@ -1,8 +1,8 @@
-"""`python -m studies.synthetic_motion [ARCHIVE] [--hdm05 DIR]`: is the synthetic archive as hard as life?
+"""`python -m studies.synthetic_motion [ARCHIVE] [--hdm05 DIR]`: compare the synthetic archive with HDM05.
 
-Counts the distinct words in as many frames as the HDM05 data has, and how long word runs last, for the whole words and
-each set, and compares with HDM05: with the figures below, or with those of a folder of HDM05 files. Within a factor of
-two is fine.
+The program counts the distinct words in as many frames as the HDM05 data has, and the lengths of word runs, for whole
+words and each set. It compares them with the figures below, or with those of a folder of HDM05 files. A factor of two
+is accepted.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.storage.store.store import open_store
 
 SETS: dict[str, tuple[int, int]] = {"whole word": (1, 40), "upper": (1, 14), "lower": (15, 12), "mix": (27, 14)}
-"""First feature and number of features of what is counted; F40 belongs to mix."""
+"""The first feature and the number of features of each set; F40 belongs to mix."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What is counted of one set: distinct words in `frames` frames, and mean and median length of the runs."""
+    """The counts of one set: distinct words in `frames` frames, and mean and median length of the runs."""
 
     frames: int
     words: int
@@ -45,12 +45,11 @@ HDM05: dict[str, Figures] = {
     "lower": Figures(HDM05_FRAMES, 176, 5.41, 3.0),
     "mix": Figures(HDM05_FRAMES, 470, 4.95, 3.0),
 }
-"""The 188 clips and 5 takes of HDM05 (actors bd, bk, dg, mm) at 30 Hz: the words of the authors' own features at every
-fourth frame, counted as `figures` does."""
+"""The figures of 188 clips and 5 takes of HDM05, from the authors' own features at every fourth frame."""
 
 
 def words_of(source: Path) -> TakeWords:
-    """Bring a folder of motion files into a store of its own, and return the words at 30 Hz."""
+    """Ingest a folder of motion files into a store of its own, and return the words at 30 Hz."""
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder) / "store"
         run_pipeline("ingest", store, assignments={"source": str(source)}, terminal=silent())
@@ -58,15 +57,21 @@ def words_of(source: Path) -> TakeWords:
 
 
 def figures(takes: TakeWords, frames: int = HDM05_FRAMES, seed: int = 0) -> dict[str, Figures]:
-    """Count words and runs in so many frames, takes drawn at random until they are together.
+    """Count words and runs in a number of frames of takes that are drawn at random.
 
     Parameters
     ----------
-    takes: the words. frames: how many of them; all where there are fewer. seed: of the draw.
+    takes : TakeWords
+        The words.
+    frames : int
+        The number of frames; all where there are fewer.
+    seed : int
+        The seed of the draw.
 
     Returns
     -------
-    The figures of every set.
+    dict
+        Set → its figures.
     """
     chosen: list[npt.NDArray[np.uint64]] = []
     left = frames
@@ -88,7 +93,7 @@ def _figures(takes: list[npt.NDArray[np.uint64]]) -> Figures:
 
 
 def within(mine: Figures, theirs: Figures, factor: float = 2.0) -> bool:
-    """Whether the number of words and both lengths of runs differ by no more than a factor."""
+    """Return True if the number of words and both lengths of runs differ by no more than a factor."""
     pairs = (
         (mine.words, theirs.words),
         (mine.mean_run, theirs.mean_run),
