@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.storage.disk import write_errors
 from kinedex.storage.snapshot.schemas import result_schema
@@ -128,7 +129,7 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
         header_style="bold",
     )
     table.add_column("", overflow="fold")
-    for name in ("F1", "P1", "R1", "F2", "P2", "R2", "auto", "manual"):
+    for name in (F_FRAMES, "P", "R", F_SEGMENTS, "P", "R", "auto", "manual"):
         table.add_column(name, justify="right", no_wrap=True)
     for scope in scopes:
         table.add_section()
@@ -144,5 +145,5 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
                 f"{counts.segments_manual_hit}/{counts.segments_manual}",
                 style="bold" if scope == "pooled" else None,
             )
-    table.caption = "1: frames, 2: segments; auto, manual: how many segments overlap one of the other side"
+    table.caption = f"{THESIS_NAMES}; auto, manual: number of segments that overlap one of the other side"
     return table

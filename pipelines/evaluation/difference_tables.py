@@ -5,19 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, few
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.tables import digits
+from kinedex.pipelines.report.environment import page_environment
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
-HEADER = ("F1 of A", "of B", "by", "F2 of A", "of B", "by")
+HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")
 MOST_SHOWN = 20
 """Changes of a kind that the terminal shows; a file has all."""
 
@@ -50,7 +50,7 @@ def rich_comparison(one: Comparison) -> Group:
             if changed:
                 more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
                 parts.append(_table(f"{verdict}: {len(changed)} of {len(changes)} {what}{more}", changed[:MOST_SHOWN]))
-    parts += [Text(text) for text in remarks(one)]
+    parts += [Text(text) for text in (*remarks(one), THESIS_NAMES)]
     return Group(*parts)
 
 
@@ -98,7 +98,7 @@ def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Tab
 
 def markdown(comparisons: Sequence[Comparison]) -> str:
     """Comparisons as Markdown."""
-    lines = ["# Two evaluations compared", ""]
+    lines = ["# Two evaluations compared", "", f"{THESIS_NAMES}.", ""]
     for one in comparisons:
         lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
         lines += [*(f"- {plain(text)}" for text in settings(one)), ""] if one.settings else []
@@ -115,9 +115,7 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
 
 def page(comparisons: Sequence[Comparison]) -> str:
     """Comparisons as one HTML page without any outside reference."""
-    environment = Environment(
-        loader=PackageLoader("kinedex.pipelines.report", "pages"), undefined=StrictUndefined, autoescape=True,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters.update({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
-    return environment.get_template("compared.html.j2").render(comparisons=comparisons, verdicts=VERDICTS)
+    environment = page_environment({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
+    return environment.get_template("compared.html.j2").render(
+        comparisons=comparisons, verdicts=VERDICTS, header=HEADER
+    )

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS
 from kinedex.pipelines.evaluation.written_evaluations import Scored
 
 LEAST = 0.005
@@ -84,7 +85,10 @@ class Comparison:
         """What it comes to, in a sentence."""
         if self.common == 0:
             return "no take in common, so neither is better or worse"
-        said = [_said(*one) for one in zip(("F1", "F2"), (self.overall.f1, self.overall.f2), self._ends, strict=True)]
+        said = [
+            _said(*one)
+            for one in zip((F_FRAMES, F_SEGMENTS), (self.overall.f1, self.overall.f2), self._ends, strict=True)
+        ]
         if self.other_truth != Alone():
             said.append("but A and B were judged against different ground truth")
         return "; ".join(said)

@@ -10,13 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.method_scores import Fate, Judgement
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
-MEASURE_NAMES = ("P1", "R1", "F1", "P2", "R2", "F2")
+MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
+MEASURE_NAMES = ("P (frames)", "R (frames)", F_FRAMES, "P (segments)", "R (segments)", F_SEGMENTS)
 MOST_CONFUSIONS = 8
 REPETITIONS = (
     "a person may have labelled repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
@@ -33,9 +34,9 @@ def headings(study: Study) -> list[str]:
     """The columns of the table of methods, after the method's name."""
     columns = []
     if "frames" in study.metrics:
-        columns += ["F1", "95\N{NO-BREAK SPACE}%", "P1", "R1"]
+        columns += [F_FRAMES, "95\N{NO-BREAK SPACE}%", "P", "R"]
     if "segments" in study.metrics:
-        columns += ["F2", "95\N{NO-BREAK SPACE}%", "P2", "R2"]
+        columns += [F_SEGMENTS, "95\N{NO-BREAK SPACE}%", "P", "R"]
     if "overlap" in study.metrics:
         columns += ["mAP .1", "mAP .5", "mAP .7"]
     if "boundaries" in study.metrics:
@@ -75,7 +76,7 @@ def between(interval: tuple[float, float]) -> str:
 
 def six(counts: Counts) -> list[str]:
     """The six measures of the thesis in the order of Table 5.2."""
-    return [digits(float(getattr(counts, name.lower()))) for name in MEASURE_NAMES]
+    return [digits(float(getattr(counts, name))) for name in MEASURES]
 
 
 def described(result: SplitResult) -> str:
@@ -112,7 +113,7 @@ def overview(study: Study) -> Group:
             tables[-1].caption_justify = "left"
         tables[-len(parts)].title = title
         tables[-1].caption = f"{counted(len(result.missed), 'manual segment')} found by no method"
-    return Group(*tables, *(Text(f"{sentence(text)}.") for text in overlap_notes(study)))
+    return Group(*tables, *(Text(f"{sentence(text)}.") for text in (THESIS_NAMES, *overlap_notes(study))))
 
 
 def _overview(result: SplitResult, study: Study, part: slice) -> Table:
@@ -132,7 +133,7 @@ def _overview(result: SplitResult, study: Study, part: slice) -> Table:
 def markdown(study: Study) -> str:
     """The study as a Markdown summary."""
     lines = [f"# {plain(study.title)}", ""]
-    lines += [f"Frames (1) and segments (2) as in the thesis, 5.4; {study.rate_hz:g} frames a second; intervals: 95 % "
+    lines += [f"{THESIS_NAMES}; {study.rate_hz:g} frames a second; intervals: 95 % "
               "over takes, by bootstrap; mAP at thresholds of intersection over union; start and stop: how far off "
               "boundaries are in the middle.", ""]  # fmt: skip
     lines += [*(f"{sentence(text)}." for text in overlap_notes(study)), ""] if overlap_notes(study) else []
@@ -162,7 +163,7 @@ def _by_class(result: SplitResult) -> list[str]:
         counts = [result.judgements[name].by_class[label] for name in names]
         if any(one.frames_automatic + one.frames_manual for one in counts):
             rows.append([label, *(f"{digits(one.f1)} / {digits(one.f2)}" for one in counts)])
-    lines = ["### By class, F1 / F2", "", *grid(["class", *names], rows)]
+    lines = [f"### By class, {F_FRAMES} / {F_SEGMENTS}", "", *grid(["class", *names], rows)]
     worst = confusions(result.judgements[result.leading].confusion, MOST_CONFUSIONS)
     if worst:
         said = [

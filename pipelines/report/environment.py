@@ -1,4 +1,4 @@
-"""How pages are made from their templates: escaped, and with an error for every name that is missing."""
+"""The environment that renders the templates of pages: values are escaped, and an undefined name is an error."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from kinedex.pipelines.console.wording import THESIS_NAMES
+
 
 def page_environment(filters: Mapping[str, Callable[..., object]] | None = None) -> Environment:
-    """The environment of the templates in `pipelines/report/pages`, with a page's own filters."""
+    """Return the environment of the templates in `pipelines/report/pages`, with the filters of a page."""
     environment = Environment(
         loader=PackageLoader("kinedex.pipelines.report", "pages"),
         autoescape=True,
@@ -17,4 +19,5 @@ def page_environment(filters: Mapping[str, Callable[..., object]] | None = None)
         lstrip_blocks=True,
     )
     environment.filters.update(filters or {})
+    environment.globals["thesis_names"] = THESIS_NAMES
     return environment

@@ -247,7 +247,7 @@ def _curves_take(
     f1 = {s.name: s.f1 for s in scores if s.scope == "take" and s.f1 is not None}
     median = median_take({name: value for name, value in f1.items() if name in with_curves})
     if median is not None:
-        return median, "the one in the middle by F1"
+        return median, "the median take by F (frames)"
     first = min(with_curves, default=None)
     return first, "the first by name" if first else ""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, 
 from kinedex.pipelines.keyframes.tables import sentence
 from kinedex.pipelines.report.axes import time_axis
 from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.plots import HistogramBar, histogram, line_path, share_ticks
 
 F64 = npt.NDArray[np.float64]
 
@@ -41,19 +41,6 @@ class Course:
     name: str
     path: str
     last: float
-
-
-@dataclass(frozen=True)
-class Bar:
-    """One bar of a histogram: from and to which stiffness, how many gaps, and its place in SVG units."""
-
-    low: float
-    high: float
-    count: int
-    x: float
-    y: float
-    width: float
-    height: float
 
 
 @dataclass(frozen=True)
@@ -125,14 +112,16 @@ def keyframes_page(
     """
     every = [run for several in runs.values() for run in several]
     stiffness = stiffnesses(outcomes, feature_set)
+    generations = max((len(run.history) for run in every), default=1) - 1
     return (
         page_environment()
         .get_template("keyframes.html.j2")
         .render(
             title=title,
-            style=resources.files("kinedex.pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
             courses=courses([run.history for run in every]),
-            generations=max((len(run.history) for run in every), default=1) - 1,
+            generations=generations,
+            generation_ticks=[(WIDTH * part, f"{generations * part:.0f}") for part in (0, 0.25, 0.5, 0.75, 1)],
+            stiffness_ticks=share_ticks(WIDTH, (0, 0.2, 0.4, 0.6, 0.8, 1)),
             runs=len(every),
             learner=learner,
             remarks=remarks,
@@ -165,11 +154,9 @@ def courses(histories: Sequence[F64]) -> list[Course]:
     means = np.mean(padded, axis=0)
     found = []
     for column, name in enumerate(LINES):
-        points = [
-            f"{WIDTH * index / max(longest - 1, 1):.1f} {HEIGHT * (1 - value):.1f}"
-            for index, value in enumerate(means[:, column].tolist())
-        ]
-        found.append(Course(name, "M" + "L".join(points), float(means[-1, column])))
+        step = WIDTH / max(longest - 1, 1)
+        points = [(step * index, HEIGHT * (1 - value)) for index, value in enumerate(means[:, column].tolist())]
+        found.append(Course(name, line_path(points), float(means[-1, column])))
     return found
 
 
@@ -179,17 +166,9 @@ def stiffnesses(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> list[fl
     return [gap.nominal_stiffness for query in queries for gap in query.gaps if gap != SAME_FRAME]
 
 
-def bars(stiffness: Sequence[float]) -> list[Bar]:
-    """A histogram of stiffness (thesis, Figure 4.4)."""
-    counts, edges = np.histogram(np.array(stiffness), bins=BINS, range=(0.0, 1.0))
-    top = max(int(counts.max()), 1)
-    return [
-        Bar(
-            float(edges[index]), float(edges[index + 1]), int(count), WIDTH * index / BINS + 2,
-            HEIGHT * (1 - count / top), WIDTH / BINS - 4, HEIGHT * count / top,
-        )
-        for index, count in enumerate(counts)
-    ]  # fmt: skip
+def bars(stiffness: Sequence[float]) -> list[HistogramBar]:
+    """Lay out a histogram of stiffness (thesis, Figure 4.4)."""
+    return histogram(stiffness, 0.0, 1.0, BINS, (WIDTH, HEIGHT), 2)
 
 
 def matrix_of(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Matrix:

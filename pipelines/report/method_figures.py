@@ -15,6 +15,7 @@ from kinedex.pipelines.evaluation.method_scores import Outcome
 from kinedex.pipelines.evaluation.study import Threshold
 from kinedex.pipelines.evaluation.test_takes import Exam
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
+from kinedex.pipelines.report.plots import HistogramBar, histogram, line_path
 
 WIDTH, HEIGHT = 320.0, 150.0
 """Of a small plot, in units of its own."""
@@ -126,17 +127,6 @@ class ConfusionTable:
     rows: tuple[ConfusionRow, ...]
 
 
-@dataclass(frozen=True)
-class Bar:
-    """One bar of a histogram, in units of the plot."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-    tip: str
-
-
 def sweeps(points: Sequence[Threshold]) -> list[Sweep]:
     """Draw precision, recall and F-measure over τ (thesis, Figure 5.6), for each kind of method."""
     result = []
@@ -153,7 +143,7 @@ def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
     for letter, name in (("p", "precision"), ("r", "recall"), ("f", "F-measure")):
         values = [float(getattr(point.counts, f"{letter}{level}")) for point in points]
         known = [(x, value) for x, value in zip(across, values, strict=True) if not math.isnan(value)]
-        path = "M" + "L".join(f"{x:.1f} {HEIGHT * (1 - value):.1f}" for x, value in known) if len(known) > 1 else ""
+        path = line_path((x, HEIGHT * (1 - value)) for x, value in known) if len(known) > 1 else ""
         lines.append(Line(name, path, (known[0][0], HEIGHT * (1 - known[0][1])) if len(known) == 1 else None))
         if path:
             said.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
@@ -259,16 +249,12 @@ def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> Confusi
     return ConfusionTable(tuple(heads), tuple(rows))
 
 
-def histogram(frames: npt.NDArray[np.int64], rate_hz: float) -> list[Bar]:
-    """Draw boundary errors in seconds; what is beyond the ends stands in the outermost bars."""
+def boundary_errors(frames: npt.NDArray[np.int64], rate_hz: float) -> list[HistogramBar]:
+    """Lay out a histogram of boundary errors in seconds; the outermost bars count everything beyond the ends too."""
     seconds = np.clip(frames / rate_hz, -FURTHEST, FURTHEST)
-    counts, edges = np.histogram(seconds, bins=BINS, range=(-FURTHEST, FURTHEST))
-    top = max(int(counts.max()), 1)
-    width = WIDTH / BINS
-    return [
-        Bar(
-            index * width + 1, HEIGHT * (1 - count / top), width - 2, HEIGHT * count / top,
-            f"{count} from {edges[index]:+.1f} to {edges[index + 1]:+.1f} s",
-        )
-        for index, count in enumerate(counts.tolist())
-    ]  # fmt: skip
+    return histogram(seconds, -FURTHEST, FURTHEST, BINS, (WIDTH, HEIGHT), 1)
+
+
+def error_ticks() -> list[tuple[float, str]]:
+    """Return the ticks of the histogram of boundary errors."""
+    return [(25, f"≤ {-FURTHEST:g} s"), (WIDTH / 2, "0"), (WIDTH - 25, f"≥ {FURTHEST:g} s")]

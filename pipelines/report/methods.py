@@ -11,6 +11,7 @@ from jinja2 import Environment
 from kinedex.ops.evaluation.detection import THRESHOLDS
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
 from kinedex.pipelines.evaluation.tables import (
+    MEASURE_NAMES,
     between,
     described,
     digits,
@@ -23,21 +24,21 @@ from kinedex.pipelines.evaluation.tables import (
 )
 from kinedex.pipelines.report.environment import page_environment
 from kinedex.pipelines.report.method_figures import (
-    FURTHEST,
     HEIGHT,
     ROOMS,
     WIDTH,
-    Bar,
     ConfusionTable,
     Strips,
     Sweep,
+    boundary_errors,
     confusion_table,
-    histogram,
+    error_ticks,
     strips,
     sweeps,
 )
 from kinedex.pipelines.report.motions import Motions, motions_json
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
+from kinedex.pipelines.report.plots import HistogramBar
 
 MOST_ROWS = 300
 """The longest a list of takes or segments gets; the page says how many more there are."""
@@ -52,7 +53,7 @@ class Section:
     takes: tuple[Strips, ...]
     sweeps: tuple[Sweep, ...]
     confusion: dict[str, ConfusionTable]
-    bars: dict[str, list[Bar]]
+    bars: dict[str, list[HistogramBar]]
 
 
 def methods_page(study: Study, motions: Motions | None = None) -> str:
@@ -83,7 +84,8 @@ def methods_page(study: Study, motions: Motions | None = None) -> str:
             width=WIDTH,
             rooms=ROOMS,
             height=HEIGHT,
-            furthest=FURTHEST,
+            error_ticks=error_ticks(),
+            measure_names=MEASURE_NAMES,
             most=MOST_ROWS,
             motions=motions,
             motions_json=motions_json(motions),
@@ -129,7 +131,8 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
         for what, name in result.shown().items()
     ]
     bars = {
-        end: histogram(judgement.boundaries[:, column], study.rate_hz) for column, end in enumerate(("start", "stop"))
+        end: boundary_errors(judgement.boundaries[:, column], study.rate_hz)
+        for column, end in enumerate(("start", "stop"))
     }
     confusion = {name: confusion_table(result.judgements[name].confusion, numbers) for name in ordered}
     return Section(result, used, tuple(takes), tuple(sweeps(result.sweep)), confusion, bars)

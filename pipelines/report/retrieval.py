@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN
 from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.plots import line_path, share_ticks
 
 SIZE = 150
 """Side of a diagram in SVG units; both axes go from 0 to 1."""
@@ -124,7 +124,6 @@ def retrieval_page(
         .get_template("retrieval.html.j2")
         .render(
             title=title,
-            style=resources.files("kinedex.pipelines.report").joinpath("pages/style.css").read_text(encoding="utf-8"),
             summary=rank_summary,
             rows=rows,
             searches=[row.search for row in rows if row.search is not None],
@@ -135,6 +134,7 @@ def retrieval_page(
             rigid=diagrams(trials, (WRITTEN, f"{RIGID:g}")) if any(row["stiffness"] == RIGID for row in trials) else [],
             variants=found,
             courses=courses(found),
+            stiffness_ticks=share_ticks(WIDE, (0, 0.2, 0.4, 0.6, 0.8, 1)),
             size=SIZE,
             wide=WIDE,
             high=HIGH,
@@ -224,8 +224,7 @@ def _line(name: str, words: str, row: Row) -> Line:
     best = max(row["recall"], default=0.0)
     last = next((place for place, (recall, _) in enumerate(points) if recall == best), -1) if best else -1
     places = [(SIZE * recall, SIZE * (1 - precision)) for recall, precision in points[: last + 1]]
-    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places) if places else ""
-    return Line(name, words, path, places[-1] if places else None)
+    return Line(name, words, line_path(places), places[-1] if places else None)
 
 
 def variants(trials: Sequence[Row]) -> list[Variant]:
@@ -263,5 +262,5 @@ def courses(found: Sequence[Variant]) -> list[Course]:
             if not math.isnan(value)
         )
         if dots:
-            drawn.append(Course(name, words, "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in dots), dots))
+            drawn.append(Course(name, words, line_path((x, y) for x, y, _ in dots), dots))
     return drawn

@@ -65,14 +65,14 @@ def _ranked(names: Sequence[str], f1: Mapping[str, float], max_takes: int) -> Ch
     ranked = sorted((name for name in names if name in f1), key=lambda name: (f1[name], name))
     unranked = sorted(name for name in names if name not in f1)
     if len(names) <= max_takes:
-        reason = "all takes, the lowest F1 first" if ranked else "all takes, by name"
+        reason = "all takes, the lowest F (frames) first" if ranked else "all takes, by name"
         return Choice((*ranked, *unranked), (), reason)
     if not ranked:
         return Choice(tuple(unranked[:max_takes]), tuple(unranked[max_takes:]), "the first ones by name")
     shown = worst_middle_best(ranked, max_takes)
     rest = max_takes - len(shown)
     shown = [*shown, *unranked[:rest]]
-    reason = "the worst, the middle and the best by F1, the lowest first"
+    reason = "the worst, the middle and the best by F (frames), the lowest first"
     return Choice(tuple(shown), tuple(sorted(set(names) - set(shown))), reason)
 
 

@@ -74,7 +74,9 @@ def test_labels_in_vain_are_worse_than_none() -> None:
     for text in (markdown([one]), Reading(page([one])).text):
         assert "Worse: 1 of 2 takes" in text
     alone = compared(*(Scored("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B"))
-    assert alone.verdict.startswith("F1 is worse: B labels what is not there, the other one nothing; F2 is worse")
+    assert alone.verdict.startswith(
+        "F (frames) is worse: B labels what is not there, the other one nothing; F (segments) is worse"
+    )
     assert json.loads(json.dumps(content([alone]), allow_nan=False))["comparisons"][0]["overall"]["by"] == [None, None]
 
 
@@ -103,7 +105,7 @@ def test_other_ground_truth_is_noticed() -> None:
 def test_what_is_to_be_found_on_one_side_only_cannot_be_compared() -> None:
     one = compared(*(Scored("e", "", each, {}, {"x": each}) for each in (Counts(), counts(5))), ("A", "B"))
     assert one.takes[0].verdict == "incomparable"
-    assert one.verdict.startswith("F1 is undefined in A; F2 is undefined in A; but A and B")
+    assert one.verdict.startswith("F (frames) is undefined in A; F (segments) is undefined in A; but A and B")
     assert "Incomparable: 1 of 1 takes" in markdown([one])
 
 
@@ -112,7 +114,7 @@ def test_what_is_better_on_every_take_is_no_chance() -> None:
     assert sure.intervals["f1"][0] > 0
     assert "chance" not in sure.verdict
     unsure = compared(scored(a=5, b=5, c=6, d=5), scored(a=9, b=2, c=9, d=4), ("A", "B"))
-    assert unsure.verdict.startswith("F1 is better by 0.075")
+    assert unsure.verdict.startswith("F (frames) is better by 0.075")
     assert "which may be chance" in unsure.verdict
 
 

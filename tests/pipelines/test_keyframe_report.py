@@ -87,4 +87,4 @@ def test_features_that_hardly_any_run_asks_for_are_left_out_of_a_matrix() -> Non
 
 def test_what_the_queries_find_of_other_clips_is_counted() -> None:
     page = keyframes_page("x", [replace(outcome(), precision=0.5)], {}, BODY, 30.0)
-    assert "2 (right: 0.15–0.85)" in Reading(page).text
+    assert "2 (precision: 0.15–0.85)" in Reading(page).text

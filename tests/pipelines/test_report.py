@@ -24,26 +24,26 @@ from kinedex.pipelines.report.render import render
 from tests.pipelines.study import FRAMES, Reading, study
 
 
-def test_a_page_shows_numbers_takes_templates_curves_and_what_is_missing() -> None:
+def test_a_page_shows_measures_takes_templates_curves_and_exclusions() -> None:
     text = Reading(render(study())).text
     for expected in (
-        "Squats and kicks", "0.69 F1", "0.67 F2", "0.52 F1", "56 carry the class", "2 of 3 automatic segments",
-        "τ = 0.13", "δ = 0.05", "the lowest F1 first", "squat2Reps in class squat", "3 frames = 0.10 s", "3 clips",
+        "Squats and kicks", "0.69 F (frames)", "0.67 F (segments)", "0.52 F (frames)", "56 have the class",
+        "2 of 3 automatic segments",
+        "τ = 0.13", "δ = 0.05", "the lowest F (frames) first", "squat2Reps in class squat", "3 frames = 0.10 s",
+        "3 clips",
         "3 rounds", "knee bent", "lowest 0.020", "frame 3 lacks rfemur", "two : no header", "kinedex run study",
         "digest 0123abcd",
     ):  # fmt: skip
         assert expected in text, expected
 
 
-def test_how_learning_settled_and_what_is_wrong_with_clips_is_shown() -> None:
+def test_the_convergence_of_learning_and_remarks_on_clips_are_shown() -> None:
     data = study()
     squat, kick = data.templates
     odd = replace(squat, remarks=("clips far from all others: c2 (cost 0.3)",))
     page = render(replace(data, templates=(odd, replace(kick, clips=(), origin="from kick.yaml"))))
     text = Reading(page).text
-    assert (
-        text.count("clips far from all others: c2 (cost 0.3)") == 2
-    )  # beside the template, and among what is left out
+    assert text.count("clips far from all others: c2 (cost 0.3)") == 2  # beside the template, and among the remarks
     assert "from kick.yaml" in text
     assert page.count('class="soft trace"') == 1
     assert "Largest cost between two clips from 0.100 to 0.0040 in 1 rounds: settled" in page
@@ -106,39 +106,39 @@ def test_the_same_data_give_the_same_page_and_the_moment_is_given() -> None:
     ("change", "sentence"),
     [
         ({"scores": (), "evaluation": None, "held_out": None}, "No evaluation is stored for this run"),
-        ({"scores": (), "evaluation": None, "held_out": None}, "Without an evaluation there are no tables"),
+        ({"scores": (), "evaluation": None, "held_out": None}, "No evaluation is stored, so there are no tables"),
         ({"held_out": None}, "Leave one actor out was not run."),
         ({"manual": ()}, "There is no ground truth for these takes"),
         ({"templates": ()}, "No templates are stored for this run"),
         ({"curves": ()}, "No distance curves are stored for the take “one”"),
         ({"curves": (), "curves_take": None}, "No distance curves are stored for any take"),
-        ({"failures": ()}, "Every source file came in"),
-        ({"warnings": ()}, "No take carries a warning"),
+        ({"failures": ()}, "Every source file was read"),
+        ({"warnings": ()}, "No take has a warning"),
         ({"takes": (), "automatic": (), "manual": (), "curves": ()}, "No take was annotated"),
-        ({"automatic": (), "manual": ()}, "Nothing was labelled in this take"),
+        ({"automatic": (), "manual": ()}, "This take has neither automatic nor manual segments"),
         ({"tau": None}, "The threshold τ is not stored, so minima are not marked"),
-        ({"delta": None}, "The store does not say which δ annotation used"),
-        ({"stages": ()}, "manifest records no stage of this pipeline"),
+        ({"delta": None}, "The δ of the annotation is not stored"),
+        ({"stages": ()}, "manifest of the store records no stage of this pipeline"),
         ({"learned_from": ("bob",)}, "No example clip is of ann, so this result equals the plain one"),
-        ({"searched_share": 0.15}, "narrowed the search to 15% of the frames"),
+        ({"searched_share": 0.15}, "restricted the search to 15% of the frames"),
         ({"other_templates": 3}, "3 templates of another kind"),
     ],
 )  # fmt: skip
-def test_what_is_missing_is_said(change: dict[str, object], sentence: str) -> None:
+def test_missing_data_is_reported(change: dict[str, object], sentence: str) -> None:
     assert sentence in Reading(render(replace(study(), **change))).text  # type: ignore[arg-type]
 
 
 def test_classes_that_only_one_side_knows_are_named() -> None:
     data = study()
     jump = replace(data, manual=(*data.manual, Segment("two", "jump", 80, 90)))
-    assert "without a template, so never found: jump" in Reading(render(jump)).text
+    assert "without a template, which cannot be found: jump" in Reading(render(jump)).text
     no_kick = replace(data, manual=data.manual[:2])
-    assert "every label of theirs counts as wrong: kick" in Reading(render(no_kick)).text
+    assert "all their segments count as false: kick" in Reading(render(no_kick)).text
 
 
-def test_takes_left_out_are_counted_and_named() -> None:
+def test_takes_not_shown_are_counted_and_named() -> None:
     text = Reading(render(study(), max_takes=1)).text
-    assert "1 take left out" in text
+    assert "1 take not shown" in text
     assert re.search(r"1 take without a timeline here two", text)
 
 
@@ -147,7 +147,7 @@ def test_a_take_that_was_not_annotated_cannot_be_asked_for() -> None:
         render(study(), takes=["tow"])
 
 
-def test_long_lists_say_how_many_more_there_are() -> None:
+def test_long_lists_end_with_the_number_of_further_rows() -> None:
     data = study()
     many = replace(
         data,
@@ -158,7 +158,8 @@ def test_long_lists_say_how_many_more_there_are() -> None:
     )
     page = render(many)
     text = Reading(page).text
-    for expected in ("20 more: SELECT * FROM ingest_log", "10 more: SELECT name, warnings", "of 600; all of them",
+    for expected in ("20 more: SELECT * FROM ingest_log", "10 more: SELECT name, warnings", 
+                     "of 600 takes with the lowest F (frames); all of them",
                      "4 further templates"):  # fmt: skip
         assert expected in text
     assert "t0499" in text

@@ -174,8 +174,8 @@ def test_the_stage_writes_the_page_beside_the_results(store: Path) -> None:
     assert summary["bytes"] == path.stat().st_size
     text = Reading(path.read_text(encoding="utf-8")).text
     assert "A study" in text
-    assert "0.91 F1" in text
-    assert "0.61 F1" in text
+    assert "0.91 F (frames)" in text
+    assert "0.61 F (frames)" in text
 
 
 def test_a_changed_page_template_changes_what_the_stage_depends_on() -> None:
