@@ -154,3 +154,13 @@ def test_the_features_of_the_page_can_be_added(tmp_path: Path) -> None:
     path.write_text(text.replace("name: body40", "name: my-features") + "".join(f"  {line}\n" for line in lines))
     added = load_feature_set(path)
     assert [feature.name for feature in added.features[40:]] == ["rhand_low", "lhand_low"]
+
+
+@pytest.mark.parametrize(("file", "word"), re.findall(r"`pytest (\S+) -k (\w+)`", "".join(TEXTS.values())))
+def test_tests_that_pages_name_exist(file: str, word: str) -> None:
+    assert re.search(rf"^def test_\w*{word}", (DOCS.parent / file).read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_programs_that_pages_name_exist() -> None:
+    for package, name in re.findall(r"python -m (studies|benchmarks)\.(\w+)", "".join(TEXTS.values())):
+        assert (DOCS.parent / package / f"{name}.py").is_file(), f"{package}.{name}"
