@@ -158,7 +158,7 @@ def test_long_lists_end_with_the_number_of_further_rows() -> None:
     )
     page = render(many)
     text = Reading(page).text
-    for expected in ("20 more: SELECT * FROM ingest_log", "10 more: SELECT name, warnings", 
+    for expected in ("20 more: SELECT * FROM ingest_log", "10 more: SELECT name, warnings",
                      "of 600 takes with the lowest F (frames); all of them",
                      "4 further templates"):  # fmt: skip
         assert expected in text
