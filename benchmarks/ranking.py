@@ -19,7 +19,8 @@ from benchmarks.harness import Figure, calibrate, seconds, show, silent
 from benchmarks.ranking_memory import made_up, searched_classes
 from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.distances.dtw import distance_curves
-from kinedex.ops.distances.pruning import bounds_below, coarse_bounds, surviving
+from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds, fine_bound, pieces_below
+from kinedex.ops.distances.recurrence import COARSE_CAP
 from kinedex.ops.distances.stripes import BLOCK
 from kinedex.ops.distances.sweep import CAP, pieces_of, sweep
 from kinedex.ops.ranking.ranking import rank, rank_together
@@ -160,11 +161,11 @@ def _rankings(store: Store) -> list[Figure]:
     """
     archive, names, templates, words = _archive(store)
     coded, thresholds = encode(words.words), np.full(len(templates), TAU)
-    intervals = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
+    takes = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     frames, columns = len(words.words), np.array([len(template) for template in templates])
     cells = float(columns.sum()) * frames / 1e9
-    bounds = coarse_bounds(templates, coded, thresholds, intervals)
-    shared = seconds(lambda: coarse_bounds(templates, coded, thresholds, intervals), RUNS)
+    bounds = coarse_bounds(templates, coded, thresholds, takes)
+    shared = seconds(lambda: coarse_bounds(templates, coded, thresholds, takes), RUNS)
     found, alone_in_all, own_in_all = [], 0.0, 0.0
     for name, template, bound in zip(names, templates, bounds, strict=True):
         hits = rank(template, words, TAU, TOP, coded=coded, coarse=bound)
@@ -180,13 +181,13 @@ def _rankings(store: Store) -> list[Figure]:
     found.append(Figure(title, cells, "G cells", together, "one by one", alone_in_all))
     computed = possible = 0
     for template, bound in zip(templates, bounds, strict=True):
-        computed += len(template) * bounds_below(template, coded, TAU, intervals, bound).computed
-        exact = bounds_below(template, coded, TAU, intervals).units < CAP
-        blocks = np.logical_or.reduceat(exact, np.arange(0, frames, BLOCK))
-        left = surviving(blocks, intervals, 2 * (len(template) - 1))
+        computed += len(template) * fine_bound(template, coded, TAU, takes, bound).computed
+        exact = fine_bound(template, coded, TAU, takes).units < CAP
+        least = np.where(np.logical_or.reduceat(exact, np.arange(0, frames, BLOCK)), 0, COARSE_CAP).astype(np.uint8)
+        left = pieces_below(CoarseBound(least, TAU / COARSE_CAP), TAU, takes, 2 * (len(template) - 1))
         possible += len(template) * int((left[:, 2] - left[:, 0]).sum())
     time = seconds(lambda: rank_together(templates, words, thresholds, None, coded), 3)
-    plain = seconds(lambda: [distance_curves([t], words.words, intervals, np.float32) for t in templates], 1)
+    plain = seconds(lambda: [distance_curves([t], words.words, takes, np.float32) for t in templates], 1)
     whole = int(columns.sum()) * frames
     title = f"{archive}, all hits, {_share(whole, computed)} of {_share(whole, possible)} skipped"
     return [*found, Figure(title, cells, "G cells", time, "float32 curves alone", plain)]

@@ -15,7 +15,7 @@ from studies import few_clips
 from studies.bandai import NONE, confusions, draw, summary, winner
 from studies.cross_studio import begin_of, contributions
 from studies.long_archive import METHODS, stages
-from tests.oracles.minima import best_paths
+from tests.oracles.paths import best_paths
 
 
 def _takes(**counts: int) -> pl.DataFrame:

@@ -1,10 +1,10 @@
-"""Local costs of templates (thesis, Eq. 5.2): words as places in a vocabulary, and a table of costs for each word."""
+"""Local costs of templates (thesis, Eq. 5.2): words as codes of a vocabulary, and a table of the costs of each word."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -17,10 +17,11 @@ from kinedex.ops.words import NO_WORD, U64
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
 Table = npt.NDArray[Any]  # float32, float64, or uint16 and uint8 of lower bounds
 
 PADDING = 32
-"""Tables are a multiple of this many columns wide, so that the loops over columns leave no rest behind."""
+"""Tables are a multiple of this many columns wide, so that vectorised loops over columns have no remainder."""
 
 _NO_WORD = np.uint64(NO_WORD)
 _SHAVE = 1 - 1e-9  # of a unit, see `bound_table`
@@ -30,9 +31,14 @@ _32 = np.uint64(32)
 
 @dataclass(frozen=True)
 class CodedWords:
-    """Words as places in their vocabulary, so that what depends on the word only is computed once.
+    """Words as codes of a vocabulary, so that what depends on the word only is computed once.
 
-    vocabulary: uint64 (W,), the different words in the order in which they first occur. codes: int32 (L,).
+    Parameters
+    ----------
+    vocabulary : uint64 array (W,)
+        The different words in the order of their first occurrence.
+    codes : int32 array (L,)
+        For each frame the place of its word in the vocabulary.
     """
 
     vocabulary: U64
@@ -42,32 +48,59 @@ class CodedWords:
         return len(self.codes)
 
 
+class TemplateColumns(NamedTuple):
+    """The columns of one template, or of several side by side, for kernels that compute local costs.
+
+    Features are grouped by their weight, into G groups at most; without weights there is one. The cost of a column is
+    the sum over the groups of `group_weights` times the number of bits of the group that a word contradicts, divided by
+    `total_weights`.
+
+    Parameters
+    ----------
+    values : uint64 array (N,)
+        The bits that each column asks for.
+    group_masks : uint64 array (G, N)
+        The bits of each group that are fixed.
+    group_weights : float64 array (G, N)
+        The weight of a feature of each group.
+    total_weights : float64 array (N,)
+        The weight of all fixed bits, 1 where there is none.
+    """
+
+    values: U64
+    group_masks: U64
+    group_weights: F64
+    total_weights: F64
+
+
 @dataclass(frozen=True)
 class Layout:
     """The columns of several templates side by side, one column of infinite cost between two, padded at the end.
 
-    The features of a template are grouped by their weight, into G groups at most; without weights there is one. A
-    column's cost is Σ_g worths_g · (the bits of group g that a word contradicts) / counted.
-
-    masks, values: uint64 (S,), S a multiple of `PADDING`. firsts, lasts: int64 (T,), the first and the last column of
-    each template. padding: int64, the columns that belong to none. parts: uint64 (G, S), the bits of each group that
-    are fixed. worths: float64 (G, S), the weight of each. counted: float64 (S,), the weight of all fixed bits, 1 where
-    there is none.
+    Parameters
+    ----------
+    columns : TemplateColumns
+        S columns, a multiple of `PADDING`.
+    firsts, lasts : int64 array (T,)
+        The first and the last column of each template.
+    padding : int64 array
+        The columns that belong to no template.
     """
 
-    masks: U64
-    values: U64
+    columns: TemplateColumns
     firsts: I64
     lasts: I64
     padding: I64
-    parts: U64
-    worths: F64
-    counted: F64
 
     @property
     def lengths(self) -> I64:
-        """Columns of each template, int64 (T,)."""
+        """The number of columns of each template, int64 (T,)."""
         return self.lasts - self.firsts + 1
+
+    @property
+    def width(self) -> int:
+        """The number of columns S, padding included."""
+        return len(self.columns.values)
 
 
 def encode(words: U64) -> CodedWords:
@@ -75,7 +108,8 @@ def encode(words: U64) -> CodedWords:
 
     Parameters
     ----------
-    words: uint64 (L,), `NO_WORD` for an invalid frame.
+    words : uint64 array (L,)
+        One word a frame; `NO_WORD` where the frame is invalid.
     """
     codes = np.empty(len(words), np.int32)
     vocabulary = np.empty(len(words), np.uint64)
@@ -84,127 +118,143 @@ def encode(words: U64) -> CodedWords:
     return CodedWords(vocabulary[:count].copy(), codes)
 
 
+def template_columns(template: QuantisedTemplate) -> TemplateColumns:
+    """Return the columns of one template for kernels."""
+    bits, weights = _weight_groups(template)
+    masks = template.mask & bits[:, None]
+    group_weights = np.repeat(weights[:, None], len(template), axis=1)
+    return TemplateColumns(np.array(template.value), masks, group_weights, _total_weights(masks, group_weights))
+
+
 def lay_out(templates: Sequence[QuantisedTemplate]) -> Layout:
     """Put the columns of templates side by side, see `Layout`."""
     lengths = np.array([len(template) for template in templates], np.int64)
     firsts = np.concatenate(([0], np.cumsum(lengths + 1)[:-1])).astype(np.int64)
     lasts = firsts + lengths - 1
     width = -(-(int(lasts[-1]) + 1) // PADDING) * PADDING
-    masks, values, own = np.zeros(width, np.uint64), np.zeros(width, np.uint64), np.zeros(width, np.bool_)
-    grouped = [_groups(template) for template in templates]
-    most = max(len(bits) for bits, _ in grouped)
-    parts, worths = np.zeros((most, width), np.uint64), np.ones((most, width))
-    for template, (bits, weights), first, last in zip(templates, grouped, firsts.tolist(), lasts.tolist(), strict=True):
-        masks[first : last + 1], values[first : last + 1] = template.mask, template.value
+    values, own = np.zeros(width, np.uint64), np.zeros(width, np.bool_)
+    groups = [_weight_groups(template) for template in templates]
+    most = max(len(bits) for bits, _ in groups)
+    masks, weights = np.zeros((most, width), np.uint64), np.ones((most, width))
+    for template, (bits, each), first, last in zip(templates, groups, firsts.tolist(), lasts.tolist(), strict=True):
+        values[first : last + 1] = template.value
         own[first : last + 1] = True
-        parts[: len(bits), first : last + 1] = template.mask & bits[:, None]
-        worths[: len(bits), first : last + 1] = weights[:, None]
-    counted = (worths * np.bitwise_count(parts)).sum(axis=0)
-    counted[counted == 0] = 1.0
-    return Layout(masks, values, firsts, lasts, np.flatnonzero(~own), parts, worths, counted)
+        masks[: len(bits), first : last + 1] = template.mask & bits[:, None]
+        weights[: len(bits), first : last + 1] = each[:, None]
+    columns = TemplateColumns(values, masks, weights, _total_weights(masks, weights))
+    return Layout(columns, firsts, lasts, np.flatnonzero(~own))
 
 
-def _groups(template: QuantisedTemplate) -> tuple[U64, F64]:
-    """The features of each weight, as bits: uint64 (G,), and the weights, float64 (G,)."""
+def _weight_groups(template: QuantisedTemplate) -> tuple[U64, F64]:
+    """Return the features of each weight as bits, uint64 (G,), and the weights, float64 (G,)."""
     if template.feature_weights is None:
         return np.array([~np.uint64(0)]), np.ones(1)
-    weights, home = np.unique(template.feature_weights, return_inverse=True)
+    weights, group = np.unique(template.feature_weights, return_inverse=True)
     bits = np.zeros(len(weights), np.uint64)
-    np.bitwise_or.at(bits, home, np.uint64(1) << np.arange(len(home), dtype=np.uint64))
+    np.bitwise_or.at(bits, group, np.uint64(1) << np.arange(len(group), dtype=np.uint64))
     if not (weights > 0).any():  # as wildcards alone: nothing is contradicted
         return np.zeros(1, np.uint64), np.ones(1)
     return bits[weights > 0], weights[weights > 0]
 
 
+def _total_weights(masks: U64, weights: F64) -> F64:
+    """Return the weight of all fixed bits of each column, 1 where there is none."""
+    total: F64 = (weights * np.bitwise_count(masks)).sum(axis=0)
+    total[total == 0] = 1.0
+    return total
+
+
 def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = np.float64) -> Table:
-    """Tabulate the local cost of every word against every column, word-major.
+    """Tabulate the local cost of every word against every column, one row for each word.
 
     A cost is the weight of a column's bits that the word contradicts as a share of the weight of all its bits (without
     weights: the share of its bits), 0 for a column of wildcards alone, ∞ for `NO_WORD` and in columns that belong to no
-    template. In float32 costs are rounded to the grid of `grid_step`.
+    template. In float32 costs are rounded to multiples of `grid_step`.
+
+    Parameters
+    ----------
+    layout : Layout
+    vocabulary : uint64 array (W,)
+    dtype : type
+        float64 or float32.
 
     Returns
     -------
-    dtype (W, S).
+    array of dtype (W, S)
     """
     step = grid_step(int(layout.lengths.max())) if dtype is np.float32 else 0.0
-    table = np.empty((len(vocabulary), len(layout.masks)), dtype)
-    fill_costs(vocabulary, layout.values, layout.parts, layout.worths, layout.counted, step, table)
-    _fill_padding(layout, table, np.inf)
+    table = np.empty((len(vocabulary), layout.width), dtype)
+    fill_costs(vocabulary, layout.columns, step, table)
+    for last in layout.lasts[:-1].tolist():
+        table[:, last + 1] = np.inf
+    table[:, int(layout.lasts[-1]) + 1 :] = np.inf
     return table
 
 
-def _fill_padding(layout: Layout, table: Table, cost: float) -> None:
-    """Give the columns between templates, and those behind the last one, a cost."""
-    for last in layout.lasts[:-1].tolist():
-        table[:, last + 1] = cost
-    table[:, int(layout.lasts[-1]) + 1 :] = cost
-
-
 def bound_table(
-    layout: Layout,
-    vocabulary: U64,
-    units: F64,
-    most: int,
-    dtype: type[np.unsignedinteger[Any]],
-    needed: npt.NDArray[np.bool_],
+    layout: Layout, vocabulary: U64, units: F64, most: int, dtype: type[np.unsignedinteger[Any]], needed: Bool
 ) -> Table:
-    """Tabulate whole units that local costs hold at least: ⌊cost / unit⌋, and `most` where it is more or no cost.
+    """Tabulate how many whole units each local cost holds at least: ⌊cost / unit⌋, but no more than `most`.
 
     Units are counted a little low, so that rounding never makes a bound too high.
 
     Parameters
     ----------
-    units: float64 (T,), what a unit of each template is worth, as a cost.
-    needed: bool (W,), the words that are asked for; rows of others are left as they are.
+    layout : Layout
+    vocabulary : uint64 array (W,)
+    units : float64 array (T,)
+        The cost that a unit of each template stands for.
+    most : int
+        The value for all greater costs, for `NO_WORD` and for columns that belong to no template.
+    dtype : type
+        uint16 or uint8.
+    needed : bool array (W,)
+        The words whose rows are filled; the other rows are undefined.
 
     Returns
     -------
-    dtype (W, S).
+    array of dtype (W, S)
     """
-    table = np.empty((len(vocabulary), len(layout.masks)), dtype)
-    fill_bounds(
-        vocabulary, layout.values, layout.parts, layout.worths * unit_scales(layout, units), most, needed, table
-    )
+    table = np.empty((len(vocabulary), layout.width), dtype)
+    fill_bounds(vocabulary, in_units(layout, units), most, needed, table)
     table[np.ix_(np.flatnonzero(needed), layout.padding)] = most
     return table
 
 
-def unit_scales(layout: Layout, units: F64) -> F64:
-    """Return how many units a weight of 1 is in each column, a little less: float64 (S,), 0 where no template is.
+def in_units(layout: Layout, units: F64) -> TemplateColumns:
+    """Return the columns with the weights of groups in units, a little too low; 0 where no template is.
 
-    units: float64 (T,), what a unit of each template is worth, as a cost.
+    Parameters
+    ----------
+    layout : Layout
+    units : float64 array (T,)
+        The cost that a unit of each template stands for.
     """
-    scales = np.zeros(len(layout.masks))
+    columns = layout.columns
+    scales = np.zeros(layout.width)
     for first, last, unit in zip(layout.firsts.tolist(), layout.lasts.tolist(), units.tolist(), strict=True):
-        scales[first : last + 1] = _SHAVE / unit / layout.counted[first : last + 1]
-    return scales
+        scales[first : last + 1] = _SHAVE / unit / columns.total_weights[first : last + 1]
+    return columns._replace(group_weights=columns.group_weights * scales)
 
 
 def grid_step(columns: int) -> float:
-    """The grid that float32 costs lie on, a power of two: 2^−24 times the least power of two ≥ the columns.
+    """Return the step of the grid that float32 costs lie on: 2^−24 times the least power of two ≥ the columns.
 
     A complete path of a template of N columns has N units of weight (a (2,1) step counts twice) and costs of at most 1
     a unit. Costs that are multiples of this step therefore add up to at most 2^24 steps, and float32 holds every such
     sum exactly: on the grid nothing is rounded, in whatever order the costs are added.
+
+    A float32 distance is therefore within step / 2 + 2^−24 of the exact one: rounding to the grid moves a local cost by
+    half a step at most, a path of N units of weight by N / 2 steps, and so the least cost over all paths, since
+    |min a − min b| ≤ max |a − b|. Division by N leaves half a step, and rounds a number of at most 1 by 2^−25 at most;
+    float64 errs by far less than another 2^−25.
     """
     return float(2.0 ** (max(columns - 1, 0).bit_length() - 24))
 
 
-def error_bound(columns: int) -> float:
-    """How far a float32 distance can be from the exact one, for templates of so many columns at most.
-
-    Proof. Rounding to the grid moves a local cost by half a step at most, and so a path of N units of weight by N/2
-    steps; sums on the grid are exact (`grid_step`). The least cost over all paths moves by no more than the path that
-    moves most: |min a − min b| ≤ max |a − b|. Divided by N that is half a step, and the division itself rounds a number
-    of at most 1 by 2^−25 at most. Another 2^−25 is room for float64, which errs by far less.
-    """
-    return grid_step(columns) / 2 + 2.0**-24
-
-
 @nb.njit(cache=True, nogil=True)
 def number_words(words: U64, slots: I32, vocabulary: U64, codes: I32) -> int:
-    """Number words in the order of their first occurrence, with open addressing; return how many there are (kernel)."""
+    """Number words in the order of their first occurrence, with open addressing; return their number (kernel)."""
     last = len(slots) - 1
     count = 0
     for frame in range(len(words)):
@@ -231,43 +281,50 @@ def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.int
 
 
 @nb.njit(cache=True, nogil=True)
-def column_costs(word: np.uint64, values: U64, parts: U64, worths: F64, counted: F64, costs: F64) -> None:
-    """Fill the costs of columns against a word that is one, as `Layout` says (kernel).
+def column_costs(word: np.uint64, columns: TemplateColumns, costs: F64) -> None:
+    """Fill the costs of columns against a word other than `NO_WORD` (kernel).
 
-    values, counted, costs: of so many columns; parts, worths: (G, columns).
+    Parameters
+    ----------
+    word : uint64
+    columns : TemplateColumns
+    costs : float64 array (N,)
+        The results.
     """
-    part, worth = parts[0], worths[0]
-    if len(parts) == 1:
+    values, masks, weights, total = columns
+    if len(masks) == 1:
+        mask, weight = masks[0], weights[0]
         for n in range(len(costs)):
-            costs[n] = np.float64(contradictions(word, part[n], values[n])) * worth[n] / counted[n]
+            costs[n] = np.float64(contradictions(word, mask[n], values[n])) * weight[n] / total[n]
         return
-    add_units(word, values, parts, worths, costs)
+    contradicted_weights(word, columns, costs)
     for n in range(len(costs)):
-        costs[n] /= counted[n]
+        costs[n] /= total[n]
 
 
 @nb.njit(cache=True, nogil=True)
-def add_units(word: np.uint64, values: U64, parts: U64, units: F64, sums: F64) -> None:
-    """Fill the sums, over the groups, of contradictions and what one is worth (kernel)."""
-    for g in range(len(parts)):
-        part, unit = parts[g], units[g]
+def contradicted_weights(word: np.uint64, columns: TemplateColumns, sums: F64) -> None:
+    """Fill the weight of all bits of each column that a word contradicts (kernel)."""
+    values, masks, weights, _ = columns
+    for g in range(len(masks)):
+        mask, weight = masks[g], weights[g]
         if g == 0:
             for n in range(len(sums)):
-                sums[n] = np.float64(contradictions(word, part[n], values[n])) * unit[n]
+                sums[n] = np.float64(contradictions(word, mask[n], values[n])) * weight[n]
         else:
             for n in range(len(sums)):
-                sums[n] += np.float64(contradictions(word, part[n], values[n])) * unit[n]
+                sums[n] += np.float64(contradictions(word, mask[n], values[n])) * weight[n]
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_costs(vocabulary: U64, values: U64, parts: U64, worths: F64, counted: F64, step: float, table: Table) -> None:
+def fill_costs(vocabulary: U64, columns: TemplateColumns, step: float, table: Table) -> None:
     """Fill a table with costs, rounded to multiples of a step where that is not 0 (kernel)."""
-    costs = np.empty(len(values))
+    costs = np.empty(len(columns.values))
     for w in range(len(vocabulary)):
         if vocabulary[w] == _NO_WORD:
             table[w, :] = np.inf
             continue
-        column_costs(vocabulary[w], values, parts, worths, counted, costs)
+        column_costs(vocabulary[w], columns, costs)
         if step == 0.0:
             table[w, :] = costs
         else:
@@ -276,15 +333,22 @@ def fill_costs(vocabulary: U64, values: U64, parts: U64, worths: F64, counted: F
 
 
 @nb.njit(cache=True, nogil=True)
-def fill_bounds(
-    vocabulary: U64, values: U64, parts: U64, units: F64, cap: int, needed: npt.NDArray[np.bool_], table: Table
-) -> None:
-    """Fill a table with whole units that a cost holds at least, `cap` where it is more (kernel).
+def fill_bounds(vocabulary: U64, columns: TemplateColumns, cap: int, needed: Bool, table: Table) -> None:
+    """Fill a table with the whole units that a cost holds at least, no more than `cap` (kernel).
 
-    units: float64 (G, S), the units that one contradiction of each group of a column is worth.
+    Parameters
+    ----------
+    vocabulary : uint64 array (W,)
+    columns : TemplateColumns
+        Their weights in units, see `in_units`.
+    cap : int
+    needed : bool array (W,)
+        The words whose rows are filled.
+    table : array (W, S)
+        The results.
     """
     most = np.float64(cap)
-    costs = np.empty(len(values))
+    units = np.empty(len(columns.values))
     for w in range(len(vocabulary)):
         word = vocabulary[w]
         if not needed[w]:
@@ -292,7 +356,7 @@ def fill_bounds(
         if word == _NO_WORD:
             table[w, :] = cap
             continue
-        add_units(word, values, parts, units, costs)
+        contradicted_weights(word, columns, units)
         row = table[w]
-        for n in range(len(costs)):
-            row[n] = np.uint16(costs[n] if costs[n] < most else most)
+        for n in range(len(units)):
+            row[n] = np.uint16(units[n] if units[n] < most else most)

@@ -14,8 +14,8 @@ from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
 
-_TABLE_CELLS = 4_000_000  # of a cost table held at once: 32 MB, whatever the length of the takes
-_PIECE = 4096  # frames of a stretch that are computed apart from the rest of it
+_TABLE_CELLS = 4_000_000  # of a cost table that is held at once: 32 MB, whatever the length of the takes
+_PIECE = 4096  # frames of a range that are computed independently of the rest of it
 
 
 def distance_curves(
@@ -35,33 +35,40 @@ def distance_curves(
 
     Parameters
     ----------
-    templates: T templates, of N_1 … N_T columns.
-    words: uint64 (L,), the take's words (or those of many takes, with `ranges` that keep them apart).
-    ranges: int64 (R, 2), half-open stretches of frames, ascending and apart; each is computed as if it were a
-        take of its own. None: all of `words` is one take.
-    dtype: float64; or float32, twice as fast, within `ops.distances.costs.error_bound` of float64.
+    templates : sequence of QuantisedTemplate
+        T templates, of N_1 … N_T columns.
+    words : uint64 array (L,)
+        The words of a take, or those of many takes, with `ranges` that keep them apart.
+    ranges : int64 array (R, 2), optional
+        Half-open ranges of frames, ascending and disjoint; each is computed as if it were a take of its own. None: all
+        of `words` is one take.
+    dtype : type
+        float64; or float32, which is twice as fast and within the bound of `ops.distances.costs.grid_step`.
 
     Returns
     -------
-    dtype (T, L): at frame l the cost of the best path that ends there, divided by N; ∞ where none exists
-    (about the first N / 2 frames of a stretch, across frames without a word, and outside the stretches).
+    array of dtype (T, L)
+        At frame l the cost of the best path that ends there, divided by N; ∞ where none exists (about the first N / 2
+        frames of a range, across frames without a word, and outside the ranges).
 
     Raises
     ------
-    ParameterError: if the ranges are not ascending stretches within the words.
+    ParameterError
+        If the ranges are not ascending ranges within the words.
     """
-    stretches = checked_ranges(ranges, len(words))
+    checked = checked_ranges(ranges, len(words))
     curves = np.full((len(templates), len(words)), np.inf, dtype)
-    if not templates or not len(stretches):
+    if not templates or not len(checked):
         return curves
     layout = lay_out(templates)
-    reach = 2 * (int(layout.lengths.max()) - 1)
-    room = max(1, _TABLE_CELLS // len(layout.masks))
-    # Where the words together are few, one table serves all frames; else stretches of frames get tables of their own.
-    start, stop = int(stretches[0, 0]), int(stretches[-1, 1])
+    lead_in = 2 * (int(layout.lengths.max()) - 1)
+    most_words = max(1, _TABLE_CELLS // layout.width)
+    # Where the words together are few, one table serves all frames; else parts of the ranges get tables of their own.
+    start, stop = int(checked[0, 0]), int(checked[-1, 1])
     coded = encode(words[start:stop])
-    few = len(coded.vocabulary) <= room
-    for pieces in _batches(pieces_of(stretches, _PIECE if few else min(_PIECE, room), reach), stop if few else room):
+    few = len(coded.vocabulary) <= most_words
+    pieces_of_ranges = pieces_of(checked, _PIECE if few else min(_PIECE, most_words), lead_in)
+    for pieces in _batches(pieces_of_ranges, stop if few else most_words):
         if not few:
             start, stop = int(pieces[0, 0]), int(pieces[-1, 2])
             coded = encode(words[start:stop])
@@ -72,7 +79,7 @@ def distance_curves(
 
 
 def _batches(pieces: I64, frames: int) -> Iterator[I64]:
-    """Divide pieces into consecutive groups that span so many frames at most, and at least one piece."""
+    """Divide pieces into consecutive groups that span at most so many frames, and at least one piece."""
     first = 0
     for place in range(1, len(pieces) + 1):
         if place == len(pieces) or pieces[place, 2] - pieces[first, 0] > frames:

@@ -1,8 +1,8 @@
-"""Minima of distance curves within short ranges, such as keyframes or bounds leave: all sums of one fit into the cache.
+"""Minima of distance curves within short ranges, such as keyframes or bounds leave.
 
-Where ranges are long or many, `ops.distances.pruning` rules most frames out by finer and finer bounds, and goes over
+Where ranges are long or many, `ops.distances.pruning` excludes most frames by finer and finer bounds, and goes over
 what remains twice, for distances and for paths. Within a few hundred frames that is more work than the distances
-themselves: here every sum is computed once, kept while its range lasts, and paths are read from it.
+themselves: here the costs of all paths are computed once, and kept until the paths have been followed back.
 """
 
 from __future__ import annotations
@@ -12,18 +12,16 @@ from collections.abc import Sequence
 import numba as nb
 import numpy as np
 
-from kinedex.ops.annotation.segments import TOLERANCE, Matches
-from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, column_costs, encode, lay_out
-from kinedex.ops.distances.pruning import Coarse, surviving
-from kinedex.ops.distances.window_sums import step_back
+from kinedex.ops.annotation.segments import Matches
+from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, TemplateColumns, encode, lay_out
+from kinedex.ops.distances.pruning import CoarseBound, pieces_below
+from kinedex.ops.distances.window_sums import is_minimum, make_window, path_start, reshaped, sum_window
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import U64
 
-_NO_WORD = np.uint64(NO_WORD)
 _PIECE = 512  # frames of a range whose sums are kept at once, besides those that lead in
-_ROWS = 4096  # words whose costs are kept at once
 
 
 def minima_within(
@@ -32,7 +30,7 @@ def minima_within(
     thresholds: F64,
     ranges: Sequence[I64],
     coded: CodedWords | None = None,
-    coarse: Sequence[Coarse | None] | None = None,
+    coarse: Sequence[CoarseBound | None] | None = None,
 ) -> Matches:
     """Find the local minima of distance curves below a threshold within ranges, with the paths that lead to them.
 
@@ -40,16 +38,24 @@ def minima_within(
 
     Parameters
     ----------
-    templates: T templates. words: uint64 (L,). thresholds: float64 (T,), τ > 0 of each template.
-    ranges: for each template int64 (R, 2), half-open stretches of frames, ascending and apart; each is computed as if
-        it were a take of its own.
-    coded: `ops.distances.costs.encode(words)`, where it is known.
-    coarse: for each template a bound of its curve (`ops.distances.pruning.coarse_bounds`), made for these ranges or
-        wider ones and for its threshold or a greater one; then only frames are gone over that it leaves. None: all.
+    templates : sequence of QuantisedTemplate
+        T templates.
+    words : uint64 array (L,)
+    thresholds : float64 array (T,)
+        The threshold τ > 0 of each template.
+    ranges : sequence of int64 array (R, 2)
+        For each template half-open ranges of frames, ascending and disjoint; each is computed as if it were a take of
+        its own.
+    coded : CodedWords, optional
+        `ops.distances.costs.encode(words)`, where it is known.
+    coarse : sequence of CoarseBound, optional
+        For each template a bound of its curve (`ops.distances.pruning.coarse_bounds`), made for these ranges or wider
+        ones and for its threshold or a greater one; then only frames that it leaves are computed. None: all frames.
 
     Raises
     ------
-    ParameterError: a threshold that is not above 0, or wrong ranges.
+    ParameterError
+        If a threshold is not above 0, or ranges are wrong.
     """
     if len(thresholds) != len(templates) or len(ranges) != len(templates) or not np.all(thresholds > 0):
         raise ParameterError("thresholds", f"above 0, one for each of {len(templates)} templates", thresholds.tolist())
@@ -63,133 +69,74 @@ def minima_within(
     edges = np.cumsum([0, *map(len, pieces)]).astype(np.int64)
     layout = lay_out(templates)
     coded = encode(words) if coded is None else coded
+    taus = np.ascontiguousarray(thresholds, np.float64)
     found = fill_matches(
-        coded.vocabulary, coded.codes, layout.values, layout.parts, layout.worths, layout.counted, layout.firsts,
-        layout.lengths, np.ascontiguousarray(thresholds, np.float64), np.concatenate(pieces), edges,
+        coded.vocabulary, coded.codes, layout.columns, layout.firsts, layout.lengths, taus, np.concatenate(pieces),
+        edges,
     )  # fmt: skip
     return Matches(*found)
 
 
-def _pieces(stretches: I64, bound: Coarse | None, columns: int, threshold: float) -> I64:
-    """The frames to go over, int64 (P, 3): where paths may begin, and the frames [start, stop) where they may end."""
+def _pieces(ranges: I64, bound: CoarseBound | None, columns: int, threshold: float) -> I64:
+    """Return where paths may start and the half-open range where they may end, int64 (P, 3)."""
     if bound is None:
-        return np.stack([stretches[:, 0], stretches[:, 0], stretches[:, 1]], axis=1)
-    return surviving(bound.below(threshold), stretches, 2 * (columns - 1))
+        return np.stack([ranges[:, 0], ranges[:, 0], ranges[:, 1]], axis=1)
+    return pieces_below(bound, threshold, ranges, 2 * (columns - 1))
 
 
 @nb.njit(cache=True, nogil=True)
 def fill_matches(
-    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, firsts: I64, lengths: I64,
-    thresholds: F64, pieces: I64, edges: I64,
+    vocabulary: U64, codes: I32, columns: TemplateColumns, firsts: I64, lengths: I64, thresholds: F64, pieces: I64,
+    edges: I64,
 ) -> tuple[I64, I64, I64, F64]:  # fmt: skip
-    """Go over the ranges of all templates, and return the parts of `Matches` (kernel).
+    """Find the minima of all templates in their pieces, and return the arrays of `Matches` (kernel).
 
-    values … lengths: of a `Layout`. pieces: int64 (P, 3), see `_pieces`, those of template t from edges[t] to
-    edges[t + 1]; beside the frames of a piece no distance is below the threshold.
+    Parameters
+    ----------
+    vocabulary : uint64 array (W,)
+    codes : int32 array (L,)
+    columns : TemplateColumns
+        Those of a `Layout`.
+    firsts, lengths : int64 array (T,)
+        The first column of each template, and the number of its columns.
+    thresholds : float64 array (T,)
+    pieces : int64 array (P, 3)
+        See `_pieces`; beside a piece no distance is below the threshold.
+    edges : int64 array (T + 1,)
+        Template t has the pieces edges[t] to edges[t + 1] - 1.
     """
-    longest, room = lengths.max(), _PIECE + 2 * lengths.max()
-    # Two rows and two columns of ∞ are before the first frame and the first column, so that no step asks for the edge.
-    sums = np.full((room + 2, longest + 2), np.inf)
-    table, used = np.empty((max(room, _ROWS), longest)), 0
-    row_of, filled_in, turn = np.empty(len(vocabulary), np.int32), np.full(len(vocabulary), -1, np.int64), 0
-    rows = np.empty(room, np.int32)
+    memory = make_window(_PIECE + 2 * lengths.max(), lengths.max(), len(vocabulary))
+    sums = np.empty(_PIECE + 2)
     offsets = np.zeros(len(lengths) + 1, np.int64)
     starts, ends, distances = np.empty(1024, np.int64), np.empty(1024, np.int64), np.empty(1024)
     count = 0
     for t in range(len(lengths)):
-        columns, used, turn = lengths[t], 0, turn + 1
-        own = slice(firsts[t], firsts[t] + columns)
-        own_values, own_counted = values[own], counted[own]
-        own_parts, own_worths = np.ascontiguousarray(parts[:, own]), np.ascontiguousarray(worths[:, own])
+        size = lengths[t]
+        window = reshaped(memory, size)
+        own = slice(firsts[t], firsts[t] + size)
+        template = TemplateColumns(
+            columns.values[own], np.ascontiguousarray(columns.group_masks[:, own]),
+            np.ascontiguousarray(columns.group_weights[:, own]), columns.total_weights[own],
+        )  # fmt: skip
+        limit = thresholds[t] * size * (1 + 1e-9)  # rounding does not make the cost of a match greater than this
         for place in range(edges[t], edges[t + 1]):
             opens, closes = pieces[place, 0], pieces[place, 2]
-            for begin in range(pieces[place, 1], closes, _PIECE):
-                stop = min(begin + _PIECE, closes)
-                # A path that ends in the frame before the piece, a neighbour of its first one, leads in from here.
-                first = max(begin - 1 - 2 * (columns - 1), opens)
-                frames = min(stop + 1, closes) - first
-                if used + frames > len(table):
-                    used, turn = 0, turn + 1
-                used = look_up(
-                    vocabulary, codes[first : first + frames], own_values, own_parts, own_worths, own_counted, table,
-                    row_of, filled_in, turn, used, rows,
-                )  # fmt: skip
-                fill_sums(table, rows[:frames], columns, sums)
-                while count + stop - begin > len(ends):
+            for start in range(pieces[place, 1], closes, _PIECE):
+                stop = min(start + _PIECE, closes)
+                # A minimum is decided by its neighbours.
+                low, high = max(start - 1, opens), min(stop + 1, closes)
+                begin = max(low - 2 * (size - 1), opens)
+                found = sums[: high - low]
+                sum_window(vocabulary, codes, template, begin, low, found, limit, window)
+                found /= size
+                window.trail[: high - begin] = -1
+                while count + stop - start > len(ends):
                     starts, ends = np.concatenate((starts, starts)), np.concatenate((ends, ends))
                     distances = np.concatenate((distances, distances))
-                for frame in range(begin - first, stop - first):
-                    distance = sums[frame + 2, columns + 1] / columns
-                    if not distance < thresholds[t] - TOLERANCE:
-                        continue
-                    if distance > sums[frame + 1, columns + 1] / columns + TOLERANCE:
-                        continue
-                    if frame + 1 < frames and distance > sums[frame + 3, columns + 1] / columns + TOLERANCE:
-                        continue
-                    ends[count], distances[count] = first + frame, distance
-                    starts[count] = first + begin_of(table, rows, columns, sums, frame)
-                    count += 1
+                for frame in range(start, stop):
+                    if is_minimum(found, frame - low, thresholds[t]):
+                        ends[count], distances[count] = frame, found[frame - low]
+                        starts[count] = path_start(window, codes, begin, frame, count, starts)
+                        count += 1
         offsets[t + 1] = count
     return offsets, starts[:count].copy(), ends[:count].copy(), distances[:count].copy()
-
-
-@nb.njit(cache=True, nogil=True)
-def look_up(
-    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, table: F64, row_of: I32,
-    filled_in: I64, turn: int, used: int, rows: I32,
-) -> int:  # fmt: skip
-    """Fill the rows of frames in a table of costs, and those costs that are not there; return how many are (kernel).
-
-    Few of the words occur where a template is matched, and those again and again: each costs one row.
-
-    values, parts, worths, counted: the columns of a template, as `Layout` has them. row_of: int32 (W,), the row of each
-    word that was filled in this turn, as filled_in, int64 (W,), says.
-    """
-    for frame in range(len(codes)):
-        code = codes[frame]
-        if filled_in[code] != turn:
-            if vocabulary[code] == _NO_WORD:
-                table[used, :] = np.inf
-            else:
-                column_costs(vocabulary[code], values, parts, worths, counted, table[used, : len(values)])
-            filled_in[code], row_of[code] = turn, used
-            used += 1
-        rows[frame] = row_of[code]
-    return used
-
-
-@nb.njit(cache=True, nogil=True)
-def fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
-    """Fill the costs of the best paths that end in each column at each frame, in row frame + 2 (kernel).
-
-    The sums are those of `ops.distances.sweep.sweep`, added in the same order. Left out are cells that no path comes to
-    (a frame leads on by two columns at most), which are ∞, and those that lead to no end.
-    """
-    for frame in range(len(rows)):
-        least, most = max(0, columns - 1 - 2 * (len(rows) - 1 - frame)), min(columns - 1, 2 * frame)
-        # Views that begin with the first cell: the compiler then sees that no index is below 0, and vectorises.
-        before, behind, here = sums[frame, least + 1 :], sums[frame + 1, least:], sums[frame + 2, least + 2 :]
-        cost = table[rows[frame], least:]
-        for n in range(most + 1 - least):
-            one, two = behind[n + 1], before[n]
-            single = (one if one < two else two) + cost[n]
-            double = behind[n] + (cost[n] + cost[n])
-            here[n] = double if double < single else single
-        for n in range(max(most + 1 - least, 0), columns - least):
-            here[n] = np.inf
-        if least == 0:
-            here[0] = cost[0]
-
-
-@nb.njit(cache=True, nogil=True)
-def begin_of(table: F64, rows: I32, columns: int, sums: F64, frame: int) -> int:
-    """The frame in which the best path begins that ends at a frame; of equal ones as in `walk_back` (kernel)."""
-    n = columns - 1
-    while n > 0:
-        cost = table[rows[frame], n]
-        straight = sums[frame + 1, n + 1] + cost
-        skipped = sums[frame, n + 1] + cost
-        doubled = sums[frame + 1, n] + (cost + cost)
-        frames, back = step_back(straight, skipped, doubled)
-        frame, n = frame - frames, n - back
-    return frame

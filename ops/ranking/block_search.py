@@ -1,7 +1,7 @@
-"""The best hits of a template, looked for block by block in the order of the coarse bounds.
+"""The best hits of a template, found block by block in the order of the coarse bounds.
 
 Where a few hits are asked for, most blocks that may hold one below some threshold hold none that is good enough. Finer
-bounds of all of them would cost more than the sums of those few whose turn comes.
+bounds of all of them would cost more than the sums of those few that are reached.
 """
 
 from __future__ import annotations
@@ -11,43 +11,50 @@ import heapq
 import numba as nb
 import numpy as np
 
-from kinedex.ops.annotation.segments import TOLERANCE
-from kinedex.ops.distances.costs import F64, I32, I64
+from kinedex.ops.distances.costs import I32, I64, TemplateColumns
 from kinedex.ops.distances.stripes import BLOCK, U8
-from kinedex.ops.distances.window_sums import sum_window, walk_back, workspace
-from kinedex.ops.ranking.hit_selection import KEYS, ruled_out, take
+from kinedex.ops.distances.window_sums import is_minimum, make_window, path_start, sum_window
+from kinedex.ops.ranking.hit_selection import KEYS, Heap, Selection, add_hit, excluded, make_selection
 from kinedex.ops.words import U64
 
 
 @nb.njit(cache=True, nogil=True)
-def gather_blocks(blocks: I64, sums: U8, stretches: I64, homes: I64, columns: int) -> I64:
-    """Gather blocks that are close to each other, in windows that share most of their work (kernel).
+def gather_blocks(blocks: I64, sums: U8, ranges: I64, takes: I64, columns: int) -> I64:
+    """Gather blocks that are close to each other in groups that share most of their work (kernel).
 
     Parameters
     ----------
-    blocks: int64 (B,), ascending, those to look at. sums: uint8, the coarse sum of each block there is.
-    stretches: int64 (R, 2), see `ops.ranges.checked_ranges`. homes: int64 (R,), the take of each. columns: N.
+    blocks : int64 array (B,)
+        The blocks to search, ascending.
+    sums : uint8 array
+        The coarse sum of every block there is.
+    ranges : int64 array (R, 2)
+        The ranges that paths must not leave, see `ops.ranges.checked_ranges`.
+    takes : int64 array (R,)
+        The take of each range.
+    columns : int
+        The number of columns N of the template.
 
     Returns
     -------
-    int64 (G, 6): the frames [start, stop) of a group, the stretch they are in, [opens, closes), its take, and the
-    least sum.
+    int64 array (G, 6)
+        Of each group its half-open range of frames, the range that it lies in, its take, and the least sum.
     """
-    groups = np.empty((len(blocks) + len(stretches), 6), np.int64)
+    groups = np.empty((len(blocks) + len(ranges), 6), np.int64)
     count, place, known = 0, 0, -1
     for block in blocks:
         begin, end, least = block * BLOCK, (block + 1) * BLOCK, np.int64(sums[block])
-        while place < len(stretches) and stretches[place, 1] <= begin:
+        while place < len(ranges) and ranges[place, 1] <= begin:
             place += 1
         within = place
-        while within < len(stretches) and stretches[within, 0] < end:
-            start, stop = max(begin, stretches[within, 0]), min(end, stretches[within, 1])
+        while within < len(ranges) and ranges[within, 0] < end:
+            start, stop = max(begin, ranges[within, 0]), min(end, ranges[within, 1])
             near = known == within and start - groups[count - 1, 1] <= columns // 8
             if near and groups[count - 1, 0] // (columns + 8) == start // (columns + 8):
                 groups[count - 1, 1] = stop
                 groups[count - 1, 5] = min(groups[count - 1, 5], least)
             else:
-                groups[count] = (start, stop, stretches[within, 0], stretches[within, 1], homes[within], least)
+                groups[count] = (start, stop, ranges[within, 0], ranges[within, 1], takes[within], least)
                 count += 1
             known = within
             within += 1
@@ -55,46 +62,56 @@ def gather_blocks(blocks: I64, sums: U8, stretches: I64, homes: I64, columns: in
 
 
 @nb.njit(cache=True, nogil=True)
-def take_from_blocks(
-    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, threshold: float, groups: I64,
-    unit: float, order: I64, starts: I64, ends: I64, costs: F64,
-) -> tuple[int, int]:  # fmt: skip
-    """Take hits below a threshold, the best first, until there are enough or none is left (kernel).
+def select_from_blocks(
+    vocabulary: U64, codes: I32, template: TemplateColumns, threshold: float, groups: I64, unit: float, order: I64,
+    most: int,
+) -> tuple[Selection, int]:  # fmt: skip
+    """Select hits below a threshold, the best first, until there are enough or none is left (kernel).
 
-    Groups and minima wait in one heap, as in `ops.ranking.hit_selection.take_best`: a group by its least sum, which is
-    a
-    lower bound, and a minimum by its cost. The minima of a group are found when its turn comes.
+    Groups and minima wait in one heap, as in `ops.ranking.hit_selection.select_best`: a group by its least sum, which
+    is a lower bound, and a minimum by its cost. The minima of a group are found when it is reached. Their numbers are
+    those of their frames, the frames of all groups counted one after the other.
 
-    groups: see `gather_blocks`; outside of them no distance is below the threshold. unit: what a sum is worth, as a
-    distance. order: int64 (T,), the places of takes among equal hits. starts, ends, costs: what is found; their length
-    is how many are enough.
+    Parameters
+    ----------
+    vocabulary : uint64 array (W,)
+    codes : int32 array (L,)
+    template : TemplateColumns
+    threshold : float
+    groups : int64 array (G, 6)
+        See `gather_blocks`; outside of them no distance is below the threshold.
+    unit : float
+        The distance that a unit of the sums stands for.
+    order : int64 array (T,)
+        The places of takes among equal hits.
+    most : int
+        The number of hits that is enough.
 
     Returns
     -------
-    How many hits were taken, and how many frames were computed.
+    Selection
+        The hits.
+    int
+        The number of frames that were computed.
     """
-    columns = len(values)
-    heap, numbers, longest = groups_by_bound(groups, unit, order)
-    grid, local, row_of, used, trail = workspace(longest + 2 + 2 * columns, columns, len(vocabulary))
+    columns = len(template.values)
+    heap, numbers, longest = group_heap(groups, unit, order)
+    window = make_window(longest + 2 + 2 * columns, columns, len(vocabulary))
     sums = np.empty(longest + 2)
-    newest = np.full(len(order), -1, np.int64)  # the last hit taken in each take, and the one before each hit
-    older = np.empty(len(costs), np.int64)
-    # Of minima, by their numbers: the frames of groups are numbered one after the other.
-    exact, paths = np.empty(numbers[len(groups)]), np.empty(numbers[len(groups)], np.int64)
+    hits = make_selection(most, len(order))
+    exact, starts = np.empty(numbers[len(groups)]), np.empty(numbers[len(groups)], np.int64)
     group_of = np.empty(numbers[len(groups)], np.int64)
-    # Rounding does not make a sum of a hit greater than this.
-    limit = threshold * columns * (1 + 1e-9)
-    count, computed = 0, 0
-    while len(heap) > 0 and count < len(costs):
-        _, known, _, c = heapq.heappop(heap)
-        g = group_of[c] if known == 1 else c
-        start, stop, opens, closes, home, _ = groups[g]
-        if known == 1:
-            end = start + c - numbers[g]
-            count = take(paths[c], end, exact[c], home, newest, older, starts, ends, costs, count)
-            continue
+    limit = threshold * columns * (1 + 1e-9)  # rounding does not make the cost of a hit greater than this
+    computed = 0
+    while len(heap) > 0 and hits.found[0] < most:
+        _, known, _, number = heapq.heappop(heap)
+        g = group_of[number] if known == 1 else number
+        start, stop, opens, closes, take, _ = groups[g]
         shift = numbers[g] - start
-        start, stop = left_of(start, stop, newest[home], older, starts, ends)
+        if known == 1:
+            add_hit(hits, starts[number], number - shift, exact[number], take)
+            continue
+        start, stop = not_excluded(start, stop, hits, take)
         if start == stop:
             continue
         # A minimum is decided by its neighbours.
@@ -102,52 +119,41 @@ def take_from_blocks(
         begin = max(low - 2 * (columns - 1), opens)
         computed += high - begin
         found = sums[: high - low]
-        sum_window(
-            vocabulary, codes, values, parts, worths, counted, begin, low, found, limit, grid, local, row_of, used
-        )
+        sum_window(vocabulary, codes, template, begin, low, found, limit, window)
         found /= columns
-        trail[: high - begin] = -1
+        window.trail[: high - begin] = -1
         for frame in range(start, stop):
-            if least_there(found, frame - low, threshold):
-                c = frame + shift
-                exact[c], group_of[c] = found[frame - low], g
-                paths[c] = walk_back(grid, local, row_of, codes, begin, frame, c, trail, paths)
-                key = np.int64(np.rint(exact[c] * KEYS))
-                heapq.heappush(heap, (key, np.int64(1), np.int64(order[home]), np.int64(c)))
-    return count, computed
+            if is_minimum(found, frame - low, threshold):
+                number = frame + shift
+                exact[number], group_of[number] = found[frame - low], g
+                starts[number] = path_start(window, codes, begin, frame, number, starts)
+                key = np.int64(np.rint(exact[number] * KEYS))
+                heapq.heappush(heap, (key, np.int64(1), np.int64(order[take]), np.int64(number)))
+    return hits, computed
 
 
 @nb.njit(cache=True, nogil=True)
-def left_of(start: int, stop: int, hit: int, older: I64, starts: I64, ends: I64) -> tuple[int, int]:
-    """Leave out the frames at both sides of a group where a hit of its take, or one before it, rules out ends (kernel).
-
-    Returns the frames that are left, [start, stop).
-    """
-    while start < stop and ruled_out(0, start, hit, older, starts, ends, False):
+def not_excluded(start: int, stop: int, hits: Selection, take: int) -> tuple[int, int]:
+    """Shorten a half-open range by the frames at both sides that a selected hit of the take excludes (kernel)."""
+    while start < stop and excluded(hits, take, 0, start, False):
         start += 1
-    while stop > start and ruled_out(0, stop - 1, hit, older, starts, ends, False):
+    while stop > start and excluded(hits, take, 0, stop - 1, False):
         stop -= 1
     return start, stop
 
 
 @nb.njit(cache=True, nogil=True)
-def least_there(costs: F64, at: int, threshold: float) -> bool:
-    """Whether a cost is below the threshold and not above those beside it (kernel)."""
-    if not costs[at] < threshold - TOLERANCE:
-        return False
-    if at > 0 and costs[at] > costs[at - 1] + TOLERANCE:
-        return False
-    return not (at + 1 < len(costs) and costs[at] > costs[at + 1] + TOLERANCE)
+def group_heap(groups: I64, unit: float, order: I64) -> tuple[Heap, I64, int]:
+    """Make a heap of groups by their bounds (kernel).
 
-
-@nb.njit(cache=True, nogil=True)
-def groups_by_bound(
-    groups: I64, unit: float, order: I64
-) -> tuple[list[tuple[np.int64, np.int64, np.int64, np.int64]], I64, int]:
-    """Make a heap of groups by their bounds; return it (kernel).
-
-    Also returned are the number of each group's first frame, int64 (G + 1,), and the most frames of one.
-    Of equal keys a bound (0) comes before a cost (1): what it stands for may have to go first.
+    Returns
+    -------
+    heap : list of tuple
+        See `ops.ranking.hit_selection.Heap`.
+    numbers : int64 array (G + 1,)
+        The number of the first frame of each group.
+    longest : int
+        The most frames of a group.
     """
     heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
     heap.pop()

@@ -1,169 +1,236 @@
-"""The kernels of ranking: groups of candidates by their bounds, minima by their costs, the best taken first."""
+"""The kernels of ranking: groups of candidates by their bounds, minima by their costs, the best selected first."""
 
 from __future__ import annotations
 
 import heapq
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import TOLERANCE
-from kinedex.ops.distances.costs import F64, I32, I64
+from kinedex.ops.distances.costs import F64, I32, I64, Bool, TemplateColumns
 from kinedex.ops.distances.sweep import CAP, U16
-from kinedex.ops.distances.window_sums import sum_window, walk_back, workspace
+from kinedex.ops.distances.window_sums import make_window, path_start, sum_window
 from kinedex.ops.words import U64
 
 KEYS = 1e9
 """Costs are compared as whole billionths: those that are closer are equal, and the earlier frame comes first."""
 
+Heap = list[tuple[np.int64, np.int64, np.int64, np.int64]]
+"""Of each entry its key, 0 for a bound or 1 for a cost, the place of its take among equal hits, and its number. Of
+equal keys a bound comes before a cost: what it stands for may have to be selected first."""
+
+
+class Selection(NamedTuple):
+    """Hits that are selected, the best first, with room for H of them.
+
+    Parameters
+    ----------
+    starts, ends : int64 array (H,)
+        The first and the last frame of each hit, both included.
+    costs : float64 array (H,)
+        The distance at the last frame.
+    newest : int64 array (T,)
+        The hit of each take that was selected last, -1 for none.
+    older : int64 array (H,)
+        The hit of the same take that was selected before each hit, -1 for none.
+    found : int64 array (1,)
+        The number of hits.
+    """
+
+    starts: I64
+    ends: I64
+    costs: F64
+    newest: I64
+    older: I64
+    found: I64
+
+
+class Candidates(NamedTuple):
+    """Frames that can be minima of a distance curve, or stand beside such, in groups that are computed together.
+
+    Parameters
+    ----------
+    frames : int64 array (C,)
+        Ascending frames, see `ops.distances.pruning.possible_minima`.
+    possible : bool array (C,)
+        Whether each can be a minimum.
+    groups : int64 array (G + 1,)
+        Group g has the candidates groups[g] to groups[g + 1] - 1.
+    range_starts, takes : int64 array (C,)
+        Of each candidate the first frame of its range, and its take.
+    """
+
+    frames: I64
+    possible: Bool
+    groups: I64
+    range_starts: I64
+    takes: I64
+
 
 @nb.njit(cache=True, nogil=True)
-def take_best(
-    vocabulary: U64, codes: I32, values: U64, parts: U64, worths: F64, counted: F64, threshold: float, units: U16,
-    unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, begins: I64, homes: I64, order: I64,
-    starts: I64, ends: I64, costs: F64,
-) -> int:  # fmt: skip
-    """Take hits, the best first, until there are enough or none is left; return how many (kernel).
+def make_selection(most: int, takes: int) -> Selection:
+    """Make an empty selection with room for so many hits (kernel)."""
+    return Selection(
+        np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most), np.full(takes, -1, np.int64),
+        np.empty(most, np.int64), np.zeros(1, np.int64),
+    )  # fmt: skip
 
-    candidates, possible: see `ops.distances.pruning.possible_minima`. groups: int64 (G + 1,), those from groups[g] on
-    are computed together. begins, homes: int64 (C,), where the stretch of each begins, and its take. order: int64 (T,),
-    the places of takes among equal hits. starts, ends, costs: what is found; their length is how many are enough.
 
-    A minimum is decided by its neighbours. Where one of these is in another group, as where a still stretch is divided,
-    it is computed here too.
+@nb.njit(cache=True, nogil=True)
+def select_best(
+    vocabulary: U64, codes: I32, template: TemplateColumns, threshold: float, units: U16, unit: float,
+    candidates: Candidates, order: I64, most: int,
+) -> Selection:  # fmt: skip
+    """Select hits, the best first, until there are enough or none is left (kernel).
+
+    A minimum is decided by its neighbours. Where one of these is in another group, as where a motionless interval is
+    divided, it is computed here too.
+
+    Parameters
+    ----------
+    vocabulary : uint64 array (W,)
+    codes : int32 array (L,)
+    template : TemplateColumns
+    threshold : float
+    units : uint16 array (L,)
+        See `ops.distances.pruning.FineBound`.
+    unit : float
+        The distance that a unit stands for.
+    candidates : Candidates
+    order : int64 array (T,)
+        The places of takes among equal hits.
+    most : int
+        The number of hits that is enough.
     """
-    columns = len(values)
+    frames, possible, groups, range_starts, takes = candidates
+    columns = len(template.values)
     longest = 0
     for g in range(len(groups) - 1):
-        longest = max(longest, candidates[groups[g + 1] - 1] - candidates[groups[g]])
-    grid, local, row_of, used, trail = workspace(longest + 2 + 2 * columns, columns, len(vocabulary))
+        longest = max(longest, frames[groups[g + 1] - 1] - frames[groups[g]])
+    window = make_window(longest + 2 + 2 * columns, columns, len(vocabulary))
     sums = np.empty(longest + 3)
-    newest = np.full(len(order), -1, np.int64)  # the last hit taken in each take, and the one before each hit
-    older = np.empty(len(costs), np.int64)
-    exact, paths = np.empty(len(candidates)), np.empty(len(candidates), np.int64)
-    heap = first_bounds(units, unit, candidates, possible, groups, homes, order)
-    count = 0
-    while len(heap) > 0 and count < len(costs):
-        _, known, _, c = heapq.heappop(heap)
+    hits = make_selection(most, len(order))
+    exact, starts = np.empty(len(frames)), np.empty(len(frames), np.int64)
+    heap = group_heap(units, unit, candidates, order)
+    while len(heap) > 0 and hits.found[0] < most:
+        _, known, _, number = heapq.heappop(heap)
         if known == 1:
-            count = take(paths[c], candidates[c], exact[c], homes[c], newest, older, starts, ends, costs, count)
+            add_hit(hits, starts[number], frames[number], exact[number], takes[number])
             continue
-        first, stop = groups[c], groups[c + 1]
-        home = homes[first]
-        most_units = units_left(units, candidates, possible, first, stop, newest[home], older, starts, ends)
+        first, stop = groups[number], groups[number + 1]
+        take = takes[first]
+        most_units = units_left(units, candidates, first, stop, hits, take)
         if most_units < 0:
             continue
-        low, high = with_neighbours(candidates, begins, first, stop)
-        begin = max(candidates[low] - 2 * (columns - 1), begins[first])
-        found = sums[: candidates[high - 1] + 1 - candidates[low]]
-        # A path that has the least units costs less than these and N more; no more is of interest.
+        low, high = with_neighbours(candidates, first, stop)
+        begin = max(frames[low] - 2 * (columns - 1), range_starts[first])
+        found = sums[: frames[high - 1] + 1 - frames[low]]
+        # A path that has the least units costs less than these and N more; dearer ones are of no interest.
         limit = (most_units + columns + 1) * unit * columns
-        sum_window(
-            vocabulary, codes, values, parts, worths, counted, begin, candidates[low], found, limit, grid, local,
-            row_of, used,
-        )  # fmt: skip
+        sum_window(vocabulary, codes, template, begin, frames[low], found, limit, window)
         found /= columns
-        trail[: candidates[high - 1] + 1 - begin] = -1
+        window.trail[: frames[high - 1] + 1 - begin] = -1
         for i in range(first, stop):
-            if possible[i] and least_beside(candidates, found, low, i, threshold):
-                exact[i] = found[candidates[i] - candidates[low]]
-                paths[i] = walk_back(grid, local, row_of, codes, begin, candidates[i], i, trail, paths)
+            if possible[i] and is_least(frames, found, low, i, threshold):
+                exact[i] = found[frames[i] - frames[low]]
+                starts[i] = path_start(window, codes, begin, frames[i], i, starts)
                 key = np.int64(np.rint(exact[i] * KEYS))
-                heapq.heappush(heap, (key, np.int64(1), np.int64(order[home]), np.int64(i)))
-    return count
+                heapq.heappush(heap, (key, np.int64(1), np.int64(order[take]), np.int64(i)))
+    return hits
 
 
 @nb.njit(cache=True, nogil=True)
-def take(
-    start: int, end: int, cost: float, home: int, newest: I64, older: I64, starts: I64, ends: I64, costs: F64,
-    count: int,
-) -> int:  # fmt: skip
-    """Take a hit, unless one that was taken before rules it out; return how many there are then (kernel).
-
-    home: its take. newest: int64 (T,), the last hit taken in each take, older: int64 (H,), the one before each hit, −1
-    for none. starts, ends, costs: the hits, of which `count` are taken.
-    """
-    if ruled_out(start, end, newest[home], older, starts, ends, True):
-        return count
-    starts[count], ends[count], costs[count] = start, end, cost
-    older[count] = newest[home]
-    newest[home] = count
-    return count + 1
+def add_hit(hits: Selection, start: int, end: int, cost: float, take: int) -> None:
+    """Select a hit of a take, unless one that was selected before excludes it (kernel)."""
+    if excluded(hits, take, start, end, True):
+        return
+    count = hits.found[0]
+    hits.starts[count], hits.ends[count], hits.costs[count] = start, end, cost
+    hits.older[count] = hits.newest[take]
+    hits.newest[take] = count
+    hits.found[0] = count + 1
 
 
 @nb.njit(cache=True, nogil=True)
-def units_left(
-    units: U16, candidates: I64, possible: npt.NDArray[np.bool_], first: int, stop: int, hit: int, older: I64,
-    starts: I64, ends: I64,
-) -> int:  # fmt: skip
-    """The most units of those in a group that can be minima; −1 where hits of the take rule all out (kernel)."""
-    left, most = False, 0
-    for i in range(first, stop):
-        if possible[i]:
-            left = left or not ruled_out(0, candidates[i], hit, older, starts, ends, False)
-            most = max(most, int(units[candidates[i]]))
-    return most if left else -1
-
-
-@nb.njit(cache=True, nogil=True)
-def with_neighbours(candidates: I64, begins: I64, first: int, stop: int) -> tuple[int, int]:
-    """Widen a group by the candidate on each side that is the next frame of the same stretch (kernel)."""
-    low, high = first, stop
-    if first > 0 and begins[first - 1] == begins[first] and candidates[first - 1] == candidates[first] - 1:
-        low -= 1
-    if stop < len(candidates) and begins[stop] == begins[first] and candidates[stop] == candidates[stop - 1] + 1:
-        high += 1
-    return low, high
-
-
-@nb.njit(cache=True, nogil=True)
-def least_beside(candidates: I64, costs: F64, low: int, i: int, threshold: float) -> bool:
-    """Whether a candidate is below the threshold and not above its neighbours (kernel).
-
-    costs: float64, of the frames from the candidate `low` on. A frame beside it that is no candidate is provably
-    dearer.
-    """
-    at = candidates[i] - candidates[low]
-    if not costs[at] < threshold - TOLERANCE:
-        return False
-    if i > low and candidates[i - 1] == candidates[i] - 1 and costs[at] > costs[at - 1] + TOLERANCE:
-        return False
-    after = at + 1 < len(costs) and candidates[i + 1] == candidates[i] + 1
-    return not (after and costs[at] > costs[at + 1] + TOLERANCE)
-
-
-@nb.njit(cache=True, nogil=True)
-def first_bounds(
-    units: U16, unit: float, candidates: I64, possible: npt.NDArray[np.bool_], groups: I64, homes: I64, order: I64
-) -> list[tuple[np.int64, np.int64, np.int64, np.int64]]:
-    """Make a heap of groups by the least bound in each (kernel).
-
-    Of equal keys a bound (0) comes before a cost (1): what it stands for may have to go first.
-    """
-    heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
-    heap.pop()
-    for g in range(len(groups) - 1):
-        least = CAP
-        for i in range(groups[g], groups[g + 1]):
-            if possible[i]:
-                least = min(least, int(units[candidates[i]]))
-        key = np.int64(np.floor(least * unit * KEYS))
-        heap.append((key, np.int64(0), np.int64(order[homes[groups[g]]]), np.int64(g)))
-    heapq.heapify(heap)
-    return heap
-
-
-@nb.njit(cache=True, nogil=True)
-def ruled_out(start: int, end: int, hit: int, older: I64, starts: I64, ends: I64, started: bool) -> bool:
-    """Whether a hit of a take, or one before it, rules a place out: by its end, or by its start if known (kernel)."""
+def excluded(hits: Selection, take: int, start: int, end: int, start_known: bool) -> bool:
+    """Return whether a selected hit of the same take excludes a hit: by its end, or by its start if known (kernel)."""
+    starts, ends, _, newest, older, _ = hits
+    hit = newest[take]
     while hit >= 0:
         length = ends[hit] + 1 - starts[hit]
         later = end - ends[hit]
         if -length <= 2 * later and 10 * later <= length:
             return True
         later = start - starts[hit]
-        if started and -length <= 10 * later and 2 * later <= length:
+        if start_known and -length <= 10 * later and 2 * later <= length:
             return True
         hit = older[hit]
     return False
+
+
+@nb.njit(cache=True, nogil=True)
+def units_left(units: U16, candidates: Candidates, first: int, stop: int, hits: Selection, take: int) -> int:
+    """Return the most units of those in a group that can be minima; −1 where all are excluded (kernel)."""
+    frames, possible, _, _, _ = candidates
+    left, most = False, 0
+    for i in range(first, stop):
+        if possible[i]:
+            left = left or not excluded(hits, take, 0, frames[i], False)
+            most = max(most, int(units[frames[i]]))
+    return most if left else -1
+
+
+@nb.njit(cache=True, nogil=True)
+def with_neighbours(candidates: Candidates, first: int, stop: int) -> tuple[int, int]:
+    """Widen a group by the candidate on each side that is the next frame of the same range (kernel)."""
+    frames, begins = candidates.frames, candidates.range_starts
+    low, high = first, stop
+    if first > 0 and begins[first - 1] == begins[first] and frames[first - 1] == frames[first] - 1:
+        low -= 1
+    if stop < len(frames) and begins[stop] == begins[first] and frames[stop] == frames[stop - 1] + 1:
+        high += 1
+    return low, high
+
+
+@nb.njit(cache=True, nogil=True)
+def is_least(frames: I64, distances: F64, low: int, i: int, threshold: float) -> bool:
+    """Return whether a candidate is below the threshold and not above its neighbours (kernel).
+
+    A frame beside it that is no candidate is provably dearer.
+
+    Parameters
+    ----------
+    frames : int64 array (C,)
+        The frames of candidates.
+    distances : float64 array
+        Those of the frames from the candidate `low` on.
+    low, i : int
+        The numbers of candidates.
+    threshold : float
+    """
+    at = frames[i] - frames[low]
+    if not distances[at] < threshold - TOLERANCE:
+        return False
+    if i > low and frames[i - 1] == frames[i] - 1 and distances[at] > distances[at - 1] + TOLERANCE:
+        return False
+    after = at + 1 < len(distances) and frames[i + 1] == frames[i] + 1
+    return not (after and distances[at] > distances[at + 1] + TOLERANCE)
+
+
+@nb.njit(cache=True, nogil=True)
+def group_heap(units: U16, unit: float, candidates: Candidates, order: I64) -> Heap:
+    """Make a heap of groups by the least bound in each (kernel)."""
+    frames, possible, groups, _, takes = candidates
+    heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
+    heap.pop()
+    for g in range(len(groups) - 1):
+        least = CAP
+        for i in range(groups[g], groups[g + 1]):
+            if possible[i]:
+                least = min(least, int(units[frames[i]]))
+        key = np.int64(np.floor(least * unit * KEYS))
+        heap.append((key, np.int64(0), np.int64(order[takes[groups[g]]]), np.int64(g)))
+    heapq.heapify(heap)
+    return heap

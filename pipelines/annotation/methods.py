@@ -19,7 +19,7 @@ from kinedex.ops.annotation.decoding import Decoding, background, confidences, e
 from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode
-from kinedex.ops.distances.pruning import Coarse, coarse_bounds
+from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
@@ -129,7 +129,7 @@ class ThesisMethod:
         taus = self.thresholds[self.class_index]
         coded = encode(words.words)
         wide = [s for s, own in enumerate(ranges) if NARROW * int((own[:, 1] - own[:, 0]).sum()) > len(words.words)]
-        coarse: list[Coarse | None] = [None] * len(ranges)
+        coarse: list[CoarseBound | None] = [None] * len(ranges)
         bounds = coarse_bounds([self.templates[s] for s in wide], coded, taus[wide], whole_takes(words))
         for s, bound in zip(wide, bounds, strict=True):
             coarse[s] = bound

@@ -19,7 +19,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.ops.ranking.test_ranking import spoiled, walk
-from tests.oracles.minima import start_frames
+from tests.oracles.paths import start_frames
 
 
 def assert_those_of_whole_curves(
@@ -61,7 +61,7 @@ def test_long_ranges_of_many_words_are_gone_over_in_pieces(seed: int):
     rng = np.random.default_rng(seed)
     words = walk(rng, 30_000, 30)
     words[rng.integers(0, len(words), 5)] = NO_WORD
-    assert len(np.unique(words)) > within._ROWS
+    assert len(np.unique(words)) > within._PIECE + 2 * 70
     several = [spoiled(rng, words[begin : begin + columns], 30) for begin, columns in ((9_000, 1), (20_000, 70))]
     ranges = [
         np.array([[0, 3 * within._PIECE], [3 * within._PIECE, len(words)]]),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kinedex.ops.distances import pruning
 from kinedex.ops.distances.costs import encode, lay_out
 from kinedex.ops.distances.pruning import coarse_bounds
-from kinedex.ops.distances.stripes import BLOCK, SLOTS, aligned, deal, least_sums
+from kinedex.ops.distances.stripes import BLOCK, SLOTS, aligned_bytes, least_sums, place_columns
 from kinedex.ops.distances.sweep import pieces_of
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles.stripes import CAP, coarse_sums
@@ -46,7 +46,7 @@ def test_no_path_leads_from_one_take_into_the_next(
 
 @given(st.lists(st.integers(1, 500), min_size=1, max_size=SLOTS // 2))
 def test_templates_end_in_the_last_row_below_a_cell_of_their_own(lengths: list[int]):
-    rows, slots, places = deal(np.array(lengths))
+    rows, slots, places = place_columns(np.array(lengths))
     assert rows % 2 == 0
     assert len(np.unique(places)) == len(places) == sum(lengths)
     assert 0 <= places.min() <= places.max() < rows * SLOTS
@@ -61,12 +61,12 @@ def test_templates_end_in_the_last_row_below_a_cell_of_their_own(lengths: list[i
 
 
 def test_more_templates_than_a_pass_has_room_for_are_bounded_in_several(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(pruning, "_TOGETHER", 2)
+    monkeypatch.setattr(pruning, "_MOST_TEMPLATES", 2)
     template = quantised([[0, 1, None, 1, 0], [1, 1, 0, None, 0], [0, 0, 0, 1, 1]])
     take = [[0, 1, 0, 1, 0], [1, 1, 0, 0, 0], [0, 0, 0, 1, 1]] * 5
-    words, stretches = encode(as_words_with_gaps(take)), np.array([[0, len(take)]])
-    together = coarse_bounds([template] * 5, words, np.full(5, 0.2), stretches)
-    alone = coarse_bounds([template], words, np.full(1, 0.2), stretches)
+    words, ranges = encode(as_words_with_gaps(take)), np.array([[0, len(take)]])
+    together = coarse_bounds([template] * 5, words, np.full(5, 0.2), ranges)
+    alone = coarse_bounds([template], words, np.full(1, 0.2), ranges)
     for one in together:
         np.testing.assert_array_equal(one.sums, alone[0].sums)
     assert alone[0].sums.min() == 0
@@ -74,7 +74,7 @@ def test_more_templates_than_a_pass_has_room_for_are_bounded_in_several(monkeypa
 
 @pytest.mark.parametrize("shape", [(1,), (3, 128), (7, 5)])
 def test_rows_begin_with_a_line_of_the_cache(shape: tuple[int, ...]):
-    cells = aligned(shape, 7)
+    cells = aligned_bytes(shape, 7)
     assert cells.shape == shape
     assert cells.ctypes.data % SLOTS == 0
     assert (cells == 7).all()

@@ -1,4 +1,4 @@
-"""Sums of a window against the whole curve, in room that is full of numbers which are no sums."""
+"""Sums of a window against the whole curve, in memory that is full of numbers which are no sums."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.distances.costs import encode, lay_out
+from kinedex.ops.distances.costs import encode, template_columns
 from kinedex.ops.distances.dtw import distance_curves
-from kinedex.ops.distances.window_sums import sum_window, walk_back, workspace
+from kinedex.ops.distances.window_sums import make_window, path_start, sum_window
 from tests.ops.distances.test_dtw import as_words_with_gaps, quantised, takes_with_gaps, templates
 from tests.oracles.dtw import curve_and_starts
 
@@ -26,27 +26,24 @@ def test_sums_within_the_limit_are_exact_and_the_others_above_it_whatever_was_th
     if not len(words):
         return
     one, coded = quantised(template), encode(words)
-    columns, layout = len(one), lay_out([one])
+    columns = len(one)
     (curve,) = distance_curves([one], words)
     _, starts = curve_and_starts(template, [frame for take in takes for frame in take])
     limit = share * columns
-    grid, costs, row_of, used, trail = workspace(len(words) + 2, columns, len(coded.vocabulary))
-    grid[2:] = -1e9
-    paths = np.empty(len(words), np.int64)
+    window = make_window(len(words) + 2, columns, len(coded.vocabulary))
+    window.sums[2:] = -1e9
+    found = np.empty(len(words), np.int64)
     for _ in range(3):
         end = data.draw(st.integers(0, len(words) - 1))
         stop = data.draw(st.integers(end + 1, len(words)))
         begin = max(end - 2 * (columns - 1), 0)
         sums = np.empty(stop - end)
-        sum_window(
-            coded.vocabulary, coded.codes, layout.values[:columns], layout.parts[:, :columns],
-            layout.worths[:, :columns], layout.counted[:columns], begin, end, sums, limit, grid, costs, row_of, used,
-        )  # fmt: skip
+        sum_window(coded.vocabulary, coded.codes, template_columns(one), begin, end, sums, limit, window)
         within = sums <= limit
         np.testing.assert_array_equal(sums[within] / columns, curve[end:stop][within])
         assert (curve[end:stop][~within] * columns > limit * (1 - 1e-9)).all()
-        trail[:] = -1
+        window.trail[:] = -1
         ends = np.flatnonzero(within & (sums < np.inf)) + end
         for e in ends.tolist():
-            paths[e] = walk_back(grid, costs, row_of, coded.codes, begin, e, e, trail, paths)
-        np.testing.assert_array_equal(paths[ends], np.array(starts, np.float64)[ends])
+            found[e] = path_start(window, coded.codes, begin, e, e, found)
+        np.testing.assert_array_equal(found[ends], np.array(starts, np.float64)[ends])

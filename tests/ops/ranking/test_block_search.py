@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.distances.costs import encode, lay_out
+from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import coarse_bounds
 from kinedex.ops.distances.stripes import BLOCK
 from kinedex.ops.ranking import ranking
@@ -31,8 +31,8 @@ def test_the_first_hits_of_blocks_are_those_of_the_naive_twin(
     archive = ranking._archive(TakeWords(np.arange(len(takes)), offsets, laid), None, None, None)
     one = quantised(template)
     made_for = threshold * data.draw(st.sampled_from([1.0, 2.0]))
-    (coarse,) = coarse_bounds([one], archive.coded, np.array([made_for]), archive.stretches)
-    hits = ranking._first_below(lay_out([one]), archive, threshold, most, coarse)
+    (coarse,) = coarse_bounds([one], archive.coded, np.array([made_for]), archive.ranges)
+    hits = ranking._best_below(one, archive, threshold, most, coarse)
     expected = naive.ranked(template, takes, threshold)[:most]
     assert list(zip(hits.takes.tolist(), hits.starts.tolist(), hits.stops.tolist(), strict=True)) == [
         found[:3] for found in expected
@@ -57,9 +57,9 @@ def test_the_first_hits_of_blocks_are_the_first_of_all_hits_within_ranges_and_in
     order = np.array(data.draw(st.permutations(range(3))), np.int64)
     archive = ranking._archive(TakeWords(np.arange(3), edges, words), ranges, None, order)
     one = quantised(template, weights)
-    (coarse,) = coarse_bounds([one], archive.coded, np.array([threshold]), archive.stretches)
-    first = ranking._first_below(lay_out([one]), archive, threshold, most, coarse)
-    every = ranking._all_below(one, lay_out([one]), archive, threshold, None, coarse)
+    (coarse,) = coarse_bounds([one], archive.coded, np.array([threshold]), archive.ranges)
+    first = ranking._best_below(one, archive, threshold, most, coarse)
+    every = ranking._all_below(one, archive, threshold, None, coarse)
     for name in ("takes", "starts", "stops", "costs"):
         np.testing.assert_array_equal(getattr(first, name), getattr(every, name)[:most])
     assert first.frames == every.frames
@@ -71,19 +71,19 @@ def test_the_first_hits_of_blocks_are_the_first_of_all_hits_within_ranges_and_in
     st.integers(1, 255),
     st.integers(1, 60),
 )
-def test_groups_hold_every_frame_of_their_blocks_once_and_stay_within_stretches(
+def test_groups_hold_every_frame_of_their_blocks_once_and_stay_within_ranges(
     lengths: list[int], sums: list[int], below: int, columns: int
 ):
     edges = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
-    stretches = np.stack([edges[:-1], edges[1:]], axis=1)
+    ranges = np.stack([edges[:-1], edges[1:]], axis=1)
     least = np.array(sums, np.uint8)[: -(-int(edges[-1]) // BLOCK)]
-    homes = np.arange(len(stretches), dtype=np.int64) // 2
-    groups = gather_blocks(np.flatnonzero(least < below), least, stretches, homes, columns)
+    takes = np.arange(len(ranges), dtype=np.int64) // 2
+    groups = gather_blocks(np.flatnonzero(least < below), least, ranges, takes, columns)
     held = np.zeros(edges[-1], np.int64)
-    for start, stop, opens, closes, home, bound in groups.tolist():
+    for start, stop, opens, closes, take, bound in groups.tolist():
         assert opens <= start < stop <= closes
         assert stop - start <= columns + 8 + BLOCK
-        assert homes[edges[:-1] == opens].tolist() == [home]
+        assert takes[edges[:-1] == opens].tolist() == [take]
         held[start:stop] += 1
         blocks = least[start // BLOCK : (stop - 1) // BLOCK + 1]
         assert bound == blocks.min()
@@ -91,15 +91,15 @@ def test_groups_hold_every_frame_of_their_blocks_once_and_stay_within_stretches(
     assert held[np.repeat(least < below, BLOCK)[: edges[-1]]].all()
 
 
-def test_a_still_take_is_looked_at_in_short_windows_whose_minima_know_their_neighbours():
+def test_a_motionless_take_is_computed_in_short_windows_whose_minima_know_their_neighbours():
     rng = np.random.default_rng(4)
     still = np.full(400, 0b1011, np.uint64)
     still[rng.integers(0, 400, 60)] ^= np.uint64(2)
     words = TakeWords(np.arange(1), np.array([0, 400]), still)
     one = quantised([[1, 1, 0, 1], [1, 0, 0, 1], [1, 1, 0, 1], [1, None, 0, 1]])
     archive = ranking._archive(words, None, encode(still), None)
-    (coarse,) = coarse_bounds([one], archive.coded, np.array([0.2]), archive.stretches)
-    first = ranking._first_below(lay_out([one]), archive, 0.2, 200, coarse)
+    (coarse,) = coarse_bounds([one], archive.coded, np.array([0.2]), archive.ranges)
+    first = ranking._best_below(one, archive, 0.2, 200, coarse)
     every = ranking.rank(one, words, 0.2)
     assert 100 < len(every) < 200
     for name in ("takes", "starts", "stops", "costs"):

@@ -16,8 +16,9 @@ from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances import pruning
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.dtw import distance_curves
-from kinedex.ops.distances.pruning import coarse_bounds
+from kinedex.ops.distances.pruning import FineBound, coarse_bound, coarse_bounds, fine_bound, possible_minima
 from kinedex.ops.distances.stripes import BLOCK
+from kinedex.ops.distances.sweep import CAP
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranking import ranking
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
@@ -25,7 +26,6 @@ from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quant
 from kinedex.ops.words import NO_WORD, TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
-from tests.oracles.minima import minima_below, start_frames
 
 thresholds = st.sampled_from([0.05, 0.1, 0.3, 0.5, 1.0])
 
@@ -99,11 +99,23 @@ def test_a_coarse_bound_is_never_above_the_curve(
     for one, curve, tau, template in zip(coarse, curves, taus.tolist(), chosen, strict=True):
         assert (np.repeat(one.sums, BLOCK)[: len(curve)] * one.unit <= curve + 1e-12).all()
         for lower in (tau, tau / 2, tau / 10):
-            assert not (~np.repeat(one.below(lower), BLOCK)[: len(curve)] & (curve < lower)).any()
-            found = minima_below(template, words, lower, kept, coarse=one)
-            plain = minima_below(template, words, lower, kept, prune=False)
-            for name in ("starts", "ends", "costs"):
-                np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
+            assert not (~np.repeat(one.blocks_below(lower), BLOCK)[: len(curve)] & (curve < lower)).any()
+            for bound in (one, None):
+                assert_no_minimum_is_lost(fine_bound(template, encode(words), lower, kept, bound), curve, lower, kept)
+
+
+def assert_no_minimum_is_lost(bound: FineBound, curve: np.ndarray, tau: float, ranges: np.ndarray) -> None:
+    assert bound.frames == (ranges[:, 1] - ranges[:, 0]).sum()
+    left = bound.units < CAP
+    assert (bound.units[left] * bound.unit <= curve[left] + 1e-12).all()
+    assert (curve[~left] >= tau - 1e-12).all()
+    candidates, possible = possible_minima(bound.units, bound.ranges, bound.slack)
+    minima = np.concatenate([np.empty(0, np.int64), *(local_minima(curve[a:b], tau) + a for a, b in ranges.tolist())])
+    assert np.isin(minima, candidates[possible]).all()
+    # what decides about a minimum is there, too
+    beside = np.concatenate([minima - 1, minima + 1])
+    beside = beside[(beside >= 0) & (beside < len(curve))]
+    assert np.isin(beside[left[beside] & (curve[beside] < tau)], candidates).all()
 
 
 def walk(rng: np.random.Generator, frames: int, bits: int) -> np.ndarray:
@@ -121,10 +133,10 @@ def spoiled(rng: np.random.Generator, words: np.ndarray, bits: int) -> Quantised
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("threshold", [0.02, 0.1, 0.25])
-def test_pruning_loses_no_minimum_and_says_what_it_skipped(
+def test_pruning_loses_no_minimum_and_reports_what_it_skipped(
     seed: int, threshold: float, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(pruning, "_WORTHWHILE", 1)  # coarse sums are looked at in any case
+    monkeypatch.setattr(pruning, "_LEAST_COLUMNS", 1)  # coarse sums are computed in any case
     rng = np.random.default_rng(seed)
     words = walk(rng, 60_000, 16)
     words[rng.integers(0, len(words), 20)] = NO_WORD
@@ -134,24 +146,20 @@ def test_pruning_loses_no_minimum_and_says_what_it_skipped(
     cuts = np.unique(rng.integers(0, len(words), 20))
     ranges = np.stack([cuts[:-1], cuts[1:]], axis=1)
     (curve,) = distance_curves([template], words, ranges)
-    expected = np.concatenate([local_minima(curve[a:b], threshold) + a for a, b in ranges.tolist()])
-    for prune in (True, False):
-        found = minima_below(template, words, threshold, ranges, prune=prune)
-        np.testing.assert_array_equal(found.ends, expected)
-        np.testing.assert_array_equal(found.costs, curve[expected])
-        np.testing.assert_array_equal(found.starts, start_frames(template, words, expected, ranges))
-        assert 0 <= found.skipped <= 1
-        assert found.frames == cuts[-1] - cuts[0]
-        if not prune:
-            assert found.computed >= found.frames
+    coded = encode(words)
+    whole = fine_bound(template, coded, threshold, ranges)
+    pruned = fine_bound(template, coded, threshold, ranges, coarse_bound(template, coded, threshold, ranges))
+    for bound in (whole, pruned):
+        assert_no_minimum_is_lost(bound, curve, threshold, ranges)
+    assert whole.computed >= whole.frames
     if threshold == 0.02:
-        assert minima_below(template, words, threshold, ranges).skipped > 0.3
+        assert pruned.computed < 0.7 * pruned.frames
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
 @pytest.mark.parametrize("seed", range(3))
 def test_the_best_hits_are_the_first_of_all_hits(seed: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(pruning, "_WORTHWHILE", 1)
+    monkeypatch.setattr(pruning, "_LEAST_COLUMNS", 1)
     rng = np.random.default_rng(seed)
     words = walk(rng, 20_000, 12)
     columns = int(rng.integers(20, 60))
@@ -165,8 +173,8 @@ def test_the_best_hits_are_the_first_of_all_hits(seed: int, monkeypatch: pytest.
     every = rank(template, takes, 0.15)
     assert len(every) > 30
     thresholds = []
-    below = ranking._first_below
-    monkeypatch.setattr(ranking, "_first_below", lambda *given: thresholds.append(given[2]) or below(*given))
+    below = ranking._best_below
+    monkeypatch.setattr(ranking, "_best_below", lambda *given: thresholds.append(given[2]) or below(*given))
     for most in (1, 2, 7, 20, 30):
         hits = rank(template, takes, 0.15, most)
         for name in ("takes", "starts", "stops", "costs"):
@@ -193,15 +201,12 @@ def test_real_classes_ranked_together_have_the_minima_of_their_whole_curves(shar
             classes.setdefault(found[1], []).append(own)
     chosen = [quantise(learn_soft(clips[:6], 40).template, 0.1) for clips in classes.values()]
     assert len(chosen) == 11
-    stretches = np.stack([offsets[:-1], offsets[1:]], axis=1)
-    curves = distance_curves(chosen, words.words, stretches)
+    ranges = np.stack([offsets[:-1], offsets[1:]], axis=1)
+    curves = distance_curves(chosen, words.words, ranges)
     together = rank_together(chosen, words, np.full(11, 0.1), 40)
-    coarse = coarse_bounds(chosen, encode(words.words), np.full(11, 0.1), stretches)
+    coarse = coarse_bounds(chosen, encode(words.words), np.full(11, 0.1), ranges)
     for template, curve, hits, bound in zip(chosen, curves, together, coarse, strict=True):
-        expected = np.concatenate([local_minima(curve[a:b], 0.1) + a for a, b in stretches.tolist()])
-        found = minima_below(template, words.words, 0.1, stretches, coarse=bound)
-        np.testing.assert_array_equal(found.ends, expected)
-        np.testing.assert_array_equal(found.costs, curve[expected])
+        assert_no_minimum_is_lost(fine_bound(template, encode(words.words), 0.1, ranges, bound), curve, 0.1, ranges)
         assert hits.costs[0] == curve.min()
         assert_same_hits(hits, rank(template, words, 0.1, 40))
         assert (np.repeat(bound.sums, BLOCK)[: len(curve)] * bound.unit <= curve + 1e-12).all()
@@ -235,7 +240,7 @@ def test_equal_hits_come_in_the_order_that_takes_are_given():
 
 
 @pytest.mark.parametrize("block", [1, 2, 3, 7, 1000])
-def test_a_still_stretch_is_divided_without_a_trace(block: int, monkeypatch: pytest.MonkeyPatch):
+def test_a_motionless_interval_is_divided_without_a_trace(block: int, monkeypatch: pytest.MonkeyPatch):
     rng = np.random.default_rng(block)
     still = np.full(90, 0b1011, np.uint64)
     for at in rng.integers(0, len(still), 9):
@@ -256,7 +261,7 @@ def test_a_still_stretch_is_divided_without_a_trace(block: int, monkeypatch: pyt
     assert len(whole[4]) > 5
 
 
-def test_the_window_does_not_grow_with_a_still_stretch():
+def test_the_window_does_not_grow_with_a_motionless_interval():
     for frames in (10_000, 100_000):
         still = np.arange(frames, dtype=np.int64)
         groups = ranking.grouped(still, np.zeros(frames, np.int64), 150)

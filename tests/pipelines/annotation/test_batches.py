@@ -25,7 +25,7 @@ from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.search.preselection import preselect, template_ranges
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from tests.oracles import annotation as naive
-from tests.oracles.minima import start_frames
+from tests.oracles.paths import start_frames
 from tests.pipelines.labelled import BODY, POSES, motion
 
 

@@ -1,0 +1,77 @@
+"""The recurrence of subsequence DTW over the steps (1,1), (1,2) and (2,1) of template and take (thesis, Section 5.2).
+
+With c the local cost of column n in frame f, the cheapest path that ends there costs
+
+    D(n, f) = min(D(n − 1, f − 1) + c, D(n − 1, f − 2) + c, D(n − 2, f − 1) + 2 c).
+
+A (2,1) step counts the local cost twice, so that every complete path of a template of N columns has N units of weight.
+The kernels that use these functions keep one row of costs for each frame, in which two more cells precede the first
+column: D(n, f) lies in place n + 2 of the row of frame f.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from kinedex.ops.distances.costs import F64
+
+COARSE_CAP = 255
+"""Sums of coarse units stop here, at the greatest number of 8 bits."""
+
+_COARSE_CAP = np.uint8(COARSE_CAP)
+
+
+@nb.njit(inline="always")
+def path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def]
+    """Return the cost of the cheapest path to a cell, in the number type of the local cost (inlined kernel).
+
+    Parameters
+    ----------
+    straight, slow, fast : number
+        The costs of the cells that the steps (1,1), (1,2) and (2,1) come from.
+    cost : number
+        The local cost of the cell.
+    """
+    number = type(cost)
+    single = number((straight if straight < slow else slow) + cost)
+    double = number(fast + number(cost + cost))
+    return double if double < single else single
+
+
+@nb.njit(inline="always")
+def coarse_path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def]
+    """Return `path_cost` of whole units in 8 bits, where every addition stops at `COARSE_CAP` (inlined kernel).
+
+    Additions that stop can be done in any order, so that c + min(D(n − 1, f − 1), D(n − 1, f − 2), D(n − 2, f − 1) + c)
+    is the same with one operation less: `path_cost` with such additions takes 1.3 times as long
+    (`python -m benchmarks.recurrence`).
+    """
+    far = np.uint8(fast + cost)
+    far = far if far >= cost else _COARSE_CAP
+    near = straight if straight < slow else slow
+    near = near if near < far else far
+    total = np.uint8(near + cost)
+    return total if total >= cost else _COARSE_CAP
+
+
+@nb.njit(cache=True, nogil=True)
+def step_back(sums: F64, frame: int, n: int, cost: float) -> tuple[int, int]:
+    """Return by how many frames and columns the cheapest path to a cell goes back (kernel).
+
+    Of equally cheap steps the first of (1,1), (1,2), (2,1) is taken.
+
+    Parameters
+    ----------
+    sums : float64 array (F + 2, N + 2)
+        The costs of paths; those of frame f are in row f + 2.
+    frame, n : int
+        The frame and the column of the cell.
+    cost : float
+        The local cost of the cell.
+    """
+    straight, slow = sums[frame + 1, n + 1] + cost, sums[frame, n + 1] + cost
+    fast = sums[frame + 1, n] + (cost + cost)
+    if fast < straight and fast < slow:
+        return 1, 2
+    return (2, 1) if slow < straight else (1, 1)
