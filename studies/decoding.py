@@ -273,7 +273,7 @@ def of_styles(store: Store, where: str) -> dict[str, list[Trial]]:
 
 def grid(sets: Mapping[str, Sequence[Trial]], feature_set: FeatureSet) -> Table:
     """Lay out F (frames) and F (segments) of every setting and of the thesis's method on every set."""
-    table = Table(box=box.SIMPLE_HEAD, title="F1 F2", title_justify="left")
+    table = Table(box=box.SIMPLE_HEAD, title="F (frames), F (segments)", title_justify="left")
     for name in ("splits", "smoothing", "entry", "skip", "stay", "gain", *sets, "mean"):
         table.add_column(name, justify="right", min_width=len(name.split()[0]))
 

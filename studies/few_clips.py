@@ -129,7 +129,9 @@ def main() -> None:
     executor = make_executor("serial", None)
     people = clips["actor"].n_unique()
     print(f"{clips['class'].n_unique()} classes; {clips.height} clips of {people} people; {given.draws} draws")
-    print("\n| clips of a class | in all | thesis: F1 | F2 | best: F1 | F2 |\n|---|--:|---|---|---|---|")
+    print(
+        "\n| clips of a class | in all | thesis: F (frames) | F (segments) | best: F (frames) | F (segments) |\n|---|--:|---|---|---|---|"
+    )
     for count in (*given.counts, None):
         sizes: list[int] = []
         found: dict[str, list[Counts]] = {method: [] for method in METHODS}

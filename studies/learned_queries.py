@@ -101,7 +101,7 @@ def main() -> None:
     )  # fmt: skip
     names = arguments.variant or [name for name in VARIANTS if name != NO_QUERIES or study.annotate]
     heads = ["variant", "left out", "segments hit", "in all", "of them covered", "frames kept"]
-    heads += ["F1", "F2"] if study.annotate else []
+    heads += ["F (frames)", "F (segments)"] if study.annotate else []
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     details = {}
     for name in names:

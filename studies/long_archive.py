@@ -269,7 +269,9 @@ def _study(hours: float, given: argparse.Namespace) -> None:
     print(f"{_seconds(before.stages)}; workers {_mib(before.worker_mib)} MiB, coordinator {before.coordinator_mib:.0f}")
     print(
         "\n| hours | method | takes | seconds | hours a minute | CPU seconds | MiB of each worker | "
-        "MiB of the coordinator | frames matched | segments | F1 (95 %) | F2 (95 %) |\n|" + "---|" * 12
+        "MiB of the coordinator | frames matched | segments | F (frames) (95 %) | F (segments) (95 %) |\n|"
+        + "---|"
+        * 12
     )
     methods = given.method or DEFAULT
     for method in methods:
