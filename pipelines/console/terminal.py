@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import textwrap
 from types import TracebackType
 
@@ -11,7 +10,6 @@ from rich.console import Console, RenderableType
 WIDE = 160
 """Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
 
-_LOGGER = logging.getLogger(__name__)
 _messages = {"quiet": False, "to_stderr": False}
 
 
@@ -78,14 +76,13 @@ class Progress:
 
 
 class Terminal:
-    """Messages, tables and progress bars of a pipeline run; every message is a log record as well."""
+    """Messages, tables and progress bars of a pipeline run; the stages and the runner log what they show."""
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or message_console()
 
     def say(self, text: str) -> None:
         """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
-        _LOGGER.info(text)
         if self.console.is_terminal:
             text = "\n".join(self._wrapped(line) for line in text.splitlines())
         self.console.print(f"    {text}", markup=False)
@@ -99,7 +96,6 @@ class Terminal:
 
     def heading(self, text: str) -> None:
         """Print one line that begins a step."""
-        _LOGGER.info(text)
         self.console.print(text, markup=False, style="bold")
 
     def show(self, table: RenderableType) -> None:

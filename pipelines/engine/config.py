@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
-from kinedex.pipelines.engine.stage import STAGES, Stage, load_stage
+from kinedex.pipelines.engine.stage import STAGES, Input, Stage, load_stage
 
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
@@ -49,7 +50,7 @@ class PipelineStage:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A pipeline file with its settings filled in; stages stand in an order in which they can run."""
+    """A pipeline file with its settings filled in; its stages are in an order in which they can run."""
 
     name: str
     path: Path
@@ -57,180 +58,229 @@ class Pipeline:
     stages: tuple[PipelineStage, ...] = field(default_factory=tuple)
 
     def stage(self, name: str) -> PipelineStage:
-        """A stage by its name; a KinedexError names the nearest."""
+        """Return a stage by its name; a KinedexError names the nearest one."""
         for stage in self.stages:
             if stage.name == name:
                 return stage
         raise KinedexError(f"{self.path}: no stage '{name}'{did_you_mean(name, [s.name for s in self.stages])}")
 
 
-def load_pipeline(name_or_path: str | Path, assignments: Mapping[str, str] | None = None) -> Pipeline:
+@dataclass(frozen=True)
+class _Given:
+    """A value that the user gives for a setting or a parameter: a text of `--set`, or a Python value."""
+
+    name: str
+    value: Any
+    is_text: bool
+
+    @property
+    def place(self) -> str:
+        """Where the user gave it, for messages."""
+        return f"--set {self.name}" if self.is_text else f"settings['{self.name}']"
+
+    @property
+    def shown(self) -> str:
+        """The place with the value, for messages."""
+        return f"{self.place}={self.value}" if self.is_text else f"{self.place} = {self.value!r}"
+
+    def parsed(self, is_text_expected: bool) -> Any:
+        """Return the value; of a text of `--set` as YAML, unless a text is expected."""
+        if not self.is_text:
+            return _plain(self.value)
+        if is_text_expected:
+            return self.value
+        try:
+            return parse_yaml(self.value, self.place).data
+        except ConfigError as fault:
+            raise KinedexError(f"{self.shown}: {fault.reason}; quote it") from None
+
+
+def _plain(value: Any) -> Any:
+    """Return paths as texts and numpy's numbers as Python's, also inside of lists and dictionaries."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, dict):
+        return {_plain(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(part) for part in value]
+    return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
+
+
+def load_pipeline(
+    name_or_path: str | Path,
+    assignments: Mapping[str, str] | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Pipeline:
     """Read a pipeline file.
 
     Parameters
     ----------
-    name_or_path: a shipped name or a path ending in .yaml.
-    assignments: what the user sets: "name" for a setting of the file, "stage.key" for a parameter of a stage; the
-        values are YAML text.
+    name_or_path : str or Path
+        A shipped name, or a path ending in .yaml.
+    assignments : mapping of str to str, optional
+        The texts of `--set` on the command line: "name" for a setting of the file, "stage.key" for a parameter of a
+        stage. Values are YAML.
+    settings : mapping of str to object, optional
+        The same as Python values. The name of a parameter that exactly one stage has needs no stage.
 
     Raises
     ------
-    ConfigError: file, line and key of the first fault, and the nearest valid name.
+    ConfigError
+        The pipeline file is wrong; the message names file, line and key, and the nearest valid name.
+    KinedexError
+        A given value is wrong, or names nothing.
     """
-    located = load_yaml(config_path("pipelines", name_or_path))
-    located.mapping()
-    parsed = located.model(_PipelineFile)
-    entries = {name: entry or _StageEntry() for name, entry in parsed.stages.items()}
-    settings = dict(parsed.settings)
-    overrides: dict[str, dict[str, Any]] = {}
-    for name, text in (assignments or {}).items():
-        _assign(located, entries, settings, overrides, name, text)
-    stages = [_stage(located, entries, settings, overrides, name) for name in entries]
-    return Pipeline(parsed.name, located.path, parsed.description, _ordered(stages))
+    given = [_Given(name, text, True) for name, text in (assignments or {}).items()]
+    given += [_Given(name, value, False) for name, value in (settings or {}).items()]
+    return _PipelineReader(load_yaml(config_path("pipelines", name_or_path)), assignments is not None).read(given)
 
 
-def _assign(
-    located: Located,
-    entries: dict[str, _StageEntry],
-    settings: dict[str, Any],
-    overrides: dict[str, dict[str, Any]],
-    name: str,
-    text: str,
-) -> None:
-    stage, dot, key = name.partition(".")
-    if not dot:
-        if name not in settings:
-            hint = _parameters_called(located, entries, name)
-            hint = hint or (did_you_mean(name, settings) if settings else "; it has none")
-            raise KinedexError(f"--set {name}: {located.path} has no setting of that name{hint}")
-        literal = settings[name] is None or isinstance(settings[name], str)
-        settings[name] = text if literal else _value(name, text)
-        return
-    if stage not in entries:
-        raise KinedexError(f"--set {name}: {located.path} has no stage '{stage}'{did_you_mean(stage, entries)}")
-    known = load_stage(_uses(located, entries, stage)).parameters.model_fields
-    if key not in known:
-        raise KinedexError(f"--set {name}: stage '{stage}' has no parameter '{key}'{did_you_mean(key, known)}")
-    literal = known[key].annotation in (str, str | None)
-    overrides.setdefault(stage, {})[key] = text if literal else _value(name, text)
+class _PipelineReader:
+    """Makes a pipeline of a file and of what the user gives.
 
+    Parameters
+    ----------
+    located : Located
+        The file.
+    from_command_line : bool
+        The user is told about `--set`; else about the argument `settings`.
+    """
 
-def _parameters_called(located: Located, entries: dict[str, _StageEntry], name: str) -> str:
-    """What to say where parameters of stages are called like a setting that is not there; empty where none is."""
-    stages = [stage for stage in entries if name in load_stage(_uses(located, entries, stage)).parameters.model_fields]
-    if not stages:
-        return ""
-    which = "a parameter of a stage" if len(stages) == 1 else "parameters of stages"
-    return f"; did you mean {' or '.join(f'{stage}.{name}' for stage in stages)}, {which}?"
+    def __init__(self, located: Located, from_command_line: bool) -> None:
+        self._located = located
+        self._from_command_line = from_command_line
+        located.mapping()
+        self._file = located.model(_PipelineFile)
+        self._entries = {name: entry or _StageEntry() for name, entry in self._file.stages.items()}
+        self._settings = dict(self._file.settings)
+        self._overrides: dict[str, dict[str, _Given]] = {}
 
+    def read(self, given: Sequence[_Given]) -> Pipeline:
+        """Fill in what is given, and check everything."""
+        for one in given:
+            self._assign(one)
+        stages = [self._stage(name) for name in self._entries]
+        return Pipeline(self._file.name, self._located.path, self._file.description, _ordered(stages))
 
-def _value(name: str, text: str) -> Any:
-    """What the user sets, as YAML; a text where a text belongs is never parsed."""
-    try:
-        return parse_yaml(text, f"--set {name}").data
-    except ConfigError as fault:
-        raise KinedexError(f"--set {name}={text}: {fault.reason}; quote it") from None
+    def _assign(self, one: _Given) -> None:
+        stage, dot, key = one.name.partition(".")
+        if not dot:
+            if one.name in self._settings:
+                before = self._settings[one.name]
+                self._settings[one.name] = one.parsed(before is None or isinstance(before, str))
+                return
+            stage, key = self._only_stage_with(one), one.name
+        path = self._located.path
+        if stage not in self._entries:
+            raise KinedexError(f"{one.place}: {path} has no stage '{stage}'{did_you_mean(stage, self._entries)}")
+        known = self._kind(stage).parameters.model_fields
+        if key not in known:
+            raise KinedexError(f"{one.place}: stage '{stage}' has no parameter '{key}'{did_you_mean(key, known)}")
+        self._overrides.setdefault(stage, {})[key] = one
 
+    def _only_stage_with(self, one: _Given) -> str:
+        """Return the stage that a parameter belongs to which is given without one; on the command line it is needed."""
+        stages = [stage for stage in self._entries if one.name in self._kind(stage).parameters.model_fields]
+        if len(stages) == 1 and not one.is_text:
+            return stages[0]
+        names = " or ".join(f"{stage}.{one.name}" for stage in stages)
+        if stages and not one.is_text:
+            raise KinedexError(f"{one.place}: several stages have this parameter; name one: {names}")
+        if stages:
+            which = "a parameter of a stage" if len(stages) == 1 else "parameters of stages"
+            hint = f"; did you mean {names}, {which}?"
+        else:
+            hint = did_you_mean(one.name, self._settings) if self._settings else "; it has none"
+        raise KinedexError(f"{one.place}: {self._located.path} has no setting of that name{hint}")
 
-def _uses(located: Located, entries: dict[str, _StageEntry], name: str) -> str:
-    uses = entries[name].uses or name
-    if uses not in STAGES:
-        key = ("uses",) if entries[name].uses else ()
-        raise located.error(f"there is no stage '{uses}'{did_you_mean(uses, STAGES)}", "stages", name, *key)
-    return uses
+    def _kind(self, name: str) -> Stage[BaseModel]:
+        """Return the kind of a stage of the file."""
+        uses = self._entries[name].uses or name
+        if uses not in STAGES:
+            key = ("uses",) if self._entries[name].uses else ()
+            raise self._located.error(f"there is no stage '{uses}'{did_you_mean(uses, STAGES)}", "stages", name, *key)
+        return load_stage(uses)
 
+    def _stage(self, name: str) -> PipelineStage:
+        kind = self._kind(name)
+        key = ("stages", name, "params")
+        params = {option: self._fill(value, (*key, option)) for option, value in self._entries[name].params.items()}
+        given = self._overrides.get(name, {})
+        fields = kind.parameters.model_fields
+        params |= {option: one.parsed(fields[option].annotation in (str, str | None)) for option, one in given.items()}
+        try:
+            filled = self._located.model(kind.parameters, *key, data=params)
+        except ConfigError as fault:
+            option = re.split(r"[.\[]", (fault.key or "").removeprefix(f"{'.'.join(key)}."))[0]
+            if option in given:
+                raise KinedexError(f"{given[option].shown}: {fault.reason}") from None
+            raise
+        return PipelineStage(name, kind, self._inputs(name, kind), filled)
 
-def _stage(
-    located: Located,
-    entries: dict[str, _StageEntry],
-    settings: dict[str, Any],
-    overrides: dict[str, dict[str, Any]],
-    name: str,
-) -> PipelineStage:
-    uses = _uses(located, entries, name)
-    key = ("stages", name, "params")
-    params = {option: _fill(located, settings, value, (*key, option)) for option, value in entries[name].params.items()}
-    params.update(overrides.get(name, {}))
-    kind = load_stage(uses)
-    try:
-        filled = located.model(kind.parameters, *key, data=params)
-    except ConfigError as fault:
-        _blame_the_user(fault, ".".join(key), name, overrides.get(name, {}))
-        raise
-    return PipelineStage(name, kind, _inputs(located, entries, name, kind), filled)
+    def _fill(self, value: Any, key: tuple[str | int, ...]) -> Any:
+        """Replace ${setting} in texts; a text that is nothing else takes the setting's own type."""
+        if isinstance(value, dict):
+            return {name: self._fill(part, (*key, name)) for name, part in value.items()}
+        if isinstance(value, list):
+            return [self._fill(part, (*key, i)) for i, part in enumerate(value)]
+        if not isinstance(value, str):
+            return value
+        settings = self._settings
+        for name in _SETTING.findall(value):
+            if name not in settings:
+                raise self._located.error(f"there is no setting '{name}'{did_you_mean(name, settings)}", *key)
+            if settings[name] is None:
+                way = f"--set {name}=…" if self._from_command_line else f"settings={{'{name}': …}}"
+                raise self._located.error(f"the setting '{name}' must be given: {way}", "settings", name)
+        whole = _SETTING.fullmatch(value)
+        return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
 
+    def _inputs(self, name: str, kind: Stage[BaseModel]) -> dict[str, str]:
+        """Return the stage that plays each role: the one that the file names, else the only one that can."""
+        given = self._entries[name].inputs
+        for role in given:
+            if role not in kind.inputs:
+                hint = did_you_mean(role, kind.inputs)
+                raise self._located.error(f"'{kind.name}' has no input '{role}'{hint}", "stages", name, "inputs", role)
+        found = {}
+        for role, needed in kind.inputs.items():
+            player = self._named(name, role, needed) if role in given else self._only(name, kind, role, needed)
+            if player is not None:
+                found[role] = player
+        return found
 
-def _blame_the_user(fault: ConfigError, params: str, stage: str, given: Mapping[str, Any]) -> None:
-    """Raise a KinedexError that names --set where the fault is in what stands there, not in the file."""
-    option = re.split(r"[.\[]", (fault.key or "").removeprefix(f"{params}."))[0]
-    if option in given:
-        raise KinedexError(f"--set {stage}.{option}={given[option]}: {fault.reason}") from None
+    def _named(self, name: str, role: str, needed: Input) -> str:
+        player = self._entries[name].inputs[role]
+        key = ("stages", name, "inputs", role)
+        if player not in self._entries:
+            raise self._located.error(f"there is no stage '{player}'{did_you_mean(player, self._entries)}", *key)
+        other = self._entries[player].uses or player
+        if other != needed.stage:
+            raise self._located.error(f"must be a stage '{needed.stage}', but '{player}' is a stage '{other}'", *key)
+        return player
 
-
-def _fill(located: Located, settings: dict[str, Any], value: Any, key: tuple[str | int, ...]) -> Any:
-    """Replace ${setting} in texts; a text that is nothing else takes the setting's own type."""
-    if isinstance(value, dict):
-        return {name: _fill(located, settings, part, (*key, name)) for name, part in value.items()}
-    if isinstance(value, list):
-        return [_fill(located, settings, part, (*key, i)) for i, part in enumerate(value)]
-    if not isinstance(value, str):
-        return value
-    for name in _SETTING.findall(value):
-        if name not in settings:
-            raise located.error(f"there is no setting '{name}'{did_you_mean(name, settings)}", *key)
-        if settings[name] is None:
-            raise located.error(f"the setting '{name}' must be given: --set {name}=…", "settings", name)
-    whole = _SETTING.fullmatch(value)
-    return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
-
-
-def _inputs(located: Located, entries: dict[str, _StageEntry], name: str, kind: Stage[BaseModel]) -> dict[str, str]:
-    """Which stage plays which role: as the file says, else the only stage that can."""
-    given = entries[name].inputs
-    for role in given:
-        if role not in kind.inputs:
-            hint = did_you_mean(role, kind.inputs)
-            raise located.error(f"'{kind.name}' has no input '{role}'{hint}", "stages", name, "inputs", role)
-    result = {}
-    for role, needed in kind.inputs.items():
-        usual = needed.stage
-        if role in given:
-            if given[role] not in entries:
-                hint = did_you_mean(given[role], entries)
-                raise located.error(f"there is no stage '{given[role]}'{hint}", "stages", name, "inputs", role)
-            other = entries[given[role]].uses or given[role]
-            if other != usual:
-                raise located.error(
-                    f"must be a stage '{usual}', but '{given[role]}' is a stage '{other}'",
-                    "stages",
-                    name,
-                    "inputs",
-                    role,
-                )
-            result[role] = given[role]
-            continue
-        candidates = [other for other, entry in entries.items() if (entry.uses or other) == usual]
-        if len(candidates) == 1:
-            result[role] = candidates[0]
-        elif candidates:
-            raise located.error(
-                f"input '{role}' could be any of {', '.join(candidates)}; say which under `inputs`", "stages", name
+    def _only(self, name: str, kind: Stage[BaseModel], role: str, needed: Input) -> str | None:
+        candidates = [other for other, entry in self._entries.items() if (entry.uses or other) == needed.stage]
+        if len(candidates) > 1:
+            raise self._located.error(
+                f"input '{role}' could be any of {', '.join(candidates)}; name one under `inputs`", "stages", name
             )
-        elif not needed.optional:
-            raise located.error(f"'{kind.name}' needs a stage '{usual}' for its input '{role}'", "stages", name)
-    return result
+        if not candidates and not needed.optional:
+            raise self._located.error(
+                f"'{kind.name}' needs a stage '{needed.stage}' for its input '{role}'", "stages", name
+            )
+        return candidates[0] if candidates else None
 
 
 def _ordered(stages: list[PipelineStage]) -> tuple[PipelineStage, ...]:
-    """Stages in an order in which every input comes first; the file's own order where it does not matter.
-
-    There always is one: inputs are of given kinds, and no kind of stage needs itself, however indirectly.
-    """
+    """Return the stages in an order in which every input comes first; otherwise they keep the file's order."""
     result: list[PipelineStage] = []
     waiting = list(stages)
     while waiting:
         done = {stage.name for stage in result}
-        ready = next(stage for stage in waiting if done.issuperset(stage.inputs.values()))
+        ready = next((stage for stage in waiting if done.issuperset(stage.inputs.values())), None)
+        if ready is None:
+            raise KinedexError(f"the stages {', '.join(stage.name for stage in waiting)} need each other")
         result.append(ready)
         waiting.remove(ready)
     return tuple(result)

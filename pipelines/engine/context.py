@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +19,8 @@ from kinedex.storage.store.writer import StoreWriter
 Parameters = TypeVar("Parameters", bound=BaseModel)
 
 SHIPPED_FEATURES = "body40"
+
+_log = logging.getLogger("kinedex.stages")
 
 
 class ProgressBar(Protocol):
@@ -152,5 +155,7 @@ class StageContext:
         return self.terminal.progress(description, total)
 
     def say(self, text: str) -> None:
-        """Show one line below the heading of the stage."""
+        """Show one line below the heading of the stage, and log it."""
+        fields = {"pipeline": self.pipeline, "stage": self.stage, "store": str(self.store_path), "run_id": self.run}
+        _log.info("%s", text, extra={**fields, "event": "message"})
         self.terminal.say(text)

@@ -2,94 +2,151 @@
 
 from __future__ import annotations
 
+import logging
 import secrets
 import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+import polars as pl
 
 from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
-from kinedex.pipelines.engine.context import StageContext, feature_set_for
+from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.storage.snapshot.manifest import StageRecord, now, versions
 from kinedex.storage.store.store import open_store
 
+_log = logging.getLogger("kinedex.engine")
+
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did: the plan it carried out, and how many source files the ingest left out."""
+    """What a run of a pipeline did.
+
+    Attributes
+    ----------
+    pipeline : Pipeline
+        The pipeline, with all parameters.
+    store_path : Path
+        The directory of the store.
+    ran : tuple of str
+        The stages that ran.
+    skipped : tuple of str
+        The stages with nothing to do.
+    summaries : dict of str to dict
+        The figures that each stage recorded, of skipped stages those of the run before.
+    left_out : int
+        How many source files the ingest excluded.
+    report : Path or None
+        The page of the last stage that writes one.
+    """
 
     pipeline: Pipeline
+    store_path: Path
     ran: tuple[str, ...]
     skipped: tuple[str, ...]
+    summaries: dict[str, dict[str, Any]]
     left_out: int
     report: Path | None
 
+    @cached_property
+    def metrics(self) -> pl.DataFrame:
+        """The metrics of the pipeline's evaluations, one row for each class, take or group; see docs/sql.md."""
+        found = pl.from_arrow(open_store(self.store_path).result("metrics", pipeline=self.pipeline.name))
+        assert isinstance(found, pl.DataFrame)
+        return found
+
 
 class StageFailed(KinedexError):
-    """A stage could not finish; the message says why and how to resume."""
+    """A stage could not finish; the message explains why, and how to resume."""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """What the stages of one run share."""
+    """The things that the stages of one run share.
+
+    `resume` is the command that continues after a failure; None for a caller in Python, who calls again.
+    """
 
     pipeline: Pipeline
     store_path: Path
     pool: Executor
-    terminal: Terminal
-    resume: str
+    terminal: Display
+    resume: str | None
 
 
 def run_pipeline(
     name_or_path: str | Path,
     store_path: str | Path,
     *,
+    settings: Mapping[str, Any] | None = None,
     assignments: Mapping[str, str] | None = None,
     executor: str = "serial",
     workers: int | None = None,
     scheduler: str | None = None,
-    force: frozenset[str] = frozenset(),
-    terminal: Terminal | None = None,
+    force: Iterable[str] = (),
+    terminal: Display | None = None,
 ) -> Outcome:
-    """Run what is not done yet of a pipeline.
+    """Run the stages of a pipeline that have not been done yet.
 
     Parameters
     ----------
-    name_or_path: a shipped pipeline, or a path to a .yaml file. store_path: the store; made where missing.
-    assignments: settings of the file by name, parameters by "stage.name".
-    executor: "serial", "processes" or "dask". A script that asks for processes must guard its start with
+    name_or_path : str or Path
+        A shipped pipeline such as "annotate", or a path to a .yaml file.
+    store_path : str or Path
+        The directory of the store; it is made where it is missing.
+    settings : mapping of str to object, optional
+        Values for settings of the file by name, such as `{"source": "/my/archive"}`, and for parameters by
+        "stage.name", such as `{"annotate.tau": 0.06}`. Where exactly one stage has a parameter, its name is enough.
+    assignments : mapping of str to str, optional
+        The texts of `--set` on the command line, in the place of `settings`; errors then mention commands.
+    executor : {"serial", "processes", "dask"}
+        How tasks are spread. A script that asks for processes must guard its start with
         `if __name__ == "__main__":`, because every worker imports it.
-    workers, scheduler: see `make_executor`. force: stages that run in any case. terminal: where to speak.
+    workers : int, optional
+        The number of workers; all cores by default.
+    scheduler : str, optional
+        The address of a running Dask scheduler.
+    force : iterable of str
+        Stages that run in any case.
+    terminal : Display, optional
+        Shows messages and progress; standard output by default.
+
+    Returns
+    -------
+    Outcome
+        The stages that ran, the metrics, and the path of the report.
 
     Raises
     ------
-    StageFailed: a stage could not finish; what earlier stages committed stays.
-    KinedexError: the pipeline file or the store is not usable; nothing was changed.
+    StageFailed
+        A stage could not finish; what earlier stages committed stays.
+    KinedexError
+        The pipeline file, a setting or the store is not usable; nothing was changed.
     """
     terminal = terminal or Terminal()
+    force = frozenset(force)
     # the workers of a cluster may have been started in another folder
     store_path = Path(store_path).resolve() if executor == "dask" else Path(store_path)
-    pipeline = load_pipeline(name_or_path, assignments)
+    pipeline = load_pipeline(name_or_path, assignments, settings)
     planner = Planner(pipeline, store_path, force)
-    make_plan(pipeline, store_path, force)  # what is wrong with files is said before any work is done
+    make_plan(pipeline, store_path, force)  # reports faults in files before any work is done
     pool = make_executor(executor, workers, scheduler)
-    resume = _resume(name_or_path, store_path, assignments, executor, workers, scheduler, force)
+    resume = None
+    if assignments is not None:
+        resume = _resume(name_or_path, store_path, assignments, executor, workers, scheduler, force)
     run = _Run(pipeline, store_path, pool, terminal, resume)
-    steps = []
     try:
         pool.check(store_path)
-        for number, stage in enumerate(pipeline.stages, 1):
-            step = planner.step(stage)
-            steps.append(step)
-            terminal.heading(f"[{number}/{len(pipeline.stages)}] {stage.name}: {_saying(step)}")
-            if step.reason is not None:
-                _run_step(run, planner, step)
+        steps = [_take_step(run, planner, number) for number in range(len(pipeline.stages))]
     except BaseException:
         pool.abort()
         raise
@@ -101,7 +158,24 @@ def run_pipeline(
     return _outcome(pipeline, steps, store_path)
 
 
-def _saying(step: Step) -> str:
+def _take_step(run: _Run, planner: Planner, number: int) -> Step:
+    """Run a stage, or skip it, and report which."""
+    stage = run.pipeline.stages[number]
+    step = planner.step(stage)
+    text = f"[{number + 1}/{len(run.pipeline.stages)}] {stage.name}: {_status(step)}"
+    _log.info("%s", text, extra=_fields(run, stage.name, event="start" if step.reason else "skip", reason=step.reason))
+    run.terminal.heading(text)
+    if step.reason is not None:
+        _run_step(run, planner, step)
+    return step
+
+
+def _fields(run: _Run, stage: str, **more: object) -> dict[str, object]:
+    """Return the fields of a log record about a stage."""
+    return {"pipeline": run.pipeline.name, "stage": stage, "store": str(run.store_path), **more}
+
+
+def _status(step: Step) -> str:
     if step.reason is not None:
         return step.reason
     assert step.record is not None
@@ -143,18 +217,31 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     except OSError as fault:
         raise _failed(run, stage.name, f"{fault.filename or run.store_path}: {fault.strerror or fault}") from fault
     except MemoryError as fault:
-        raise _failed(run, stage.name, "out of memory; fewer --workers need less") from fault
-    run.terminal.say(f"done in {seconds:.1f} s")
+        workers = "workers" if run.resume is None else "--workers"
+        raise _failed(run, stage.name, f"out of memory; fewer {workers} need less") from fault
+    text = f"done in {seconds:.1f} s"
+    figures = {"run_id": context.run, "seconds": round(seconds, 3), "summary": summary}
+    _log.info("%s: %s", stage.name, text, extra=_fields(run, stage.name, event="finish", **figures))
+    run.terminal.say(text)
 
 
 def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = None) -> StageFailed:
-    said = f"stage {stage}: {reason}"
+    _log.error("stage %s: %s", stage, reason, extra=_fields(run, stage, event="fail"))
+    text = f"stage {stage}: {reason}"
     if isinstance(fault, NewStoreError):
-        return StageFailed(said)
-    if fault is not None and fault.way_out is not None:
-        name, value = fault.way_out
-        return StageFailed(f"{said}\ngo on with:\n    {run.resume} --set {shlex.quote(f'{stage}.{name}={value}')}")
-    return StageFailed(f"{said}\nwhen that is mended, go on with:\n    {run.resume}")
+        return StageFailed(text)
+    way = fault.way_out if fault is not None else None
+    if run.resume is None:
+        if way is not None:
+            return StageFailed(f"{text}\ncall again with settings={{'{stage}.{way[0]}': {way[1]!r}}}")
+        return StageFailed(f"{text}\nwhen that is mended, call again: stages that are done are not repeated")
+    if way is not None:
+        return StageFailed(f"{text}\ngo on with:\n    {run.resume} --set {shlex.quote(f'{stage}.{way[0]}={way[1]}')}")
+    return StageFailed(f"{text}\nwhen that is mended, go on with:\n    {run.resume}")
+
+
+_OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts")
+"""The fields of a record's summary that the runner adds."""
 
 
 def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float) -> None:
@@ -192,21 +279,23 @@ def _resume(
 
 def _outcome(pipeline: Pipeline, steps: list[Step], store_path: Path) -> Outcome:
     stages = open_store(store_path).manifest.stages
-    left_out, report = 0, None
-    for step in steps:
-        summary = stages[f"{pipeline.name}/{step.stage.name}"].summary
-        left_out += int(summary.get("left_out", 0))
-        if step.stage.uses == "report":
-            report = next((store_path / name for name in summary.get("files", ())), None)
+    records = {step.stage.name: stages[f"{pipeline.name}/{step.stage.name}"] for step in steps}
+    summaries = {
+        name: {key: value for key, value in record.summary.items() if key not in _OWN_FIELDS}
+        for name, record in records.items()
+    }
+    pages = [name for one in summaries.values() for name in one.get("files", ()) if name.endswith(".html")]
     return Outcome(
         pipeline,
+        store_path,
         tuple(step.stage.name for step in steps if step.reason is not None),
         tuple(step.stage.name for step in steps if step.reason is None),
-        left_out,
-        report,
+        summaries,
+        sum(int(one.get("left_out", 0)) for one in summaries.values()),
+        store_path / pages[-1] if pages else None,
     )
 
 
 def new_run_id() -> str:
-    """A short name for one run of one stage: the moment in UTC, and four random digits."""
+    """Return a short name for one run of one stage: the moment in UTC, and four random digits."""
     return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.engine.config import load_pipeline
-from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
+from kinedex.pipelines.engine.stage import BUILT_IN, Input, load_stage
 
 GOOD = """
 name: small
@@ -141,3 +142,43 @@ def test_yaml_remembers_lines_of_nested_keys(tmp_path: Path) -> None:
     located = load_yaml(write(tmp_path, "a:\n  - b: 1\n    c: 2\n  - {d: 3}\n"))
     assert [located.line("a", 0, "c"), located.line("a", 1, "d"), located.line("a", 7), located.line()] == [3, 4, 1, 1]
     assert located.data == {"a": [{"b": 1, "c": 2}, {"d": 3}]}
+
+
+def test_python_values_set_settings_and_parameters(tmp_path: Path) -> None:
+    settings = {"source": Path("/data"), "rate": np.int64(60), "prune": True, "ingest.name": "path"}
+    pipeline = load_pipeline(write(tmp_path, GOOD), settings=settings)
+    params = pipeline.stage("ingest").params.model_dump()
+    assert (params["source"], params["rate_hz"], params["prune"], params["name"]) == ("/data", 60.0, True, "path")
+    tau = load_pipeline("annotate", settings={"source": "/x", "tau": 0.06}).stage("annotate").params.model_dump()["tau"]
+    assert tau == 0.06
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, "the setting 'source' must be given: settings={'source': …}"),
+        ({"sorce": "x"}, "settings['sorce']: "),
+        ({"source": "x", "rate_hs": 1}, "no setting of that name"),
+        ({"source": "x", "ingest.prun": True}, "settings['ingest.prun']: stage 'ingest' has no parameter 'prun'"),
+        ({"source": "x", "prune": "perhaps"}, "settings['prune'] = 'perhaps': must be a valid boolean"),
+        ({"source": "x", "injest.prune": True}, "no stage 'injest'; did you mean 'ingest'?"),
+    ],
+)
+def test_errors_for_callers_in_python_do_not_mention_options(
+    tmp_path: Path, settings: dict[str, object], message: str
+) -> None:
+    with pytest.raises(KinedexError) as caught:
+        load_pipeline(write(tmp_path, GOOD), settings=settings)
+    assert message in str(caught.value)
+    assert "--set" not in str(caught.value)
+
+
+def test_a_parameter_of_several_stages_needs_its_stage() -> None:
+    with pytest.raises(KinedexError, match=r"several stages have this parameter; name one: learn_templates\.where or "):
+        load_pipeline("annotate", settings={"source": "x", "where": "true"})
+
+
+def test_stages_that_need_each_other_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(load_stage("ingest")), "inputs", {"index": Input("index")})
+    with pytest.raises(KinedexError, match="the stages index, ingest need each other"):
+        load_pipeline(write(tmp_path, GOOD), {"source": "x"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import pickle
 from pathlib import Path
 
@@ -196,3 +197,23 @@ def test_a_run_that_is_killed_in_a_stage_leaves_no_record_of_it(
 def test_errors_cross_from_a_worker_process_whole(error: KinedexError) -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert (type(copy), str(copy)) == (type(error), str(error))
+
+
+def test_a_run_from_python_takes_values_and_gives_figures(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 30})
+    silent = Terminal(Console(file=io.StringIO()))
+    with caplog.at_level(logging.INFO, logger="kinedex"):
+        outcome = run_pipeline("ingest", tmp_path / "store", settings={"source": source}, terminal=silent)
+    assert outcome.summaries["ingest"]["takes"] == 1
+    assert (outcome.report, outcome.metrics.height) == (None, 0)
+    events = [(one.event, one.stage) for one in caplog.records if one.name == "kinedex.engine"]  # type: ignore[attr-defined]
+    assert any(one.name == "kinedex.stages" and "1 to read" in one.getMessage() for one in caplog.records)
+    assert events == [("start", "ingest"), ("finish", "ingest"), ("start", "index"), ("finish", "index")]
+    with pytest.raises(KinedexError) as caught:
+        run_pipeline("ingest", tmp_path / "new", settings={"source": tmp_path}, terminal=silent, force={"indx"})
+    assert "--" not in str(caught.value)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(StageFailed) as failed:
+        run_pipeline("ingest", tmp_path / "new", settings={"source": tmp_path / "empty"}, terminal=silent)
+    assert "call again" in str(failed.value)
+    assert "--set" not in str(failed.value)
