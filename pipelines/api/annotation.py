@@ -18,7 +18,7 @@ from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words,
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.annotation.tables import annotations_table
-from kinedex.pipelines.api.query import Query, keyframe_queries
+from kinedex.pipelines.api.query import Query, resolved_queries
 from kinedex.pipelines.api.store import Store
 from kinedex.pipelines.api.take import Take
 from kinedex.pipelines.api.template import Template
@@ -98,7 +98,7 @@ def annotate(
         load_classes(classes, {one.name for one in given} | (set() if classes == OWN else chosen.labels)),
         delta,
         tau,
-        keyframe_queries(queries),
+        resolved_queries(queries, chosen.feature_set, chosen.rate_hz),
         method=chosen_method,
         clips=lambda: _clips_of(given) or chosen.every_word(),
         min_frames=least_frames(min_seconds, chosen.rate_hz),

@@ -448,13 +448,13 @@ class Store:
         >>> "squat" in store.search("example")["query"]
         True
         """
-        from kinedex.pipelines.api.query import keyframe_queries
+        from kinedex.pipelines.api.query import resolved_queries
         from kinedex.pipelines.search.search import load_query_file, search_store
 
         if isinstance(query, str | Path):
             queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
         else:
-            queries = keyframe_queries(query)
+            queries = resolved_queries(query, self.feature_set, self.rate_hz)
         return _frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
 
     def templates(self, *, stage: str | None = None) -> pl.DataFrame:
@@ -574,7 +574,7 @@ class Store:
         >>> hits.columns[:4]
         ['template', 'rank', 'take_id', 'take']
         """
-        from kinedex.pipelines.api.query import keyframe_queries
+        from kinedex.pipelines.api.query import resolved_queries
         from kinedex.pipelines.api.template import Template
         from kinedex.pipelines.ranking.store_ranking import rank_store
 
@@ -582,7 +582,7 @@ class Store:
         found = rank_store(
             self.stored,
             [one.named if isinstance(one, Template) else one for one in wanted],
-            queries=None if queries is None else keyframe_queries(queries),
+            queries=None if queries is None else resolved_queries(queries, self.feature_set, self.rate_hz),
             delta=delta,
             tau=tau,
             top=top,

@@ -60,8 +60,9 @@ PARTS = {
     ),
     "classes": (("a class", "kinedex.catalog.classes", "_ClassEntry"),),
     "queries": (
-        ("a query", "kinedex.catalog.queries.query_files", "_QueryEntry"),
-        ("a step of `sequence`", "kinedex.catalog.queries.query_files", "_StepEntry"),
+        ("a query", "kinedex.catalog.queries.query_reader", "QueryEntry"),
+        ("a step of `sequence`", "kinedex.catalog.queries.query_reader", "StepEntry"),
+        ("a query of another file", "kinedex.catalog.queries.query_reader", "ReferenceEntry"),
         ("a `Keyframe`", "kinedex.catalog.queries.keyframe_entries", "_KeyframeEntry"),
         ("a gap", "kinedex.catalog.queries.gap_entries", "GapEntry"),
     ),

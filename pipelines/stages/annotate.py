@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from kinedex.catalog.classes import OWN, Classes
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
@@ -53,7 +54,7 @@ class Annotate(Stage[AnnotationParameters]):
 
     def external_digest(self, params: AnnotationParameters, store: Store | None) -> str:
         """Return a hash of the class file and the query files."""
-        files = [config_path("queries", name) for name in params.query_files]
+        files = query_file_paths(params.query_files)
         if params.classes != OWN:
             files.append(config_path("classes", params.classes))
         return files_digest(files)

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from kinedex.catalog.classes import OWN
 from kinedex.catalog.configs import config_path
+from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
@@ -42,7 +43,7 @@ class CompareMethods(Stage[ComparisonParameters]):
 
     def external_digest(self, params: ComparisonParameters, store: Store | None) -> str:
         """Return a hash of the class file, the query files and the ground truth."""
-        files = [config_path("queries", name) for name in params.query_files]
+        files = query_file_paths(params.query_files)
         if params.classes != OWN:
             files.append(config_path("classes", params.classes))
         return files_digest(files) + ground_truth_digest(params, store)

@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich import box
 from rich.table import Table
 
-from kinedex.catalog.configs import config_path
-from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
@@ -50,7 +49,7 @@ class Rank(Stage[Params]):
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the query files."""
-        return files_digest([config_path("queries", name) for name in params.queries])
+        return files_digest(query_file_paths(params.queries))
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
         """Rank, store the hits, and print a row for each class (thesis, Table 3.2)."""

@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich import box
 from rich.table import Table
 
-from kinedex.catalog.configs import config_path
-from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
@@ -52,7 +51,7 @@ class VaryStiffness(Stage[Params]):
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the query files and of the ground truth."""
-        files = [config_path("queries", name) for name in params.queries]
+        files = query_file_paths(params.queries)
         if store is not None:
             try:
                 files += ground_truth_files(params.ground_truth, sorted(store.takes()["source_root"].unique()))

@@ -18,12 +18,18 @@ PUBLIC = {name: getattr(kinedex, name) for name in kinedex.__all__ if name != "_
 FINDER = doctest.DocTestFinder(recurse=False)
 
 
+def members(one: type) -> dict[str, object]:
+    """The members of a class, those included that it inherits from classes of kinedex."""
+    inherited = [vars(base) for base in reversed(one.__mro__) if base.__module__.startswith("kinedex.")]
+    return {name: value for names in inherited for name, value in names.items()}
+
+
 def examples() -> list[doctest.DocTest]:
     """The docstrings with examples: of the package, of functions and classes, and of the methods of classes."""
     found = FINDER.find(kinedex, "kinedex", globs={})
     for name, one in PUBLIC.items():
         found += FINDER.find(one, f"kinedex.{name}", globs={})
-        for member, function in vars(one).items() if inspect.isclass(one) else ():
+        for member, function in members(one).items() if inspect.isclass(one) else ():
             called = function.__func__ if isinstance(function, classmethod) else function
             if not member.startswith("_") or member in ("__getitem__",):
                 found += FINDER.find(called, f"kinedex.{name}.{member}", globs={})
@@ -44,6 +50,8 @@ def test_every_public_function_and_method_has_an_example() -> None:
     wanted = {f"kinedex.{name}" for name, one in PUBLIC.items() if inspect.isfunction(one)}
     for name, one in PUBLIC.items():
         if inspect.isclass(one) and one.__module__.startswith("kinedex.pipelines.api"):
-            methods = [key for key, value in vars(one).items() if inspect.isroutine(value) and not key.startswith("_")]
+            methods = [
+                key for key, value in members(one).items() if inspect.isroutine(value) and not key.startswith("_")
+            ]
             wanted |= {f"kinedex.{name}", *(f"kinedex.{name}.{key}" for key in methods)}
     assert wanted - with_example == set()

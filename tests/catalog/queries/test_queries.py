@@ -23,7 +23,7 @@ from kinedex.catalog.queries.keyframe_query import (
     features_of,
     pattern_of,
 )
-from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.catalog.queries.query_files import parse_queries, query_file_paths, read_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.body.features import words as feature_words
 from kinedex.ops.errors import ConfigError, KinedexError, ParameterError
@@ -211,11 +211,11 @@ WRONG_BUILDINGS = [
     ("q: {any_of: [kick], gaps: []}", "`gaps` goes with `keyframes`"),
     ("q: {any_of: [{any_of: [kick], class: x}]}", "`class` belongs to a query of its own"),
     ("q: {any_of: [kick], mirror: left}", "'both' or 'other'"),
-    ("q: {sequence: [kick, down]}", "say `then` which query follows"),
-    ("q: {sequence: [kick, {then: down}]}", "say how soon"),
+    ("q: {sequence: [kick, down]}", "a step gives the query that follows as `then`"),
+    ("q: {sequence: [kick, {then: down}]}", "a step has either `within: 2 s` or `gap`"),
     ("q: {sequence: [kick, {then: down, within: 2}]}", "must be a valid string, got 2"),
     ("q: {sequence: [kick, {then: down, within: 2 m}]}", "'within 2 m' is no gap; written so: \"within 2 s\""),
-    ("q: {sequence: [kick, {thn: down, within: 2 s}]}", "say `then`"),
+    ("q: {sequence: [kick, {thn: down, within: 2 s}]}", "as `then`"),
     ("q: {sequence: [kick, {then: down, withn: 2 s}]}", "did you mean 'within'"),
     ("f: {takes: x, any_of: [kick]}\nq: {any_of: [f]}", "'f' has a filter `takes`"),
     ("q: {keyframes: [{after: any time, on: [1]}]}", "no keyframe comes before the first"),
@@ -243,6 +243,73 @@ def test_what_is_wrong_with_a_building_is_told_with_its_line(text: str, message:
         parse(PARTS + text)
     assert message in str(fault.value)
     assert fault.value.line in (8, 9)
+
+
+# ---- queries of other files ------------------------------------------------------------------------------
+
+
+def write(folder: Path, **files: str) -> Path:
+    for name, text in files.items():
+        (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_a_query_uses_queries_of_other_files(tmp_path: Path) -> None:
+    write(tmp_path, parts=PARTS, mine="both: {sequence: [{file: parts.yaml, query: kick}, {then: down, within: 2 s}]}\n"
+          "down: {any_of: [{file: parts.yaml, query: down}]}\n"
+          "shipped: {any_of: [{file: example, query: turn}]}")  # fmt: skip
+    both, down, shipped = read_queries(tmp_path / "mine.yaml", BODY)
+    assert (both.keyframes, both.gaps) == (KICK + DOWN, (Gap(0, 30), Gap(0, 60)))
+    assert down.keyframes == DOWN
+    (turn,) = choose_queries(read_queries("example", BODY), ["turn"])
+    assert shipped.keyframes == turn.keyframes
+    found = [path.name for path in query_file_paths([tmp_path / "mine.yaml"])]
+    assert found == ["mine.yaml", "parts.yaml", "example.yaml"]
+
+
+def test_files_may_refer_to_one_another_but_no_query_to_itself(tmp_path: Path) -> None:
+    one = "a: {any_of: [{file: two.yaml, query: b}]}\nc: {keyframes: [{on: [rfoot_raised]}]}"
+    write(tmp_path, one=one, two="b: {any_of: [{file: one.yaml, query: c}]}\nd: {any_of: [b]}")
+    assert [query.keyframes for query in read_queries(tmp_path / "one.yaml", BODY)] == [KICK[:1], KICK[:1]]
+    write(tmp_path, two="x: {keyframes: [{on: [1]}]}\nb: {any_of: [{file: ./one.yaml, query: a}]}")
+    with pytest.raises(ConfigError, match="'a' is made of itself: a → b → a") as fault:
+        read_queries(tmp_path / "one.yaml", BODY)
+    assert (Path(fault.value.path).name, fault.value.line) == ("two.yaml", 2)
+    assert len(query_file_paths([tmp_path / "one.yaml"])) == 2
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("{file: none.yaml, query: kick}", "none.yaml: no such file; expected a query file"),
+        ("{file: exmple, query: kick}", "did you mean 'example'"),
+        ("{file: parts.yaml, query: kik}", "parts.yaml; did you mean 'kick'"),
+        ("{file: parts.yaml, query: filtered}", "'filtered' has a filter `takes`"),
+        ("{file: parts.yaml}", "this key is missing"),
+        ("{query: kick}", "this key is missing"),
+        ("{file: parts.yaml, qery: kick}", "did you mean 'query'"),
+        ("{file: 3, query: kick}", "must be a valid string, got 3"),
+    ],
+)
+def test_a_wrong_reference_is_reported_with_its_line(tmp_path: Path, reference: str, message: str) -> None:
+    text = f"a: {{keyframes: [{{on: [1]}}]}}\nq:\n  any_of:\n    - a\n    - {reference}"
+    write(tmp_path, parts=PARTS + "filtered: {takes: x, any_of: [kick]}", mine=text)
+    with pytest.raises(ConfigError) as fault:
+        read_queries(tmp_path / "mine.yaml", BODY)
+    assert message in str(fault.value)
+    assert (Path(fault.value.path).name, fault.value.line) == ("mine.yaml", 5)
+
+
+@pytest.mark.shared
+def test_the_combined_queries_of_table_3_3_are_written_with_references(shared: Path, tmp_path: Path) -> None:
+    file = shared / "reference" / "keyframe_queries.json"
+    both = ("elbowToKnee1RepsLelbowStart", "squat1Reps")
+    first, then = (f"{{file: {file.resolve()}, query: {name}}}" for name in both)
+    write(tmp_path, combined=f"ID58: {{sequence: [{first}, {{then: {then}, within: 2 s}}]}}")
+    (combined,) = read_queries(tmp_path / "combined.yaml", BODY)
+    one, other = choose_queries(read_queries(file, BODY), both)
+    assert combined.keyframes == one.keyframes + other.keyframes
+    assert len(combined.keyframes) == 7
 
 
 def test_every_feature_has_one_mirror_image() -> None:

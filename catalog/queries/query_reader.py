@@ -1,0 +1,294 @@
+"""The reader of query files: from entries as people write them to keyframe queries, and from files to other files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.mirror import mirrored
+from kinedex.catalog.queries.gap_entries import read_gap
+from kinedex.catalog.queries.keyframe_entries import Chain, ChainEntry, read_chain, refuse_unknown_keys
+from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery
+from kinedex.ops.errors import ConfigError, did_you_mean
+
+MOST_CHAINS = 64
+"""The most chains of keyframes that one query may stand for: alternatives within sequences multiply."""
+
+STRUCTURE = ("keyframes", "sequence", "any_of")
+"""The keys of a query of which it has exactly one."""
+
+_OUTERMOST_ONLY = ("name", "description", "class", "takes", "margins", "part")
+"""The keys of a query that would have no effect where it stands inside another one."""
+
+_Within = tuple[tuple[Path, str], ...]
+"""The queries that are being read, from the outermost to the innermost: file and name of each."""
+
+
+class QueryEntry(ChainEntry):
+    """One query, as a query file writes it."""
+
+    name: str | None = None
+    description: str = ""
+    target: str | None = Field(default=None, alias="class")
+    takes: str | None = Field(default=None, min_length=1)
+    margins: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = None
+    part: bool = False
+    mirror: Literal["both", "other"] | None = None
+    sequence: list[Any] | None = Field(default=None, min_length=1)
+    any_of: list[Any] | None = Field(default=None, min_length=1)
+
+
+class StepEntry(BaseModel):
+    """One step of a sequence but the first: the query that follows, and the time after which it does."""
+
+    model_config = ConfigDict(extra="forbid")
+    then: Any = None
+    within: str | None = None
+    gap: Any = None
+
+
+class ReferenceEntry(BaseModel):
+    """A query of another file: its name there, and the file, relative to this one, or the name of a shipped file."""
+
+    model_config = ConfigDict(extra="forbid")
+    file: str
+    query: str
+
+
+def is_reference(item: Any) -> bool:
+    """Return whether an item of a sequence or of alternatives refers to a query of another file."""
+    return isinstance(item, dict) and ("file" in item or "query" in item)
+
+
+def referred_path(located: Located, name: str, *key: str | int) -> Path:
+    """Return the path of another query file, which a query file names at a key.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, with the line of the reference.
+    """
+    path = Path(name).expanduser()
+    if "/" in name or path.suffix in (".yaml", ".yml", ".json"):
+        name = str(located.path.parent / path)
+    try:
+        return config_path("queries", name)
+    except ConfigError as fault:
+        raise located.error(f"{fault.path}: {fault.reason}", *key) from None
+
+
+class QueryReader:
+    """Reads the queries of one file, and of the files that it refers to.
+
+    Parameters
+    ----------
+    located : Located
+        The content of the file, `with_switches`.
+    feature_set : FeatureSet
+        The features of the queries.
+    rate_hz : float
+        The analysis rate, by which seconds become frames.
+    files : dict of Path to QueryReader, optional
+        The readers of files that were opened before, by absolute path; this one is added to them.
+    """
+
+    def __init__(
+        self, located: Located, feature_set: FeatureSet, rate_hz: float, files: dict[Path, QueryReader] | None = None
+    ) -> None:
+        self.located, self.feature_set, self.rate_hz = located, feature_set, rate_hz
+        self.path = located.path.resolve()
+        self.files = {} if files is None else files
+        self.files[self.path] = self
+        self.entries: dict[str, tuple[str | int, QueryEntry]] = {}
+        self.chains_read: dict[str, list[Chain]] = {}
+        self._read_entries()
+
+    def _read_entries(self) -> None:
+        """Check every query of the file on its own, without what it refers to."""
+        items: list[tuple[str | int, Any]]
+        if isinstance(self.located.data, list):
+            items = list(enumerate(self.located.data))
+        else:
+            items = list(self.located.mapping().items())
+        for key, body in items:
+            entry = self.entry(body, key)
+            name = _query_name(self.located, key, entry)
+            if name in self.entries:
+                raise self.located.error(f"a second query is named '{name}'", key)
+            self.entries[name] = (key, entry)
+
+    def queries(self) -> tuple[KeyframeQuery, ...]:
+        """Return the queries of the file, except those that are parts."""
+        found = {name: self.query(name) for name in self.entries}
+        return tuple(query for name, query in found.items() if not self.entries[name][1].part)
+
+    def entry(self, body: Any, *key: str | int) -> QueryEntry:
+        """Check one query as it is written, without what it refers to."""
+        if not isinstance(body, dict):
+            raise self.located.error("a query is a mapping with `keyframes` and `gaps`", *key)
+        refuse_unknown_keys(self.located, body, QueryEntry, *key)
+        entry = self.located.model(QueryEntry, *key, data=body)
+        kinds = [kind for kind in STRUCTURE if getattr(entry, kind) is not None]
+        if len(kinds) != 1:
+            got = " and ".join(kinds) or "none of them"
+            raise self.located.error(f"a query has one of keyframes, sequence or any_of, got {got}", *key)
+        for word in ("gaps", "distances", "stiffness", "positions"):
+            if entry.keyframes is None and getattr(entry, word) is not None:
+                raise self.located.error(f"`{word}` goes with `keyframes`", *key, word)
+        return entry
+
+    def query(self, name: str) -> KeyframeQuery:
+        """Return the query of a name."""
+        key, entry = self.entries[name]
+        first, *others = self.chains_of(name, ())
+        made = KeyframeQuery(
+            name, entry.target or name, first.keyframes, first.gaps, first.positions, entry.description, entry.takes,
+            entry.margins, takes_at="" if entry.takes is None else self._where(key, "takes"),
+        )  # fmt: skip
+        more = tuple(
+            replace(made, keyframes=other.keyframes, gaps=other.gaps, positions=other.positions) for other in others
+        )
+        return replace(made, alternatives=more)
+
+    def _where(self, *key: str | int) -> str:
+        """Return the file and the line of a key."""
+        line = self.located.line(*key)
+        return str(self.located.path) if line is None else f"{self.located.path}:{line}"
+
+    def chains_of(self, name: str, within: _Within) -> list[Chain]:
+        """Return the chains that a named query stands for."""
+        if name not in self.chains_read:
+            key, entry = self.entries[name]
+            self.chains_read[name] = self._chains(entry, (*within, (self.path, name)), key)
+        return self.chains_read[name]
+
+    def _chains(self, entry: QueryEntry, within: _Within, *key: str | int) -> list[Chain]:
+        """Return the chains that an entry stands for."""
+        if entry.keyframes is not None:
+            found = [read_chain(self.located, entry, self.feature_set, self.rate_hz, *key)]
+        elif entry.any_of is not None:
+            found = []
+            for i, item in enumerate(entry.any_of):
+                found += self._item(item, within, *key, "any_of", i)
+        else:
+            found = self._sequence(entry.sequence or [], within, *key, "sequence")
+        found = self._mirror(found, entry.mirror)
+        if len(found) > MOST_CHAINS:
+            raise self.located.error(
+                f"stands for {len(found)} chains of keyframes, as alternatives multiply; at most {MOST_CHAINS}: "
+                "write several queries instead",
+                *key,
+            )
+        return found
+
+    def _item(self, item: Any, within: _Within, *key: str | int) -> list[Chain]:
+        """Return the chains of a query that stands in another one: a name, a reference, or a query itself."""
+        if isinstance(item, str):
+            return self._named(self, item, within, *key)
+        if is_reference(item):
+            return self._in_other_file(item, within, *key)
+        if not isinstance(item, dict):
+            raise self.located.error(f"must be the name of a query or a query, got {item!r}", *key)
+        for word in _OUTERMOST_ONLY:
+            if word in item:
+                raise self.located.error(
+                    f"`{word}` belongs to a query of its own, not to one inside another", *key, word
+                )
+        return self._chains(self.entry(item, *key), within, *key)
+
+    def _in_other_file(self, item: dict[Any, Any], within: _Within, *key: str | int) -> list[Chain]:
+        """Return the chains of a query of another file."""
+        refuse_unknown_keys(self.located, item, ReferenceEntry, *key)
+        reference = self.located.model(ReferenceEntry, *key, data=item)
+        path = referred_path(self.located, reference.file, *key, "file")
+        other = self.files.get(path.resolve())
+        if other is None:
+            other = QueryReader(with_switches(load_yaml(path)), self.feature_set, self.rate_hz, self.files)
+        return self._named(other, reference.query, within, *key, "query")
+
+    def _named(self, other: QueryReader, name: str, within: _Within, *key: str | int) -> list[Chain]:
+        """Return the chains of a query that this file refers to by name, in this file or another one."""
+        if name not in other.entries:
+            there = "" if other is self else f" in {other.located.path}"
+            raise self.located.error(f"no query is named '{name}'{there}{did_you_mean(name, other.entries)}", *key)
+        if (other.path, name) in within:
+            circle = " → ".join([*(one for _, one in within), name])
+            raise self.located.error(f"'{name}' is made of itself: {circle}", *key)
+        if other.entries[name][1].takes is not None:
+            raise self.located.error(f"'{name}' has a filter `takes`, which only the outermost query may have", *key)
+        return other.chains_of(name, within)
+
+    def _sequence(self, items: list[Any], within: _Within, *key: str | int) -> list[Chain]:
+        """Join queries; a gap lies between the last keyframe of one and the first of the next."""
+        found: list[Chain] = []
+        for i, item in enumerate(items):
+            if i == 0:
+                found = self._item(item, within, *key, 0)
+                continue
+            if not isinstance(item, dict) or "then" not in item:
+                raise self.located.error(
+                    "a step gives the query that follows as `then`, and the time after which it does as `within` or "
+                    "`gap`",
+                    *key,
+                    i,
+                )
+            refuse_unknown_keys(self.located, item, StepEntry, *key, i)
+            step = self.located.model(StepEntry, *key, i, data=item)
+            gap = self._gap(step, *key, i)
+            later = self._item(step.then, within, *key, i, "then")
+            found = [_joined(one, gap, other) for one in found for other in later]
+            if len(found) > MOST_CHAINS:
+                break
+        return found
+
+    def _gap(self, step: StepEntry, *key: str | int) -> Gap:
+        """Return the gap before a step of a sequence."""
+        if (step.within is None) == (step.gap is None):
+            raise self.located.error("a step has either `within: 2 s` or `gap` as between keyframes", *key)
+        if step.within is not None:
+            return read_gap(self.located, f"within {step.within}", self.rate_hz, *key, "within")
+        return read_gap(self.located, step.gap, self.rate_hz, *key, "gap")
+
+    def _mirror(self, chains: list[Chain], which: str | None) -> list[Chain]:
+        """Return the chains of the other side of the body, or of both sides."""
+        if which is None:
+            return chains
+        swapped = [mirrored(KeyframeQuery("", "", chain.keyframes, chain.gaps), self.feature_set) for chain in chains]
+        other = [replace(chain, keyframes=one.keyframes) for chain, one in zip(chains, swapped, strict=True)]
+        return other if which == "other" else list(dict.fromkeys([*chains, *other]))
+
+
+def _joined(one: Chain, gap: Gap, other: Chain) -> Chain:
+    return Chain(one.keyframes + other.keyframes, (*one.gaps, gap, *other.gaps))
+
+
+def with_switches(located: Located) -> Located:
+    """Turn the keys `on` and `off`, which YAML 1.1 takes for true and false, back into words."""
+
+    def word(step: Any) -> Any:
+        return "on" if step is True else "off" if step is False else step
+
+    def renamed(part: Any) -> Any:
+        if isinstance(part, dict):
+            return {word(key): renamed(inner) for key, inner in part.items()}
+        return [renamed(inner) for inner in part] if isinstance(part, list) else part
+
+    lines = {tuple(word(step) for step in key): line for key, line in located.lines.items()}
+    return Located(located.path, renamed(located.data), lines)
+
+
+def _query_name(located: Located, key: str | int, entry: QueryEntry) -> str:
+    if isinstance(located.data, list):
+        if entry.name is None:
+            raise located.error("this key is missing", key, "name")
+        return entry.name
+    if not isinstance(key, str):
+        raise located.error("the name of a query must be a text; put it in quotes", key)
+    if entry.name not in (None, key):
+        raise located.error(f"the query is already named '{key}'", key, "name")
+    return key
