@@ -130,7 +130,8 @@ def main() -> None:
     people = clips["actor"].n_unique()
     print(f"{clips['class'].n_unique()} classes; {clips.height} clips of {people} people; {given.draws} draws")
     print(
-        "\n| clips of a class | in all | thesis: F (frames) | F (segments) | best: F (frames) | F (segments) |\n|---|--:|---|---|---|---|"
+        "\n| clips of a class | in all | thesis: F (frames) | F (segments) | best: F (frames) | F (segments) |\n"
+        "|---|--:|---|---|---|---|"
     )
     for count in (*given.counts, None):
         sizes: list[int] = []
