@@ -17,23 +17,24 @@ from kinedex.pipelines.console.tables import Shown
 from kinedex.storage.sql.queries import split_statements
 from kinedex.storage.store.store import Store
 
-HELP = """.tables          the views there are, and the macros
-.schema [NAME]   the columns of a view, the arguments of a macro; without a name, the columns of all views
-.help [NAME]     this list; what a view or a macro is for, with an example
-.quit            leave (so does Ctrl-D); Ctrl-C stops what runs, or drops what was typed
+HELP = """.tables          list the views and macros
+.schema [NAME]   show the columns of a view or the arguments of a macro; without a name, the columns of all views
+.help [NAME]     show this list, or the purpose of a view or macro with an example
+.quit            leave (so does Ctrl-D); Ctrl-C stops a running statement, or clears the input
 Anything else is SQL and ends with a semicolon; SELECT * FROM help; lists views and macros with examples."""
 
 COMMANDS = (".tables", ".schema", ".help", ".quit")
 
 ROWS = 200
-"""Most rows that the prompt prints; it says when there are more."""
+"""Largest number of rows that the prompt prints; it reports how many more there are."""
 
 _ENTRIES: dict[str, View | Macro] = {entry.name: entry for entry in (*VIEWS, *MACROS)}
 
 
 def history_file() -> Path:
-    """Where the prompt remembers what was typed."""
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    """Return the file of the prompt's history, in the folder that the system has for such files."""
+    local = os.environ.get("LOCALAPPDATA") if os.name == "nt" else None
+    base = os.environ.get("XDG_STATE_HOME") or local or Path.home() / ".local" / "state"
     return Path(base) / "kinedex" / "sql_history"
 
 
@@ -42,10 +43,15 @@ def run_prompt(store: Store, console: Console, read: Callable[[str], str] = inpu
 
     Parameters
     ----------
-    read: asks for one line; raises EOFError at the end, KeyboardInterrupt at Ctrl-C.
+    store : Store
+        The store to ask.
+    console : Console
+        Where answers are printed.
+    read : callable
+        Function that asks for one line; it raises EOFError at the end, KeyboardInterrupt at Ctrl-C.
     """
     if read is input:
-        _remember()
+        _load_history()
     console.print(f"{store!r}; .help for help", markup=False)
     typed = ""
     while True:
@@ -59,7 +65,7 @@ def run_prompt(store: Store, console: Console, read: Callable[[str], str] = inpu
             typed = ""
             continue
         if not typed and line.strip().startswith("."):
-            # the shell takes a semicolon after a command, so people type it
+            # people type a semicolon after a command, as the DuckDB shell allows it
             words = line.strip().rstrip(";").split() or ["."]
             if words[0] in (".quit", ".exit"):
                 return
@@ -72,7 +78,7 @@ def run_prompt(store: Store, console: Console, read: Callable[[str], str] = inpu
 
 
 def _answer(console: Console, work: Callable[[], None]) -> bool:
-    """Do what was asked; whether it could be done."""
+    """Answer a statement or command; return False where it fails."""
     try:
         work()
     except KinedexError as fault:
@@ -88,7 +94,7 @@ def _select(store: Store, console: Console, statement: str) -> None:
     table = store.sql(statement)
     console.print(Shown(table.slice(0, ROWS)))
     rows = f"{table.num_rows:,} row{'' if table.num_rows == 1 else 's'}"
-    console.print(rows if table.num_rows <= ROWS else f"{rows}, of which the first {ROWS} are shown", markup=False)
+    console.print(rows if table.num_rows <= ROWS else f"{rows}; the first {ROWS} are shown", markup=False)
 
 
 def _dot(store: Store, console: Console, words: list[str]) -> None:
@@ -106,19 +112,19 @@ def _dot(store: Store, console: Console, words: list[str]) -> None:
         case [".schema" | ".help", name]:
             known = _views(store) | {macro.name for macro in MACROS}
             if name not in known:
-                # a view that has no index to stand on is known all the same
+                # a view that needs a missing index is known all the same
                 without = f"; {name} needs an index, see `SELECT * FROM {name}`" if name in _ENTRIES else ""
                 near = without or did_you_mean(name, known | set(_ENTRIES))
                 raise KinedexError(f"no view or macro '{name}'; .tables lists them{near}")
             _describe(store, console, words[0], name)
         case [(".tables" | ".schema" | ".help") as command, *_]:
-            raise KinedexError(f"{command} takes {'no name' if command == '.tables' else 'one name at most'}")
+            raise KinedexError(f"{command}: expected {'no name' if command == '.tables' else 'at most one name'}")
         case [other, *_]:
             raise KinedexError(f"no command '{other}'{did_you_mean(other, COMMANDS)}")
 
 
 def _views(store: Store) -> set[str]:
-    """The views of this store, without the tables that lie under them."""
+    """Return the names of the views of the store, without the tables below them."""
     found = store.sql("SELECT DISTINCT table_name FROM information_schema.columns").column(0).to_pylist()
     return {name for name in found if not name.startswith("stored_")}
 
@@ -131,15 +137,15 @@ def _describe(store: Store, console: Console, command: str, name: str) -> None:
     elif isinstance(entry, Macro):
         console.print(entry.signature, markup=False)
         for argument, default, meaning in entry.arguments:
-            said = meaning if default is None else f"{meaning} (default {default})"
-            console.print(f"  {argument}: {said}", markup=False)
+            text = meaning if default is None else f"{meaning} (default {default})"
+            console.print(f"  {argument}: {text}", markup=False)
     else:
         query = "SELECT column_name AS column, data_type AS type FROM information_schema.columns WHERE table_name = $1"
         console.print(Shown(store.sql(f"{query} ORDER BY ordinal_position", [name])))
 
 
-def _remember() -> None:
-    """Line editing, history and completion where Python has readline; without it the prompt works all the same."""
+def _load_history() -> None:
+    """Switch on line editing, history and completion where Python has readline, which Windows lacks."""
     try:
         import readline
     except ImportError:
@@ -156,16 +162,16 @@ def _remember() -> None:
         return
     readline.set_history_length(2000)
 
-    def keep() -> None:
-        # a history that cannot be written is no reason to end with an error
+    def save() -> None:
+        # a history that cannot be written is no error of the command
         with suppress(OSError):
             readline.write_history_file(path)
 
-    atexit.register(keep)
+    atexit.register(save)
 
 
 def completer(names: Iterable[str]) -> Callable[[str, int], str | None]:
-    """What readline asks for the n-th name that begins as what was typed."""
+    """Return the function that gives readline the n-th name with a prefix."""
     known = sorted(set(names))
 
     def complete(text: str, n: int) -> str | None:

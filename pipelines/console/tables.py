@@ -23,17 +23,23 @@ from kinedex.pipelines.console.json_text import json_text, json_value
 FORMATS = ("table", "csv", "json", "parquet")
 
 TALL = 4
-"""Lines a row, on average, above which rows are shown one below another."""
+"""Average number of lines of a row above which each row is printed as a block."""
 
-_TRIED = 200  # rows by which the form of a table is chosen
+_TRIED = 200  # number of rows that the choice looks at
 
 
 class Shown:
-    """An Arrow table as it reads best where it is printed; whatever the room, every value is there as a whole.
+    """An Arrow table that rich prints in the form that fits its place; no value is ever cut.
 
-    In a file or a pipe a row is a line, however long. In a terminal columns are as wide as there is room for and long
-    values are wrapped; where that makes rows of more than `TALL` lines on average, as texts and paths side by side do,
-    each row is a block with a line for every column. null: what stands where there is no value.
+    In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
+    wrapped; where rows then have more than `TALL` lines on average, each row is a block with a line for every column.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        The table.
+    null : str
+        The text for missing values.
     """
 
     def __init__(self, table: pa.Table, null: str = "–") -> None:
@@ -66,8 +72,22 @@ class Shown:
 
 
 def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
-    """A table with the texts of a column in lines of at most so many characters: for files and pipes, whose rows are as
-    wide as their longest text."""
+    """Break the texts of a column into lines.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        The table.
+    column : str
+        Name of a column of texts.
+    width : int
+        Largest number of characters in a line.
+
+    Returns
+    -------
+    pyarrow.Table
+        The table for a file or a pipe, where rows are as wide as their longest text.
+    """
     texts = table.column(column).to_pylist()
     lines = [
         text and textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
@@ -78,12 +98,12 @@ def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
 
 
 def pairs(lines: Iterable[tuple[str, str]]) -> Table:
-    """What and its text, in two columns; long texts are wrapped beside what they are about, and never cut."""
+    """Return names and texts as a table of two columns; long texts are wrapped, and never cut."""
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    for what, text in lines:
-        table.add_row(Text(what), Text(text))
+    for name, text in lines:
+        table.add_row(Text(name), Text(text))
     return table
 
 
@@ -92,7 +112,7 @@ def _natural_width(table: Table, console: Console, options: ConsoleOptions) -> i
 
 
 def rich_table(table: pa.Table, title: str | None = None, null: str = "–") -> Table:
-    """An Arrow table as a table for the terminal: numbers to the right, floats to four digits, NULL as a dash."""
+    """Return an Arrow table as a rich table: numbers to the right, floats with four digits, NULL as a dash."""
     shown = Table(title=title and Text(title), box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
         number = any(
@@ -114,15 +134,27 @@ def _cell(value: Any, null: str) -> str:
 
 
 def encode(table: pa.Table, form: str) -> bytes:
-    """An Arrow table as bytes of CSV (header first), JSON (a list of objects) or Parquet.
+    """Encode an Arrow table as CSV (header first), JSON (a list of objects) or Parquet.
 
-    Columns of one name all stay: in CSV they stand side by side; in JSON and Parquet, where names must differ, the
-    second x is called x_1. JSON has no ∞ and no NaN, which become null; decimals (also what sums of integers are in
-    SQL) become numbers; dates, times and other values without a form of their own in JSON become text.
+    Columns of equal names are all kept: in CSV they stand side by side; in JSON and Parquet, where names must differ,
+    the second x is called x_1. `json_value` describes the values of JSON.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        The table.
+    form : str
+        csv, json or parquet.
+
+    Returns
+    -------
+    bytes
+        The content of a file.
 
     Raises
     ------
-    KinedexError: an unknown format, or a value that Python and so these formats cannot hold.
+    KinedexError
+        If the format is unknown, or Python cannot represent a value.
     """
     if form == "parquet":
         sink = io.BytesIO()
@@ -138,11 +170,11 @@ def encode(table: pa.Table, form: str) -> bytes:
         for row in _rows(table):
             writer.writerow(_nested(value) if isinstance(value, dict | list) else value for value in row)
         return text.getvalue().encode()
-    raise KinedexError(f"no output format '{form}'{did_you_mean(form, FORMATS)}")
+    raise KinedexError(f"no output format '{form}'; expected one of {', '.join(FORMATS)}{did_you_mean(form, FORMATS)}")
 
 
 def _rows(table: pa.Table) -> Iterator[tuple[Any, ...]]:
-    """The rows by position: names may stand twice."""
+    """Return the rows as tuples, since two columns may have one name."""
     columns = [_values(name, column) for name, column in zip(table.column_names, table.columns, strict=True)]
     return zip(*columns, strict=True)
 
@@ -159,7 +191,7 @@ def _values(name: str, column: pa.ChunkedArray) -> list[Any]:
 
 
 def _distinct(names: list[str]) -> list[str]:
-    """These names, with _1, _2, … after those that have been there."""
+    """Return the names with _1, _2, … appended to repeated ones."""
     taken = set(names)
     seen: set[str] = set()
     result = []
@@ -175,5 +207,5 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def _nested(value: Any) -> str:
-    """A list or a struct as JSON in a cell."""
+    """Return a list or a struct as JSON text."""
     return json.dumps(json_value(value), ensure_ascii=False, allow_nan=False)

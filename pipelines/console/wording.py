@@ -1,4 +1,4 @@
-"""How counts and lists of names are put into words, on the terminal and in remarks."""
+"""Counts and lists of names in words, and the names of measures, for the terminal, pages and remarks."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ THESIS_NAMES = "F (frames) and F (segments) are F1 and F2 of the thesis (Section
 
 
 def few(names: Sequence[str]) -> str:
-    """The names, or the first eight and how many more there are."""
+    """Return the names, or the first eight and the number of the others."""
     return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """Say how many of something there are."""
+    """Return a count with its noun: "1 take", "2,000 takes"."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"

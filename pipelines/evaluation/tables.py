@@ -21,7 +21,7 @@ MEASURE_NAMES = ("P (frames)", "R (frames)", F_FRAMES, "P (segments)", "R (segme
 MOST_CONFUSIONS = 8
 REPETITIONS = (
     "a person may have labelled repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
-    "and boundaries then say little of either, though frames and segments (F1, F2) agree"
+    "and boundaries then say little of either, though F (frames) and F (segments) agree"
 )
 """What is to be known of overlap and boundaries."""
 
