@@ -1,1 +1,1 @@
-"""Inspection of one motion file: what it holds, what becomes of it, and a picture."""
+"""Inspection of one motion file: its content, how it is read, and a picture."""

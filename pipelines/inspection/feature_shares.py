@@ -1,4 +1,4 @@
-"""How often each feature holds in a take: shares of its frames, runs, and what is off for want of a joint."""
+"""Statistics of the features of a take: shares of frames, runs, and features that lack a joint."""
 
 from __future__ import annotations
 
@@ -13,20 +13,27 @@ from kinedex.ops.search.runs import feature_runs
 from kinedex.ops.words import NO_WORD
 
 
-def holding(
+def feature_shares(
     words: npt.NDArray[np.uint64], rate_hz: float, feature_set: FeatureSet, unknown: Collection[str] = ()
 ) -> pa.Table:
-    """Count, for every feature, where it holds.
+    """Count the frames and runs in which every feature holds.
 
     Parameters
     ----------
-    words: uint64 (T,), the words of one take at `rate_hz`; `NO_WORD` in invalid frames. unknown: joints that the take's
-        skeleton does not have.
+    words : uint64 array (T,)
+        The words of one take; `NO_WORD` in invalid frames.
+    rate_hz : float
+        Frames per second of the words.
+    feature_set : FeatureSet
+        The features of the words.
+    unknown : collection of str
+        Joints that the skeleton of the take lacks.
 
     Returns
     -------
-    A row for each feature, in order: `feature` (F1, …), `name`, `percent` of the valid frames, `runs`,
-    `longest_seconds` of a run, and `remark`: why it is off in all frames, or what it does without; NULL else.
+    pyarrow.Table
+        A row for each feature, in order: `feature` (F1, …), `name`, `percent` of the valid frames, `runs`,
+        `longest_seconds` of a run, and `remark`: the joints that the feature lacks, NULL where it lacks none.
     """
     count = len(feature_set.features)
     found = feature_runs(words, np.array([0, len(words)]), count)
@@ -52,7 +59,7 @@ def holding(
 
 
 def _remark(feature: Feature, joints: tuple[str, ...], unknown: set[str]) -> str | None:
-    """What a feature misses, as `FeatureSet.without` has it."""
+    """Return the joints that a feature lacks in words, as `FeatureSet.without` treats them."""
     fixed, several = ([joints[i] for i in sorted(which)] for which in feature.rule.joints(range(len(joints))))
     if needed := [joint for joint in fixed if joint in unknown]:
         return f"off in every frame: no {', '.join(needed)}"

@@ -1,4 +1,4 @@
-"""Inspect: what one motion file is, what becomes of it, and a picture; what to look at when it does not come in."""
+"""Inspection of a motion file: format, joints, time, mapping, features, and the reason where it is unreadable."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.tables import Shown, pairs
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
-from kinedex.pipelines.inspection.feature_shares import holding
+from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
 from kinedex.storage.formats.motion.acclaim import INCH_M, read_asf
 from kinedex.storage.formats.motion.amass import parse_amass
@@ -34,25 +34,32 @@ from kinedex.storage.formats.motion.positions import Points, parse_positions
 F64 = npt.NDArray[np.float64]
 
 SHOWN = 6
-"""How many frames of a take the picture shows, the first and the last among them."""
+"""Number of frames that the picture shows, the first and the last among them."""
 
 _FORMATS = {
     ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".c3d": "C3D, markers", ".trc": "TRC, positions",
     ".csv": "CSV, positions", ".npz": "NPZ, positions", ".npy": "NPY, positions",
 }  # fmt: skip
-_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # the file's axes that are drawn to the right, up, and to the right
+_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # axis that is up → the axes drawn to the right, up, and to the right
 _AXES = ("x to the right, y up", "z to the right, y up")
-_DRAWN = 1e9  # units; a joint farther away than this is a fault, and would leave nothing else to be seen
+_DRAWN = 1e9  # units; a joint farther away is an error of the file and would make the rest too small
 _RATE_HZ = 30.0  # the analysis rate of a store
 
 
 @dataclass
 class Inspection:
-    """What was found out about a file.
+    """The facts about a motion file.
 
-    lines: (what, text) in order. fault: why the file does not come in, None where it does.
-    figure: what to draw, None where nothing is known of places. features: how often each holds (`holding`), None where
-    there are no words.
+    Attributes
+    ----------
+    lines : list of (str, str)
+        Names and texts of the facts, in order.
+    fault : KinedexError or None
+        The reason why the file cannot be read, None where it can.
+    figure : Figure or None
+        The picture, None where no positions are known.
+    features : pyarrow.Table or None
+        Statistics of the features (`feature_shares`), None where there are no words.
     """
 
     lines: list[tuple[str, str]] = field(default_factory=list)
@@ -60,14 +67,14 @@ class Inspection:
     figure: Figure | None = None
     features: pa.Table | None = None
 
-    def add(self, what: str, text: str) -> None:
-        """Add a line."""
-        self.lines.append((what, text))
+    def add(self, name: str, text: str) -> None:
+        """Add a fact."""
+        self.lines.append((name, text))
 
 
 @dataclass(frozen=True)
 class _Skeleton:
-    """What a file says before any mapping: node names, and the figure of its raw nodes where there is one."""
+    """The nodes of a file before any mapping, with their figure where their positions are known."""
 
     form: Format
     nodes: dict[str, int]
@@ -77,16 +84,28 @@ class _Skeleton:
 def inspect_file(
     file: Path, skeleton: str = "auto", source: Path | None = None, given: Given = NOTHING_GIVEN
 ) -> Inspection:
-    """Find out about a motion file all that can be found out, even where it does not come in.
+    """Collect the facts about a motion file, as far as they can be known where it is unreadable.
 
     Parameters
     ----------
-    skeleton: `auto`, a shipped mapping or a file of the user's own. source: the source root, which the ASF of an AMC
-    file is looked for up to; three folders above the file unless given. given: what the user says of its rate.
+    file : Path
+        The motion file.
+    skeleton : str
+        `auto`, the name of a shipped mapping, or the path of one.
+    source : Path or None
+        The source root; the ASF of an AMC file is looked for up to it, or up to three folders above the file.
+    given : Given
+        Rate, gaps and body model that the user gives.
+
+    Returns
+    -------
+    Inspection
+        The facts, with the reason where the file cannot be read.
 
     Raises
     ------
-    KinedexError: it is no motion file, or there is no such mapping.
+    KinedexError
+        If it is no motion file, or there is no such mapping.
     """
     ending = motion_ending(file)
     feature_set = load_feature_set()
@@ -99,23 +118,24 @@ def inspect_file(
         if asf is not None:
             found.add("skeleton file", str(asf))
         raw = _raw(found, file, asf, mappings, given)
-        _say_mapping(found, raw, mappings)
+        _add_mapping(found, raw, mappings)
         found.figure = raw.figure
         body = read_body(file, asf, mappings, feature_set.joints, given)
     except KinedexError as fault:
         found.fault = fault
         return found
-    _say_body(found, body, feature_set, given)
+    _add_body(found, body, feature_set, given)
     found.figure = _figure(file, body, feature_set.joints)
     return found
 
 
 def write_picture(found: Inspection, path: Path) -> bool:
-    """Draw what was found, if there is anything to draw.
+    """Write the picture of an inspection; return False where there is none.
 
     Raises
     ------
-    KinedexError: the file cannot be written.
+    KinedexError
+        If the file cannot be written.
     """
     if found.figure is None:
         return False
@@ -127,17 +147,17 @@ def write_picture(found: Inspection, path: Path) -> bool:
 
 
 def show(found: Inspection, console: Console, features: bool = False) -> None:
-    """Print what was found; with a table of the features where that is wanted, and there is one."""
+    """Print the facts, and on request the table of features."""
     console.print(pairs(found.lines))
     if features and found.features is not None:
         console.print(Shown(found.features))
 
 
 def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: Given) -> _Skeleton:
-    """What the file holds before any mapping, said and returned."""
+    """Add the facts known before any mapping, and return the nodes."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
-        _say_nodes(found, nodes)
+        _add_nodes(found, nodes)
         return _Skeleton("acclaim", nodes)
     if form_of(file) == "positions":
         points = parse_positions(file)
@@ -151,8 +171,8 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, gi
         upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
         return _raw_points(found, file, "c3d", upright, markers.places(), axes)
     bvh = parse_bvh(file)
-    _say_nodes(found, bvh.places)
-    _say_time(found, bvh.rate_hz, len(bvh.channels))
+    _add_nodes(found, bvh.places)
+    _add_time(found, bvh.rate_hz, len(bvh.channels))
     shown = _shown(len(bvh.channels))
     positions, _ = kinematics.forward(bvh.nodes, bvh.channels[shown])
     bones = [(i, node.parent, MIDDLE) for i, node in enumerate(bvh.nodes) if node.parent >= 0]
@@ -160,34 +180,34 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, gi
 
 
 def _raw_poses(found: Inspection, file: Path, given: Given) -> _Skeleton:
-    """What a file of joint angles holds, said and returned; its joints are those of the body model, where one is."""
+    """Add the facts about a file of joint angles, and return its joints: those of the body model where one is given."""
     poses = parse_amass(file)
     names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
-    _say_nodes(found, names)
+    _add_nodes(found, names)
     found.add("figure", f"{poses.gender}, {len(poses.shape)} numbers of shape")
     if poses.rate_hz is not None:
-        _say_time(found, poses.rate_hz, len(poses.turns))
+        _add_time(found, poses.rate_hz, len(poses.turns))
     else:
-        found.add("length", f"{len(poses.turns)} frames; the file does not say how many a second")
+        found.add("length", f"{len(poses.turns)} frames; the rate is not in the file")
     return _Skeleton("amass", {name: i for i, name in enumerate(names)})
 
 
 def _raw_points(
     found: Inspection, file: Path, form: Format, points: Points, nodes: dict[str, int], axes: str = "xyz"
 ) -> _Skeleton:
-    """What a file of points holds, said and returned."""
+    """Add the facts about a file of points, and return its nodes."""
     count, frames = len(points.positions), points.positions.shape[2]
     if points.names:
-        _say_nodes(found, points.names)
+        _add_nodes(found, points.names)
     else:
-        found.add("nodes", f"{count}, which the file does not name")
+        found.add("nodes", f"{count} without names")
     seen = np.flatnonzero(np.isfinite(points.positions[:, 0]).any(axis=0))
     shown = seen[_shown(len(seen))].tolist() if len(seen) else _shown(frames)
     times = _times(shown, points.rate_hz) if points.rate_hz else [f"frame {frame}" for frame in shown]
     if points.rate_hz:
-        _say_time(found, points.rate_hz, frames)
+        _add_time(found, points.rate_hz, frames)
     else:
-        found.add("length", f"{frames} frames; the file does not say how many a second")
+        found.add("length", f"{frames} frames; the rate is not in the file")
     gaps = find_gaps(points.positions)
     if gaps:
         longest = max(gap.frames for gap in gaps)
@@ -199,7 +219,7 @@ def _raw_points(
 def _raw_figure(
     file: Path, points: F64, bones: list[tuple[int, int, str]], times: list[str], axes: str = "xyz"
 ) -> Figure | None:
-    """The file's own joints, as they stand in it; None where there is nothing to be seen."""
+    """Return the figure of the joints of a file in its own axes, None where positions are unknown or far away."""
     known = np.isfinite(points).all(axis=1)
     if not known.any(axis=0).all() or not np.nanmax(np.abs(points)) < _DRAWN:
         return None
@@ -216,47 +236,51 @@ def _raw_figure(
     )
 
 
-def _say_nodes(found: Inspection, nodes: Iterable[str]) -> None:
+def _add_nodes(found: Inspection, nodes: Iterable[str]) -> None:
     names = list(nodes)
     more = f" and {len(names) - 80} more" if len(names) > 80 else ""
     found.add("nodes", f"{len(names)}: {', '.join(names[:80])}{more}")
 
 
-def _say_time(found: Inspection, rate_hz: float, frames: int, note: str = "") -> None:
+def _add_time(found: Inspection, rate_hz: float, frames: int, note: str = "") -> None:
     found.add("rate", f"{rate_hz:.6g} Hz{note}")
     found.add("length", f"{frames} frames, {frames / rate_hz:.2f} s")
 
 
-def _say_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
-    """Which mapping fits; where none does, the nearest and all that it lacks."""
+def _add_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
+    """Add the mapping that fits; where none does, the nearest one and the nodes that the file lacks."""
     near = mappings.nearest(raw.form, raw.nodes)
     try:
         fit = mappings.detect("", raw.form, raw.nodes)
     except SourceError:
         fit = None
     if fit is not None:
-        how = "the one for its format" if len(mappings.of_format[raw.form]) == 1 else "told by the names of its joints"
+        how = (
+            "the only one for the format"
+            if len(mappings.of_format[raw.form]) == 1
+            else "found by the names of the joints"
+        )
         found.add("mapping", f"{fit.mapping.name} ({how}): {fit.mapping.path}")
     elif clause := mappings.stripped(raw.form, raw.nodes):
         found.add("mapping", f"none fits{clause}")
     elif near is not None and not near.known:
-        found.add("mapping", "none fits; none is near: none knows any of its names")
+        found.add("mapping", "none fits; no mapping has any of the names")
     elif near is not None:
         found.add("mapping", f"none fits; the nearest is {near.called}: {near.mapping.path}")
         for what, node in near.missing.items():
             found.add("", f"lacks {node}, for {what}")
 
 
-def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
-    if not any(what == "rate" for what, _ in found.lines):
+def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
+    if not any(name == "rate" for name, _ in found.lines):
         found.lines = [line for line in found.lines if line[0] != "length"]
-        said = given.rate_hz or given.override_rate_hz
-        how = "given" if said else "assumed: Acclaim files do not say it"
-        _say_time(found, body.rate_hz, body.frames, f" ({how})")
+        known = given.rate_hz or given.override_rate_hz
+        how = "given" if known else "assumed: Acclaim files do not contain it"
+        _add_time(found, body.rate_hz, body.frames, f" ({how})")
     found.add("unit", body.unit)
     valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
     if len(valid) < body.frames:
-        found.add("valid frames", f"{len(valid)} of {body.frames}; the others have no word")
+        found.add("valid frames", f"{len(valid)} of {body.frames}; the other frames are invalid")
     height = body_height(body.positions[:, :, valid], feature_set.joints)
     if height is not None:
         found.add("height", f"{height:.2f} m, legs and trunk stretched out")
@@ -266,7 +290,7 @@ def _say_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Giv
     for i, warning in enumerate(warnings or ["none"]):
         found.add("warnings" if i == 0 else "", warning)
     _, _, words = analyse(body, feature_set, _RATE_HZ)
-    found.features = holding(words, _RATE_HZ, feature_set, body.unknown)
+    found.features = feature_shares(words, _RATE_HZ, feature_set, body.unknown)
     shares = dict(zip(*(found.features.column(name).to_pylist() for name in ("feature", "percent")), strict=True))
     names = {f"F{feature.number}": feature.name for feature in feature_set.features}
     on = sorted((name for name, share in shares.items() if share > 0), key=lambda name: -shares[name])
@@ -282,7 +306,7 @@ def _percent(share: float) -> str:
 
 
 def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
-    """The named joints, each frame seen from where its hips face."""
+    """Return the figure of the mapped joints, each frame seen from the direction that the hips face."""
     valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
     shown = valid[_shown(len(valid))].tolist()
     points = _facing(body.positions[:, :, shown], joints)
@@ -307,7 +331,7 @@ def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
 
 
 def _facing(points: F64, joints: tuple[str, ...]) -> F64:
-    """The points (J, 3, F) turned about Y so that the line from the right hip to the left lies along X."""
+    """Turn the points (J, 3, F) about Y so that the line from the right hip to the left lies along X."""
     across = points[joints.index("lhip")] - points[joints.index("rhip")]
     length = np.hypot(across[0], across[2])
     turned = np.isfinite(length) & (length > 0)

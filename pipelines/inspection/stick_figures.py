@@ -1,4 +1,4 @@
-"""Stick figures: a few frames of a motion from the front and from the side, as a picture."""
+"""Pictures of a few frames of a motion as stick figures, from the front and from the side."""
 
 from __future__ import annotations
 
@@ -13,21 +13,33 @@ from PIL import Image, ImageDraw, ImageFont
 F64 = npt.NDArray[np.float64]
 
 LEFT, RIGHT, MIDDLE = "#1f6fc4", "#d1495b", "#3c3c3c"
-"""Colours of bones by the body's side; bones whose side is not known have that of the middle."""
+"""Colours of bones by the side of the body; bones of unknown side have that of the middle."""
 
 _PAPER, _GROUND, _TEXT, _FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"
-_FINE = 3  # drawn this many times larger, then made smaller: smooth lines
+_FINE = 3  # the picture is drawn this many times larger and then reduced, so that lines are smooth
 _CELL, _HEIGHT, _HEAD, _FOOT, _EDGE = 190, 250, 62, 26, 28
 
 
 @dataclass(frozen=True)
 class Figure:
-    """What is drawn.
+    """The content of a picture.
 
-    points: float64 (J, 3, F) for the F frames shown, Y up; NaN where a joint is unknown.
-    bones: pairs of joints, with the colour of the line between them.
-    times: what stands below each frame. views: what each row is called, and the two axes (to the right, up) it shows.
-    ground: the height of the ground line, in the unit of the points.
+    Attributes
+    ----------
+    points : float64 array (J, 3, F)
+        Positions of the joints in the F frames shown, Y up; NaN where a joint is unknown.
+    bones : sequence of (int, int, str)
+        Pairs of joints with the colour of the line between them.
+    times : sequence of str
+        The text below each frame.
+    views : sequence of (str, int, int)
+        For each row its title and the axes to the right and up.
+    ground : float
+        Height of the ground line, in the unit of the points.
+    title, note : str
+        The lines at the top.
+    legend : sequence of (str, str)
+        Texts with the colours that they explain.
     """
 
     points: F64
@@ -41,11 +53,12 @@ class Figure:
 
 
 def draw(figure: Figure, path: Path) -> None:
-    """Draw a figure, one row a view and one column a frame, all to one scale, and write it as PNG.
+    """Draw a figure to one scale, with a row for each view and a column for each frame, and write it as PNG.
 
     Raises
     ------
-    OSError: the file cannot be written.
+    OSError
+        If the file cannot be written.
     """
     columns, rows = len(figure.times), len(figure.views)
     width = max(2 * _EDGE + columns * _CELL, 2 * _EDGE + 640)
@@ -87,7 +100,7 @@ def _bones(pen: ImageDraw.ImageDraw, figure: Figure, x: F64, y: F64) -> None:
 
 
 def _fit(figure: Figure) -> tuple[float, F64, float]:
-    """Pixels a unit of length, the place that each frame is centred on (3, F), and the lowest height to be seen."""
+    """Return pixels per unit of length, the centre of each frame (3, F), and the lowest visible height."""
     points = figure.points
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     middle = (low + high) / 2
@@ -105,7 +118,7 @@ def _fine(x: float, y: float) -> tuple[float, float]:
 def _write(
     pen: ImageDraw.ImageDraw, x: float, y: float, text: str, size: int, colour: str, *, middle: bool = False
 ) -> float:
-    """Write a line and return how wide it is; Pillow's own font, so that pictures are alike everywhere."""
+    """Write a line in Pillow's own font, which is the same on all systems, and return its width."""
     font = ImageFont.load_default(size * _FINE)
     wide = pen.textlength(text, font=font) / _FINE
     pen.text(_fine(x - wide / 2 if middle else x, y), text, font=font, fill=colour)

@@ -1,1 +1,1 @@
-"""The synthetic archive as files."""
+"""The synthetic archive as motion files."""

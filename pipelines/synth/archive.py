@@ -1,4 +1,4 @@
-"""The synthetic archive on disk: ASF/AMC files of actors that do not exist, laid out as a real archive is."""
+"""The synthetic archive on disk: ASF/AMC files of invented actors, in the folders of a real archive."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from kinedex.pipelines.engine.executors import cores, make_executor
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 
 CLIP_SHARE = 0.50
-"""Share of the archive's time that goes into training clips; the rest are long takes."""
+"""Share of the time of the archive that is training clips; the rest are long takes."""
 LONGEST_TAKE = 150.0
-"""Seconds of a long take, at most."""
+"""Greatest length of a long take in seconds."""
 DEFAULT_SEED = 2026
 VERSION = 1
-"""Changes when the same seed gives other motion."""
+"""Version of the motion that a seed makes; it is changed where the motion changes."""
 RECORD = "synthetic.json"
-"""What the archive was made with; written first, and completed last."""
+"""File with the settings of the archive; it is written first and completed last."""
 
 _DIALECTS = (
     Dialect(remarks=("AST/ASF file, synthetic",)),
@@ -41,10 +41,26 @@ _DIALECTS = (
 
 @dataclass(frozen=True)
 class Summary:
-    """What is in a synthetic archive.
+    """The content of a synthetic archive.
 
-    made: False where the archive was there already, made with the same settings. clip_minutes, take_minutes: time
-    of each part. frames: source frames at 120 Hz. labels: labelled stretches of the takes.
+    Attributes
+    ----------
+    directory : str
+        Folder of the archive.
+    made : bool
+        False where the archive existed already, with the same settings.
+    actors, classes : tuple of str
+        Names of the actors and of the classes of motion.
+    clips, takes : int
+        Numbers of training clips and of long takes.
+    clip_minutes, take_minutes : float
+        Minutes of motion in each part.
+    frames : int
+        Source frames, at 120 Hz.
+    labels : int
+        Labelled segments of the takes.
+    bytes : int
+        Size of all files.
     """
 
     directory: str
@@ -68,7 +84,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Task:
-    """One file to write: a clip of a motion, or a long take where `motion` is empty."""
+    """A file to write: a clip of a motion, or a long take where `motion` is empty."""
 
     actor: int
     motion: str
@@ -97,25 +113,38 @@ def write_archive(
 ) -> Summary:
     """Write a synthetic archive: training clips, long takes, and the ground truth of the takes.
 
-    Half of the time are clips unless said otherwise, the same number of each motion and actor as far as the time
-    allows; the rest are takes of at most two and a half minutes. The same settings give the same bytes, whatever the
-    number of jobs.
+    Half of the time is clips by default, with the same number of clips for each motion and actor as far as the time
+    allows; the rest is takes of at most two and a half minutes. The same settings give the same bytes, whatever the
+    number of jobs. A complete archive is not changed.
 
     Parameters
     ----------
-    directory: a new or empty folder, or one that an earlier call with the same settings began.
-    minutes: time of all files together; the result is within some ten per cent of it.
-    actors: how many. seed: of everything.
-    progress: called with the number of files just written. jobs: worker processes, as many as there are cores by
-    default. clip_minutes: time of the clips, of those minutes.
+    directory : str or Path
+        A new or empty folder, or one that an earlier call with the same settings began.
+    minutes : float
+        Minutes of all files together; the result differs by some ten per cent at most.
+    actors : int
+        Number of actors, 1 to 600.
+    seed : int
+        Seed of all random numbers.
+    progress : callable or None
+        Function that is called with the number of files just written.
+    jobs : int or None
+        Number of worker processes; one per core for None.
+    clip_minutes : float or None
+        Minutes of the clips; half of `minutes` for None.
 
     Returns
     -------
-    Summary. An archive that is complete already is left as it is.
+    Summary
+        The content of the archive.
 
     Raises
     ------
-    KinedexError: the folder holds something else.
+    ParameterError
+        If a setting is out of range.
+    KinedexError
+        If the folder holds something else.
     """
     if not minutes > 0:
         raise ParameterError("minutes", "above 0", minutes)
@@ -129,9 +158,9 @@ def write_archive(
     settings: dict[str, object] = {"version": VERSION, "minutes": minutes, "actors": actors, "seed": seed}
     if clip_minutes is not None:
         settings["clip_minutes"] = clip_minutes
-    there = _earlier(folder, settings)
-    if there is not None:
-        return there
+    existing = _existing(folder, settings)
+    if existing is not None:
+        return existing
     _write_record(folder, {"settings": settings, "summary": None})
     bytes_written = _write_skeletons(folder, actors, seed)
     tasks = _plan(minutes, actors, seed, CLIP_SHARE * minutes if clip_minutes is None else clip_minutes)
@@ -150,15 +179,15 @@ def write_archive(
     return summary
 
 
-def _earlier(folder: Path, settings: dict[str, object]) -> Summary | None:
-    """Return the summary of a complete archive with these settings, None where there is room for one."""
+def _existing(folder: Path, settings: dict[str, object]) -> Summary | None:
+    """Return the summary of a complete archive with these settings, None where one can be written."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     way_out = "name another folder, or remove this one"
     try:
         record = json.loads((folder / RECORD).read_text())
     except (OSError, ValueError):
-        raise KinedexError(f"{folder} is not empty and no synthetic archive: {way_out}") from None
+        raise KinedexError(f"{folder} is neither empty nor a synthetic archive: {way_out}") from None
     if record.get("settings") != settings:
         raise KinedexError(
             f"{folder} holds a synthetic archive with other settings ({record.get('settings')}): {way_out}"
@@ -199,7 +228,7 @@ def _write_skeletons(folder: Path, actors: int, seed: int) -> int:
 
 
 def _plan(minutes: float, actors: int, seed: int, clip_minutes: float) -> list[_Task]:
-    """Share the time out: clips go round motions and actors until their part is used up, the takes share the rest."""
+    """Divide the time: clips cycle through motions and actors until their share is used, takes divide the rest."""
     clips: list[_Task] = []
     left = clip_minutes * 60.0
     number = 0

@@ -90,7 +90,7 @@ def test_a_mistake_is_said_and_the_prompt_goes_on(store: Store) -> None:
 
 
 def test_long_answers_say_that_there_is_more(store: Store) -> None:
-    assert "1,000 rows, of which the first 200 are shown" in typed(store, "SELECT * FROM range(1000);")
+    assert "1,000 rows; the first 200 are shown" in typed(store, "SELECT * FROM range(1000);")
 
 
 def test_quit_leaves(store: Store) -> None:

@@ -19,7 +19,7 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.ingestion.analysis import analyse
-from kinedex.pipelines.inspection.feature_shares import holding
+from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.inspection import Inspection, inspect_file, write_picture
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.storage.formats.motion.bodies import Given, read_body
@@ -59,7 +59,7 @@ def test_a_bvh_file_that_comes_in_is_described_and_drawn(tmp_path: Path) -> None
     assert found.fault is None
     assert said(found, "format") == "BVH"
     assert said(found, "nodes").startswith("25: mixamorig:Hips, mixamorig:LeftUpLeg")
-    assert said(found, "mapping").startswith("mixamo (told by the names of its joints)")
+    assert said(found, "mapping").startswith("mixamo (found by the names of the joints)")
     assert (said(found, "rate"), said(found, "length")) == ("30 Hz", "40 frames, 1.33 s")
     assert said(found, "unit") == "0.01 m (guessed)"
     assert said(found, "height").startswith("1.78 m")
@@ -88,7 +88,7 @@ def test_the_skeleton_of_an_amc_file_is_found_above_it_up_to_the_source(tmp_path
         found = inspect_file(root / "a" / "b" / "x_1.amc", source=source)
         assert found.fault is None
         assert said(found, "skeleton file") == str(root / "x.asf")
-        assert said(found, "rate") == "120 Hz (assumed: Acclaim files do not say it)"
+        assert said(found, "rate") == "120 Hz (assumed: Acclaim files do not contain it)"
     found = inspect_file(root / "a" / "b" / "x_1.amc", source=root / "a")
     assert "no ASF skeleton whose name begins like 'x_1'" in str(found.fault)
     assert not write_picture(found, tmp_path / "no.png")
@@ -112,7 +112,7 @@ def test_a_skeleton_that_is_near_to_none_or_to_one_but_for_a_prefix_is_told_so(t
     text = write_bvh(tmp_path / "own.bvh").read_text()
     names = re.findall(r"(?:ROOT|JOINT) (\S+)", text)
     strange.write_text(re.sub(r"(ROOT|JOINT) (\S+)", lambda found: f"{found[1]} n{names.index(found[2])}", text))
-    assert said(inspect_file(strange), "mapping") == "none fits; none is near: none knows any of its names"
+    assert said(inspect_file(strange), "mapping") == "none fits; no mapping has any of the names"
     strange.write_text(re.sub(r"(ROOT|JOINT) (?:mixamorig:)?(\S+)", r"\1 Bob_\2", text))
     found = inspect_file(strange)
     assert said(found, "mapping").startswith("none fits; without 'Bob_' its names fit 'mixamo': copy ")
@@ -134,7 +134,7 @@ def test_positions_are_described_with_their_gaps_and_drawn_as_dots_until_they_co
     track[3:5, JOINTS.index("lknee")] = np.nan
     np.savez(tmp_path / "a.npz", positions=track, names=np.array(JOINTS))
     found = inspect_file(tmp_path / "a.npz")
-    assert said(found, "length") == "30 frames; the file does not say how many a second"
+    assert said(found, "length") == "30 frames; the rate is not in the file"
     assert said(found, "gaps") == "1 in 1 points, the longest of 2 frames"
     assert said(found, "mapping").startswith("named-positions")
     assert "give `rate_hz`, or --rate" in str(found.fault)
@@ -153,7 +153,7 @@ def test_markers_are_described_and_drawn_in_frames_that_are_whole(tmp_path: Path
     assert said(found, "nodes").startswith("30: LFWT, ")
     assert said(found, "mapping").startswith("hdm05-c3d")
     assert said(found, "gaps") == "1 in 1 points, the longest of 60 frames"
-    assert said(found, "valid frames") == "30 of 90; the others have no word"
+    assert said(found, "valid frames") == "30 of 90; the other frames are invalid"
     assert "LKNE 60 frames" in said(found, "warnings")
     assert found.figure is not None
     assert found.figure.times[-1] == "0.24 s (frame 29)"
@@ -183,7 +183,7 @@ def test_features_are_counted_as_the_word_of_every_frame_says(tmp_path: Path) ->
 
 def test_features_that_miss_a_joint_say_which() -> None:
     words = np.array([3, NO_WORD, 1, 2], np.uint64)
-    rows = {row["name"]: row for row in holding(words, 30.0, load_feature_set(), ["ltoes"]).to_pylist()}
+    rows = {row["name"]: row for row in feature_shares(words, 30.0, load_feature_set(), ["ltoes"]).to_pylist()}
     assert rows["rhand_forwards"]["percent"] == pytest.approx(200 / 3)
     assert rows["rhand_forwards"]["runs"] == 2
     off = [name for name, row in rows.items() if row["remark"] == "off in every frame: no ltoes"]

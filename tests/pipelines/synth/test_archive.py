@@ -108,7 +108,7 @@ def test_a_folder_that_holds_something_else_is_not_touched(archive: tuple[Path, 
     with pytest.raises(KinedexError, match="other settings"):
         write_archive(folder, minutes=2.0, seed=4)
     (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(KinedexError, match="is not empty and no synthetic archive"):
+    with pytest.raises(KinedexError, match="is neither empty nor a synthetic archive"):
         write_archive(tmp_path)
 
 
