@@ -11,7 +11,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("kinedex", "ops", "catalog", "storage", "pipelines", "benchmarks", "studies")
-ENFORCED = ("kinedex", "benchmarks", "studies")
+ENFORCED = (
+    "kinedex",
+    "ops/distances", "ops/ranking", "ops/search", "ops/synth",
+    "catalog/skeletons",
+    "storage/index", "storage/sql",
+    "pipelines/annotation", "pipelines/api", "pipelines/search",
+    "benchmarks",
+    "studies",
+)  # fmt: skip
 """Rooms, or folders of rooms, that have been gone through; at the end of the redesign these are all of `ROOMS`."""
 
 MOST_LINES = 60
@@ -35,6 +43,7 @@ FIELD_TERMS = {
     "sharing": "memory that processes share",
     "string": "a noun",
     "timing": "a noun",
+    "training": "the clips that are learned from",
     "warping": "dynamic time warping",
     "annotating": "what the benchmark times: labels for takes",
 }
@@ -96,7 +105,8 @@ def test_a_function_fits_on_a_screen(room: str) -> None:
 @pytest.mark.parametrize("room", ENFORCED)
 def test_a_module_ending_in_ing_is_a_term_of_the_field(room: str) -> None:
     names = {part for path in files(room) for part in (path.stem, *path.relative_to(ROOT).parts[:-1])}
-    assert {name for name in names if name.endswith("ing")} <= set(FIELD_TERMS)
+    terms = {name.rpartition("_")[2] for name in names if name.endswith("ing")}
+    assert terms <= set(FIELD_TERMS)
 
 
 def test_every_room_that_is_enforced_is_there() -> None:
