@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinedex.pipelines.report.matrix import MatrixFigure, draw, write_figure
+from kinedex.pipelines.report.matrix_figures import MatrixFigure, draw, write_figure
 
 
 class Picture:

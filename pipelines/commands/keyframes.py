@@ -103,7 +103,7 @@ def export(
     """Write learned queries as a query file with named features, to read, edit and search with."""
     from kinedex.catalog.queries.query_writer import write_queries
     from kinedex.pipelines.keyframes.learning import keyframe_queries
-    from kinedex.pipelines.report.output import write_page
+    from kinedex.pipelines.report.page_files import write_page
     from kinedex.storage.store.store import open_store
 
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):

@@ -42,7 +42,7 @@ def compare(
     from kinedex.pipelines.evaluation.difference_tables import markdown, page, rich_comparison
     from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
-    from kinedex.pipelines.report.output import write_page
+    from kinedex.pipelines.report.page_files import write_page
 
     if output is not None and output.suffix not in FORMATS:
         raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")

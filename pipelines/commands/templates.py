@@ -69,7 +69,7 @@ def show(
     """
     from kinedex.catalog.template_files import NamedTemplate
     from kinedex.pipelines.console.terminal import make_console
-    from kinedex.pipelines.report.matrix import write_figure
+    from kinedex.pipelines.report.matrix_figures import write_figure
     from kinedex.pipelines.report.template_figures import template_figure
     from kinedex.pipelines.templates.stored_templates import choose_template
     from kinedex.pipelines.templates.template_output import write_template
@@ -110,7 +110,7 @@ def diff(
     """List the features in which two templates contradict each other."""
     from kinedex.ops.templates.derived_templates import contrast
     from kinedex.pipelines.console.terminal import make_console
-    from kinedex.pipelines.report.matrix import write_figure
+    from kinedex.pipelines.report.matrix_figures import write_figure
     from kinedex.pipelines.report.template_figures import contrast_figure
     from kinedex.pipelines.templates.stored_templates import choose_template
     from kinedex.pipelines.templates.template_text import contrast_lines

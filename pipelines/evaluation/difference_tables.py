@@ -14,7 +14,7 @@ from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.tables import digits
-from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.page_environment import page_environment
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")

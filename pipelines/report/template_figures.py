@@ -8,7 +8,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.templates.derived_templates import Contrast, consistency
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
-from kinedex.pipelines.report.matrix import MatrixFigure, Panel
+from kinedex.pipelines.report.matrix_figures import MatrixFigure, Panel
 from kinedex.pipelines.report.pixels import BLACK, TOLERANCE, VARYING, WHITE, WILDCARD, Colour, ramp
 
 F64 = npt.NDArray[np.float64]

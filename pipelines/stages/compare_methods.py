@@ -20,9 +20,9 @@ from kinedex.pipelines.evaluation.label_files import ground_truth_digest
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters
 from kinedex.pipelines.evaluation.study import Study, content, evaluation_rows, shown_parts
 from kinedex.pipelines.evaluation.tables import markdown, overview
-from kinedex.pipelines.report.methods import methods_page
+from kinedex.pipelines.report.methods_page import methods_page
 from kinedex.pipelines.report.motions import embed
-from kinedex.pipelines.report.output import write_page
+from kinedex.pipelines.report.page_files import write_page
 from kinedex.storage.store.store import Store
 
 FILES = ("methods.html", "methods.md", "methods.json")

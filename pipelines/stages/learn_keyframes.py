@@ -17,8 +17,8 @@ from kinedex.pipelines.keyframes.learning import Lesson, Setting, lessons
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.run_storage import KeptRuns
 from kinedex.pipelines.keyframes.runs import Course, Rounds, learn, queries_table
-from kinedex.pipelines.report.keyframes import keyframes_page
-from kinedex.pipelines.report.output import write_page
+from kinedex.pipelines.report.keyframes_page import keyframes_page
+from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.templates.learning import training_clips, training_takes
 from kinedex.storage.store.store import Store
 

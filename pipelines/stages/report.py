@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.report.gather import gather
+from kinedex.pipelines.report.annotation_data import read_report_data
+from kinedex.pipelines.report.annotation_page import annotation_page, pages_digest, shown_takes
 from kinedex.pipelines.report.motions import embed
-from kinedex.pipelines.report.output import write_page
-from kinedex.pipelines.report.render import pages_digest, render, shown_takes
+from kinedex.pipelines.report.page_files import write_page
 from kinedex.storage.store.store import Store
 
 
@@ -66,7 +66,7 @@ class Report(Stage[Params]):
             `takes` or `curves_take` names a take that was not annotated.
         """
         store = context.open()
-        data = gather(
+        data = read_report_data(
             store,
             context.pipeline,
             created=datetime.now().astimezone(),
@@ -77,7 +77,7 @@ class Report(Stage[Params]):
         )
         path = context.report_file("report.html")
         motions = embed(store, shown_takes(data, params.takes, params.max_takes).shown, params.embed)
-        size = write_page(render(data, takes=params.takes, max_takes=params.max_takes, motions=motions), path)
+        size = write_page(annotation_page(data, takes=params.takes, max_takes=params.max_takes, motions=motions), path)
         context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {len(motions.motions)} takes)")
         return {
             "files": [path.relative_to(context.store_path).as_posix()],

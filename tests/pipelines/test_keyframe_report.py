@@ -11,7 +11,7 @@ from kinedex.ops.keyframes.consensus import Consensus
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import LearningRun
 from kinedex.pipelines.keyframes.learning import Chosen, Outcome
-from kinedex.pipelines.report.keyframes import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
+from kinedex.pipelines.report.keyframes_page import PANEL, bars, courses, keyframes_page, matrix_of, stiffnesses
 from tests.pipelines.labelled import BODY
 from tests.pipelines.study import Reading
 

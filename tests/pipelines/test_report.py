@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.report.annotation_page import annotation_page
 from kinedex.pipelines.report.data import (
     Curve,
     Failure,
@@ -20,12 +21,11 @@ from kinedex.pipelines.report.data import (
     TakeRow,
     Template,
 )
-from kinedex.pipelines.report.render import render
 from tests.pipelines.study import FRAMES, Reading, study
 
 
 def test_a_page_shows_measures_takes_templates_curves_and_exclusions() -> None:
-    text = Reading(render(study())).text
+    text = Reading(annotation_page(study())).text
     for expected in (
         "Squats and kicks", "0.69 F (frames)", "0.67 F (segments)", "0.52 F (frames)", "56 have the class",
         "2 of 3 automatic segments",
@@ -41,7 +41,7 @@ def test_the_convergence_of_learning_and_remarks_on_clips_are_shown() -> None:
     data = study()
     squat, kick = data.templates
     odd = replace(squat, remarks=("clips far from all others: c2 (cost 0.3)",))
-    page = render(replace(data, templates=(odd, replace(kick, clips=(), origin="from kick.yaml"))))
+    page = annotation_page(replace(data, templates=(odd, replace(kick, clips=(), origin="from kick.yaml"))))
     text = Reading(page).text
     assert text.count("clips far from all others: c2 (cost 0.3)") == 2  # beside the template, and among the remarks
     assert "from kick.yaml" in text
@@ -50,7 +50,7 @@ def test_the_convergence_of_learning_and_remarks_on_clips_are_shown() -> None:
 
 
 def test_a_page_needs_nothing_but_itself() -> None:
-    page = render(study())
+    page = annotation_page(study())
     reading = Reading(page)
     assert "http:" not in page
     assert "https:" not in page
@@ -62,7 +62,7 @@ def test_a_page_needs_nothing_but_itself() -> None:
 
 
 def test_every_tag_that_opens_closes() -> None:
-    assert Reading(render(study())).open == []
+    assert Reading(annotation_page(study())).open == []
 
 
 def test_names_from_data_never_become_markup() -> None:
@@ -91,15 +91,15 @@ def test_names_from_data_never_become_markup() -> None:
         commands=(evil,),
         method=evil,
     )
-    page = render(data)
+    page = annotation_page(data)
     assert Reading(page).tags.count("script") == 1
     assert "<script>alert" not in page
 
 
 def test_the_same_data_give_the_same_page_and_the_moment_is_given() -> None:
-    assert render(study()) == render(study())
-    later = render(replace(study(), created=datetime(2027, 1, 2, tzinfo=UTC)))
-    assert later.replace("2027-01-02 00:00", "2026-11-21 04:27") == render(study())
+    assert annotation_page(study()) == annotation_page(study())
+    later = annotation_page(replace(study(), created=datetime(2027, 1, 2, tzinfo=UTC)))
+    assert later.replace("2027-01-02 00:00", "2026-11-21 04:27") == annotation_page(study())
 
 
 @pytest.mark.parametrize(
@@ -125,26 +125,26 @@ def test_the_same_data_give_the_same_page_and_the_moment_is_given() -> None:
     ],
 )  # fmt: skip
 def test_missing_data_is_reported(change: dict[str, object], sentence: str) -> None:
-    assert sentence in Reading(render(replace(study(), **change))).text  # type: ignore[arg-type]
+    assert sentence in Reading(annotation_page(replace(study(), **change))).text  # type: ignore[arg-type]
 
 
 def test_classes_that_only_one_side_knows_are_named() -> None:
     data = study()
     jump = replace(data, manual=(*data.manual, Segment("two", "jump", 80, 90)))
-    assert "without a template, which cannot be found: jump" in Reading(render(jump)).text
+    assert "without a template, which cannot be found: jump" in Reading(annotation_page(jump)).text
     no_kick = replace(data, manual=data.manual[:2])
-    assert "all their segments count as false: kick" in Reading(render(no_kick)).text
+    assert "all their segments count as false: kick" in Reading(annotation_page(no_kick)).text
 
 
 def test_takes_not_shown_are_counted_and_named() -> None:
-    text = Reading(render(study(), max_takes=1)).text
+    text = Reading(annotation_page(study(), max_takes=1)).text
     assert "1 take not shown" in text
     assert re.search(r"1 take without a timeline here two", text)
 
 
 def test_a_take_that_was_not_annotated_cannot_be_asked_for() -> None:
     with pytest.raises(KinedexError, match="no annotated take is named 'tow'; did you mean 'two'"):
-        render(study(), takes=["tow"])
+        annotation_page(study(), takes=["tow"])
 
 
 def test_long_lists_end_with_the_number_of_further_rows() -> None:
@@ -156,7 +156,7 @@ def test_long_lists_end_with_the_number_of_further_rows() -> None:
         scores=(data.scores[0], *(Score("annotate", "take", f"t{i:04d}", f1=i / 600) for i in range(600))),
         templates=tuple(replace(data.templates[0], subclass=f"s{i:02d}") for i in range(20)),
     )
-    page = render(many)
+    page = annotation_page(many)
     text = Reading(page).text
     for expected in ("20 more: SELECT * FROM ingest_log", "10 more: SELECT name, warnings",
                      "of 600 takes with the lowest F (frames); all of them",
@@ -189,4 +189,4 @@ def test_forty_takes_of_fifteen_classes_stay_below_five_megabytes() -> None:
         curves=curves,
         curves_take="take000",
     )
-    assert len(render(data).encode()) < 5_000_000
+    assert len(annotation_page(data).encode()) < 5_000_000

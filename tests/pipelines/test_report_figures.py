@@ -16,7 +16,7 @@ from kinedex.pipelines.report.data import (
     Segment,
     TakeRow,
 )
-from kinedex.pipelines.report.output import write_page
+from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.palette import CLASS_COLOURS
 from kinedex.pipelines.report.pixels import SCALE, quantised_image, soft_image, wildcard_share
 from kinedex.pipelines.report.take_selection import choose_takes, median_take, worst_middle_best

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.report import motions
+from kinedex.pipelines.report.annotation_page import annotation_page
 from kinedex.pipelines.report.motions import UNSEEN, Motion, embed, motions_json, pack
-from kinedex.pipelines.report.render import render
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
@@ -98,9 +98,9 @@ def test_a_page_has_a_player_where_it_carries_motions_and_its_segments_say_their
     data = study()
     take = data.takes[0].name
     carried = motions.Motions((pack(take, np.zeros((24, 3, 8)), 30.0),), ("root",), (-1,), "Click a segment.")
-    page = render(data, motions=carried)
+    page = annotation_page(data, motions=carried)
     assert 'id="player"' in page
     assert f'data-take="{take}"' in page
     starts = {int(start) for start in re.findall(r'data-start="(\d+)"', page)}
     assert starts == {segment.start for segment in (*data.automatic, *data.manual)}
-    assert 'id="player"' not in render(data)
+    assert 'id="player"' not in annotation_page(data)

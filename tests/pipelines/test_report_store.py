@@ -13,12 +13,12 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
+from kinedex.pipelines.report.annotation_data import read_report_data
+from kinedex.pipelines.report.annotation_page import annotation_page
 from kinedex.pipelines.report.data import (
     Failure,
     Segment,
 )
-from kinedex.pipelines.report.gather import gather
-from kinedex.pipelines.report.render import render
 from kinedex.pipelines.stages.report import Report
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.schemas import frames_schema, result_schema, takes_schema
@@ -123,7 +123,7 @@ INPUTS = {
 
 
 def test_a_store_gives_everything_that_a_report_shows(store: Path) -> None:
-    data = gather(open_store(store), "study", created=MOMENT, inputs=INPUTS, own_stage="report")
+    data = read_report_data(open_store(store), "study", created=MOMENT, inputs=INPUTS, own_stage="report")
     assert [take.name for take in data.takes] == ["long_1", "long_2"]
     assert data.archive_takes == 3
     assert data.title == "Annotation of archive"
@@ -147,23 +147,23 @@ def test_a_store_gives_everything_that_a_report_shows(store: Path) -> None:
 
 def test_only_stages_that_play_a_role_are_reported(store: Path) -> None:
     inputs = {"templates": "learn_templates", "annotations": "annotate"}
-    data = gather(open_store(store), "study", created=MOMENT, inputs=inputs)
+    data = read_report_data(open_store(store), "study", created=MOMENT, inputs=inputs)
     assert data.scores == ()
     assert data.manual == ()
     assert data.curves_take == "long_1"
 
 
 def test_another_takes_curves_can_be_asked_for(store: Path) -> None:
-    data = gather(open_store(store), "study", created=MOMENT, curves_take="long_2")
+    data = read_report_data(open_store(store), "study", created=MOMENT, curves_take="long_2")
     assert data.curves[0].costs[40] == pytest.approx(0.02)
     with pytest.raises(KinedexError, match="no annotated take is named 'long_3'; did you mean"):
-        gather(open_store(store), "study", created=MOMENT, curves_take="long_3")
+        read_report_data(open_store(store), "study", created=MOMENT, curves_take="long_3")
 
 
 def test_an_empty_store_has_a_report_too(tmp_path: Path) -> None:
     with StoreWriter.open(tmp_path / "store", load_feature_set()) as writer:
         writer.commit()
-    page = render(gather(open_store(tmp_path / "store"), "study", created=MOMENT))
+    page = annotation_page(read_report_data(open_store(tmp_path / "store"), "study", created=MOMENT))
     assert "No take was annotated" in page
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.report.data import StageRow
-from kinedex.pipelines.report.reproduce import command
+from kinedex.pipelines.report.reproduction import command
 
 
 @pytest.mark.parametrize("source", ["/archive", "/my archive #1", "/a: b", "/it's 'here'", "2024"])

@@ -12,7 +12,7 @@ from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ranking.ranking_evaluation import Judged
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial, mean_stiffness, stiffened, trial_rows
-from kinedex.pipelines.report.retrieval import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
+from kinedex.pipelines.report.retrieval_page import SIZE, diagrams, mean_of, qualities, retrieval_page, variants
 from kinedex.storage.store.store import open_store
 from tests.pipelines.study import Reading
 

@@ -27,7 +27,7 @@ from kinedex.pipelines.report.data import (
     TakeRow,
     Template,
 )
-from kinedex.pipelines.report.reproduce import command
+from kinedex.pipelines.report.reproduction import command
 from kinedex.pipelines.report.take_selection import median_take
 from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
 from kinedex.storage.snapshot.parts import part_file
@@ -59,7 +59,7 @@ BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts"}
 """What the runner adds to what a stage says of its result."""
 
 
-def gather(
+def read_report_data(
     store: Store,
     pipeline: str,
     *,

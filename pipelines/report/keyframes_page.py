@@ -17,7 +17,7 @@ from kinedex.ops.words import bits
 from kinedex.pipelines.keyframes.learning import Learner, Outcome, every_query, keyframe_queries
 from kinedex.pipelines.keyframes.tables import sentence
 from kinedex.pipelines.report.axes import time_axis
-from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.plots import HistogramBar, histogram, line_path, share_ticks
 
 F64 = npt.NDArray[np.float64]

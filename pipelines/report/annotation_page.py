@@ -16,8 +16,8 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.report.cards import Card, card, readable, rules
 from kinedex.pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from kinedex.pipelines.report.data import ReportData, Score, Segment
-from kinedex.pipelines.report.environment import page_environment
 from kinedex.pipelines.report.motions import Motions, motions_json
+from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.pipelines.report.take_selection import Choice, choose_takes
 from kinedex.pipelines.report.timelines import Timeline, timeline
@@ -38,12 +38,12 @@ class Gaps:
 
 
 def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes: int = 40) -> Choice:
-    """The takes whose timelines a report shows, in their order; parameters as in `render`."""
+    """The takes whose timelines a report shows, in their order; parameters as in `annotation_page`."""
     f1 = {name: score.f1 for name, score in data.take_scores().items() if score.f1 is not None}
     return choose_takes([take.name for take in data.takes], f1, wanted=takes, max_takes=max_takes)
 
 
-def render(
+def annotation_page(
     data: ReportData,
     *,
     takes: Sequence[str] | None = None,

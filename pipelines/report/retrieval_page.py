@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN
-from kinedex.pipelines.report.environment import page_environment
+from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.plots import line_path, share_ticks
 
 SIZE = 150

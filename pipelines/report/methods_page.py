@@ -22,7 +22,6 @@ from kinedex.pipelines.evaluation.tables import (
     sentence,
     six,
 )
-from kinedex.pipelines.report.environment import page_environment
 from kinedex.pipelines.report.method_figures import (
     HEIGHT,
     ROOMS,
@@ -37,6 +36,7 @@ from kinedex.pipelines.report.method_figures import (
     sweeps,
 )
 from kinedex.pipelines.report.motions import Motions, motions_json
+from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.pipelines.report.plots import HistogramBar
 
