@@ -1,7 +1,7 @@
-"""The background that motions stand out from: the postures that an archive is usually in.
+"""The background that motions stand out from: the postures that an archive usually shows.
 
-One average over all frames would be a poor background: nobody is ever in it, as features go together (who lies has no
-foot raised and no fast hand), and whatever any motion does is likelier than the average. So the background is a few
+One average over all frames would be a poor background: nobody is ever in it, as features occur together (who lies has
+no foot raised and no fast hand), and whatever any motion does is likelier than the average. So the background is a few
 postures, each with its own share of frames in which a feature is on, found by splitting: the average is divided into
 two along the direction in which frames differ most, both are improved by expectation and maximisation, and so on
 (Linde, Buzo and Gray, An Algorithm for Vector Quantizer Design, 1980; here for a mixture of Bernoulli distributions).
@@ -23,7 +23,7 @@ SPLITS = 2
 """How often all postures are divided: 2 gives four. Chosen on clips of actors left out (`studies.decoding`)."""
 
 _ROUNDS = 20
-_LEAST = 0.05  # while postures are looked for, no feature is surer than this
+_LEAST = 0.05  # while postures are learned, no feature is surer than this
 
 
 def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64:
@@ -31,12 +31,23 @@ def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64
 
     Parameters
     ----------
-    words: uint64 arrays, `NO_WORD` in them counts for nothing. splits: 0 for the average alone.
+    words : sequence of uint64 array
+        The words of takes; `NO_WORD` is ignored.
+    features : int
+        The number of features f.
+    splits : int
+        How often all postures are divided; 0 for the average alone.
 
     Returns
     -------
-    float64 (K, f), K = 2 ** splits postures that are equally usual (fewer where there are fewer different words): in
-    each, the share of frames in which each feature is on. One half each where there is no frame.
+    float64 array (K, f)
+        K = 2 ** splits postures that are equally usual (fewer where there are fewer different words): in each, the
+        share of frames in which each feature is on. One half each where there is no frame.
+
+    Raises
+    ------
+    ParameterError
+        If the number of splits is below 0.
     """
     if splits < 0:
         raise ParameterError("splits", "0 or more", splits)
@@ -58,11 +69,21 @@ def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64
 
 
 def log_likelihoods(words: U64, usual: F64, smoothing: float) -> F64:
-    """How likely words are in the background, log P, float64 (V,); `NO_WORD` is taken for a word of all features.
+    """Return how likely words are in the background, as logarithms.
 
     Parameters
     ----------
-    usual: float64 (K, f), see `background`. smoothing: shares of postures lie between this and 1 − this.
+    words : uint64 array (V,)
+        One word a frame; `NO_WORD` counts as a word of all features.
+    usual : float64 array (K, f)
+        The usual postures, see `background`.
+    smoothing : float
+        Shares of postures lie between this and 1 − this.
+
+    Returns
+    -------
+    float64 array (V,)
+        log P(word | background).
     """
     scores = _scores(bits(words, usual.shape[1]).astype(np.float64), np.clip(usual, smoothing, 1.0 - smoothing))
     most = scores.max(axis=1)
@@ -71,13 +92,13 @@ def log_likelihoods(words: U64, usual: F64, smoothing: float) -> F64:
 
 
 def _scores(on: F64, postures: F64) -> F64:
-    """The log likelihood of each row of bits in each posture, (V, K)."""
+    """Return the log likelihood of each row of bits in each posture, (V, K)."""
     result: F64 = on @ (np.log(postures) - np.log1p(-postures)).T + np.log1p(-postures).sum(axis=1)
     return result
 
 
 def _belongings(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
-    """How many frames of each word belong to each posture, (V, K)."""
+    """Return how many frames of each word belong to each posture, (V, K)."""
     scores = _scores(on, np.clip(postures, _LEAST, 1.0 - _LEAST))
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
     result: F64 = shares / shares.sum(axis=1, keepdims=True) * counts[:, None]

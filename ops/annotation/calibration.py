@@ -1,4 +1,4 @@
-"""Thresholds from examples: which distance divides the clips of a class from all others best."""
+"""Thresholds from examples: the distance that separates the clips of a class best from all others."""
 
 from __future__ import annotations
 
@@ -11,21 +11,30 @@ F64 = npt.NDArray[np.float64]
 
 
 def best_threshold(own: F64, others: F64) -> tuple[float, float]:
-    """Return the threshold τ of the greatest F, and that F, where clips of a distance below τ are taken for the class.
+    """Return the threshold τ of the greatest F, and that F.
 
-    F = 2 TP / (2 TP + FP + FN), TP the clips of the class below τ, FP the others below it, FN = those of the class that
-    are not. Every τ between two distances divides the clips alike, so the middle between them stands for all; of
-    several that divide equally well, the one in the widest gap, then the lowest. Nothing beyond the greatest distance
-    counts as a gap: there τ is the middle between it and twice of it.
+    Clips of a distance below τ are assigned to the class. F = 2 TP / (2 TP + FP + FN), TP the clips of the class below
+    τ, FP the others below it, FN = those of the class that are not. Every τ between two distances divides the clips
+    alike, so the middle between them stands for all; of several that divide equally well, the one in the widest gap,
+    then the lowest. Nothing beyond the greatest distance counts as a gap: there τ is the middle between it and twice of
+    it.
 
     Parameters
     ----------
-    own, others: float64 (A,), (B,), the least distance in each clip of the class and of other classes, ∞ where no path
-        fits.
+    own : float64 array (A,)
+        The least distance in each clip of the class, ∞ where no path fits.
+    others : float64 array (B,)
+        The least distance in each clip of other classes.
+
+    Returns
+    -------
+    (float, float)
+        τ and F.
 
     Raises
     ------
-    ParameterError: no finite distance in `own`, or one below 0.
+    ParameterError
+        If there is no finite distance in `own`, or one below 0.
     """
     own, others = np.sort(np.asarray(own, np.float64)), np.sort(np.asarray(others, np.float64))
     finite = np.unique(np.concatenate([own[np.isfinite(own)], others[np.isfinite(others)]]))

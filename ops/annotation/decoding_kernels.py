@@ -1,8 +1,8 @@
-"""The kernels of `decoding`: forwards from frame to frame over the columns of all templates, and back to the begins.
+"""The kernels of `decoding`: forwards from frame to frame over the columns of all templates, and back to the starts.
 
-The columns of all templates lie end to end, `REACH` empty ones before each template, so that one loop without branches
-goes over all of them. The log ratios of a frame are those of the frame before it, and what the few features that
-changed add to or take from them; they are summed anew from time to time, so that no rounding adds up.
+The columns of all templates lie end to end, `MAX_STEP` empty ones before each template, so that one loop without
+branches covers all of them. The log ratios of a frame are those of the frame before it, changed by the few features
+that changed; they are summed anew from time to time, so that rounding errors do not add up.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
-REACH = 3
+MAX_STEP = 3
 """The longest step, in columns and in frames."""
 
 TOLERANCE = 1e-9
@@ -33,9 +33,14 @@ _ONE = np.uint64(1)
 class Columns(NamedTuple):
     """The columns of T templates, end to end.
 
-    slopes: float64 (f, C), what a feature that is on adds to a column's log ratio. intercepts: float64 (C,), the log
-    ratio of a word without features, −∞ in the empty columns. firsts, lengths: int64 (T,), where templates begin, and
-    how many columns they have.
+    Parameters
+    ----------
+    slopes : float64 array (f, C)
+        The amount by which a feature that is on changes a column's log ratio.
+    intercepts : float64 array (C,)
+        The log ratio of a word without features, −∞ in the empty columns.
+    firsts, lengths : int64 array (T,)
+        The first column of each template, and the number of its columns.
     """
 
     slopes: F64
@@ -45,14 +50,21 @@ class Columns(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """A take. words: uint64 (L,). offsets: float64 (L,), what is added to the log ratios of all columns in a frame."""
+    """The frames of a take.
+
+    Parameters
+    ----------
+    words : uint64 array (L,)
+    offsets : float64 array (L,)
+        The amount that is added to the log ratios of all columns in each frame.
+    """
 
     words: U64
     offsets: F64
 
 
 class Costs(NamedTuple):
-    """See `ops.annotation.decoding.Decoding`."""
+    """The costs of `ops.annotation.decoding.Decoding`."""
 
     entry: float
     skip: float
@@ -61,16 +73,23 @@ class Costs(NamedTuple):
 
 @nb.njit(cache=True, nogil=True)
 def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, changes: I64) -> tuple[F64, I64]:
-    """The greatest value of the frames before each frame (kernel).
+    """Return the greatest value of the frames before each frame (kernel).
 
     Parameters
     ----------
-    allowed: (T, L), where each template may be, or (T, 0): everywhere. changes: the frames in which `allowed` differs
-        from the frame before, ascending, the first of them 0 and the last L.
+    frames : Frames
+    columns : Columns
+    costs : Costs
+    allowed : bool array (T, L) or (T, 0)
+        The frames in which each template may be; without frames: everywhere.
+    changes : int64 array
+        The frames in which `allowed` differs from the frame before, ascending, the first of them 0 and the last L.
 
     Returns
     -------
-    value: float64 (L + 1,); winner: int64 (L + 1,), the template whose segment ends before a frame, or −1.
+    value : float64 array (L + 1,)
+    winner : int64 array (L + 1,)
+        The template whose segment ends before a frame, or −1.
     """
     count = len(frames.words)
     value, winner = np.zeros(count + 1), np.full(count + 1, -1, np.int64)
@@ -89,10 +108,20 @@ def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, chan
 
 
 @nb.njit(cache=True, nogil=True)
-def rivals(frames: Frames, columns: Columns, costs: Costs, classes: I64, starts: I64, stops: I64, labels: I64) -> F64:
-    """For each of some stretches, the greatest value that templates of other classes than its label reach (kernel).
+def rival_values(
+    frames: Frames, columns: Columns, costs: Costs, classes: I64, starts: I64, stops: I64, labels: I64
+) -> F64:
+    """Return, for each segment, the greatest value that templates of other classes than its label reach (kernel).
 
-    classes: int64 (T,), of the templates. starts, stops, labels: int64 (S,).
+    Parameters
+    ----------
+    frames : Frames
+    columns : Columns
+    costs : Costs
+    classes : int64 array (T,)
+        The classes of the templates.
+    starts, stops, labels : int64 array (S,)
+        The half-open range and the class of each segment.
     """
     result = np.zeros(len(starts))
     value, winner = np.zeros(len(frames.words) + 1), np.zeros(len(frames.words) + 1, np.int64)
@@ -119,16 +148,27 @@ def advance(
     value: F64,
     winner: I64,
 ) -> None:
-    """Go on with an explanation by the active templates over frames [start, stop) (kernel).
+    """Continue an explanation by the active templates over frames [start, stop) (kernel).
 
-    scores: the best value of each column in frame f, in row f mod 4. rows: room for log ratios. value, winner: see
-    `forwards`; value[start] is given.
+    Parameters
+    ----------
+    frames : Frames
+    start, stop : int
+    columns : Columns
+    costs : Costs
+    active : bool array (T,)
+    scores : float64 array (4, C)
+        The best value in each column in frame f, in row f mod 4.
+    rows : float64 array (4, C)
+        Memory for log ratios.
+    value, winner : array (L + 1,)
+        See `forwards`; value[start] is given.
     """
     words, offsets = frames
     spans = _spans(columns, active)
     once = twice = slot = 0
     changed = _ANEW
-    for frame in range(max(start - REACH + 1, 0), stop):
+    for frame in range(max(start - MAX_STEP + 1, 0), stop):
         begins = changed == _ANEW and frame <= start
         once, twice = slot, once
         if begins or words[frame] != words[frame - 1]:
@@ -151,7 +191,7 @@ def advance(
         here, last = scores[frame % _RING], scores[(frame - 1) % _RING]
         second, third = scores[(frame - 2) % _RING], scores[(frame - 3) % _RING]
         for first, end in spans:
-            inner = slice(first + REACH, end)
+            inner = slice(first + MAX_STEP, end)
             _step(
                 here[inner], rows[slot, inner], rows[once, inner], rows[twice, inner],
                 last[first:end], second[first:end], third[first:end], costs.skip,
@@ -171,11 +211,11 @@ def advance(
 
 @nb.njit(cache=True, nogil=True)
 def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
-    """The columns of active templates, those of neighbours together; each with its empty columns before it."""
+    """Return the columns of active templates, those of neighbours together, each with its empty columns before it."""
     found = [(0, 0)]
     for template in range(len(active)):
         if active[template]:
-            first = columns.firsts[template] - REACH
+            first = columns.firsts[template] - MAX_STEP
             end = columns.firsts[template] + columns.lengths[template]
             if found[-1][1] == first:
                 found[-1] = (found[-1][0], end)
@@ -186,7 +226,7 @@ def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
 
 @nb.njit(cache=True, nogil=True)
 def _sum(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
-    """The log ratios of a word in the columns from the first on."""
+    """Fill the log ratios of a word in the columns from the first on."""
     intercepts = columns.intercepts[first : first + len(row)]
     for n in range(len(row)):
         row[n] = intercepts[n] + offset
@@ -199,7 +239,7 @@ def _sum(row: F64, word: np.uint64, offset: float, columns: Columns, first: int)
 
 @nb.njit(cache=True, nogil=True)
 def _change(row: F64, before: F64, words: U64, offsets: F64, frame: int, slopes: F64, first: int) -> None:
-    """The log ratios of a frame from those of the frame before."""
+    """Fill the log ratios of a frame from those of the frame before."""
     difference = offsets[frame] - offsets[frame - 1]
     for n in range(len(row)):
         row[n] = before[n] + difference
@@ -214,10 +254,17 @@ def _change(row: F64, before: F64, words: U64, offsets: F64, frame: int, slopes:
 
 @nb.njit(cache=True, nogil=True)
 def _step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, third: F64, skip: float) -> None:
-    """The best value in every column but the first three, from the frames before (without branches, to vectorise).
+    """Fill the best value in every column but the first three, from the frames before (without branches, to vectorise).
 
-    now, once, twice: log ratios in this frame and the two before it, without the first three columns. last, second,
-    third: values in the three frames before it.
+    Parameters
+    ----------
+    here : float64 array
+        The results.
+    now, once, twice : float64 array
+        Log ratios in this frame and the two before it, without the first three columns.
+    last, second, third : float64 array
+        Values in the three frames before it.
+    skip : float
     """
     for n in range(len(here)):
         best = last[n + 2]
@@ -236,9 +283,14 @@ def _step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, th
 def backwards(
     frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, winner: I64
 ) -> list[tuple[int, int, int]]:
-    """The segments of the explanation of the greatest value: start, stop, template, the last one first (kernel).
+    """Return the segments of the explanation of the greatest value: start, stop, template, the last one first (kernel).
 
-    value, winner: from `forwards`.
+    Parameters
+    ----------
+    frames, columns, costs, allowed
+        As in `forwards`.
+    value, winner : array (L + 1,)
+        From `forwards`.
     """
     found = [(0, 0, 0)]
     at = len(frames.words)
@@ -254,9 +306,9 @@ def backwards(
 
 @nb.njit(cache=True, nogil=True)
 def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, template: int, stop: int) -> int:
-    """The frame in which the segment of a template that ends before `stop` begins.
+    """Return the frame in which the segment of a template that ends before `stop` begins.
 
-    The values of columns are not kept in the pass over all templates; the segment's own template is gone over once
+    The values of columns are not kept in the pass over all templates; the segment's own template is computed once
     more, in a window that grows until it holds a segment of the value that is known.
     """
     first, length = columns.firsts[template], columns.lengths[template]
@@ -264,42 +316,48 @@ def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value:
     while True:
         start = max(stop - window, 0)
         count = stop - start
-        scores, rows = np.full((count + REACH, length + REACH), -np.inf), np.full((count, length + REACH), -np.inf)
+        scores, rows = (
+            np.full((count + MAX_STEP, length + MAX_STEP), -np.inf),
+            np.full((count, length + MAX_STEP), -np.inf),
+        )
         for place in range(count):
             frame = start + place
-            here, last = scores[place + REACH], scores[place + REACH - 1]
+            here, last = scores[place + MAX_STEP], scores[place + MAX_STEP - 1]
             if frames.words[frame] == NO_WORD or (allowed.shape[1] > 0 and not allowed[template, frame]):
                 continue
-            _sum(rows[place], frames.words[frame], frames.offsets[frame], columns, first - REACH)
-            now = rows[place, REACH:]
-            once, twice = rows[max(place - 1, 0), REACH:], rows[max(place - 2, 0), REACH:]
-            _step(here[REACH:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)
-            here[REACH] = max(last[REACH] - costs.stay, value[frame] - costs.entry) + now[0]
+            _sum(rows[place], frames.words[frame], frames.offsets[frame], columns, first - MAX_STEP)
+            now = rows[place, MAX_STEP:]
+            once, twice = rows[max(place - 1, 0), MAX_STEP:], rows[max(place - 2, 0), MAX_STEP:]
+            _step(here[MAX_STEP:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)
+            here[MAX_STEP] = max(last[MAX_STEP] - costs.stay, value[frame] - costs.entry) + now[0]
             here[-1] = max(here[-1], last[-1] - costs.stay + now[-1])
         if start == 0 or scores[-1, -1] >= value[stop] - TOLERANCE:
-            return start + _walk(scores, rows, costs, value[start:stop])
+            return start + _trace(scores, rows, costs, value[start:stop])
         window *= 2
 
 
 @nb.njit(cache=True, nogil=True)
-def _walk(scores: F64, rows: F64, costs: Costs, value: F64) -> int:
-    """The row in which the best path to the last row and column begins; `scores` has `REACH` rows more than `rows`."""
+def _trace(scores: F64, rows: F64, costs: Costs, value: F64) -> int:
+    """Return the row in which the best path to the last row and column begins.
+
+    `scores` has `MAX_STEP` rows more than `rows`.
+    """
     place, n = len(rows) - 1, rows.shape[1] - 1
     while True:
         best, back, columns = -np.inf, 0, 0
-        if n == REACH:
+        if n == MAX_STEP:
             best = value[place] - costs.entry
-        before = place + REACH - 1
-        if n in (REACH, rows.shape[1] - 1) and scores[before, n] - costs.stay > best:
+        before = place + MAX_STEP - 1
+        if n in (MAX_STEP, rows.shape[1] - 1) and scores[before, n] - costs.stay > best:
             best, back, columns = scores[before, n] - costs.stay, 1, 0
-        for left_out in range(REACH):
+        for left_out in range(MAX_STEP):
             other = scores[before, n - 1 - left_out] - costs.skip * left_out
             if other > best:
                 best, back, columns = other, 1, 1 + left_out
         spent = 0.0
-        for lasts in range(2, REACH + 1):
+        for lasts in range(2, MAX_STEP + 1):
             spent += rows[max(place - lasts + 1, 0), n]
-            other = scores[place + REACH - lasts, n - 1] + spent
+            other = scores[place + MAX_STEP - lasts, n - 1] + spent
             if other > best:
                 best, back, columns = other, lasts, 1
         if back == 0:

@@ -18,20 +18,28 @@ I64 = npt.NDArray[np.int64]
 def least_costs(
     templates: Sequence[QuantisedTemplate], words: U64, ranges: Sequence[I64], chosen: I64, starts: I64, stops: I64
 ) -> F64:
-    """The least distance of the paths that end in each segment, without the curves of all templates in all frames.
+    """Return the least distance of the paths that end in each segment.
 
-    No path to a template of N columns is longer than 2 N − 1 frames, so the frames before a segment that matter are
-    few.
+    No path to a template of N columns is longer than 2 N − 1 frames, so that the curve is computed in the frames of the
+    segments and so many frames before them only.
 
     Parameters
     ----------
-    words: uint64 (L,). ranges: for each template int64 (R, 2), the half-open stretches it is matched in, ascending and
-        apart. chosen, starts, stops: int64 (S,), the template of each segment and its frames, within one of the
-        template's ranges.
+    templates : sequence of QuantisedTemplate
+        T templates.
+    words : uint64 array (L,)
+        One word a frame; `NO_WORD` where the frame is invalid.
+    ranges : sequence of int64 array (R, 2)
+        For each template the half-open ranges in which it is matched, ascending and disjoint.
+    chosen : int64 array (S,)
+        The template of each segment.
+    starts, stops : int64 array (S,)
+        The half-open range of each segment, within one of the ranges of its template.
 
     Returns
     -------
-    float64 (S,), ∞ where no path ends.
+    float64 array (S,)
+        ∞ where no path ends.
     """
     costs = np.full(len(chosen), np.inf)
     for index in np.unique(chosen).tolist():
@@ -40,8 +48,8 @@ def least_costs(
         begins = np.maximum(starts[own] - 2 * (len(template) - 1), within)
         edges = np.concatenate([[0], np.cumsum(stops[own] - begins)])
         parts = [words[begin:stop] for begin, stop in zip(begins.tolist(), stops[own].tolist(), strict=True)]
-        stretches = np.stack([edges[:-1], edges[1:]], axis=1)
-        curve = distance_curves([template], np.concatenate(parts), stretches)[0]
+        pieces = np.stack([edges[:-1], edges[1:]], axis=1)
+        curve = distance_curves([template], np.concatenate(parts), pieces)[0]
         inside = np.stack([edges[1:] - (stops[own] - starts[own]), edges[1:]], axis=1)
         costs[own] = [curve[first:end].min() for first, end in inside.tolist()]
     return costs

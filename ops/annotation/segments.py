@@ -1,7 +1,7 @@
-"""From the minima of distance curves to annotated segments (thesis, Chapter 5.2).
+"""From the minima of distance curves to annotated segments (thesis, Section 5.2).
 
-Templates fit in few places: a class's modified curve is ∞ nearly everywhere. It is kept where it is finite only, island
-by island, and whatever is decided frame by frame is decided there.
+Templates fit in few places: a class's modified curve is ∞ nearly everywhere. It is kept where it is finite only, as
+*islands* of neighbouring frames, and whatever is decided frame by frame is decided there.
 """
 
 from __future__ import annotations
@@ -27,10 +27,20 @@ _BLOCK = 64  # frames that are passed over together where nothing lies in them
 
 @dataclass(frozen=True, order=True)
 class Segment:
-    """Frames [start, stop) that bear the label of a class.
+    """A segment of a take that has the label of a class: frames [start, stop).
 
-    cost: the least distance in the segment. subclass: index of the curve that reached it. confidence: from 0 (something
-    else explains the frames as well) to 1 (nothing else comes near).
+    Parameters
+    ----------
+    start, stop : int
+        The half-open range of frames.
+    class_index : int
+        The class.
+    cost : float
+        The least distance in the segment.
+    subclass : int
+        The index of the curve that attains it.
+    confidence : float
+        From 0 (something else explains the frames as well) to 1 (nothing else comes near).
     """
 
     start: int
@@ -43,10 +53,16 @@ class Segment:
 
 @dataclass(frozen=True)
 class Matches:
-    """Where templates fit: the local minima of each one's distance curve below its threshold.
+    """The local minima of each template's distance curve below its threshold, with their paths.
 
-    offsets: int64 (S + 1,), template s has the minima offsets[s] .. offsets[s + 1] − 1. starts, ends: int64 (M,), first
-    and last frame of the best path, both included, by ascending ends within a template. costs: float64 (M,), distances.
+    Parameters
+    ----------
+    offsets : int64 array (S + 1,)
+        Template s has the minima offsets[s] to offsets[s + 1] − 1.
+    starts, ends : int64 array (M,)
+        The first and the last frame of the best path, both included, by ascending ends within a template.
+    costs : float64 array (M,)
+        The distances.
     """
 
     offsets: I64
@@ -58,13 +74,13 @@ class Matches:
         return len(self.offsets) - 1
 
     def parts(self) -> list[tuple[I64, I64, F64]]:
-        """The starts, ends and costs of each template."""
+        """Return the starts, ends and costs of each template."""
         pieces = [slice(start, stop) for start, stop in pairwise(self.offsets.tolist())]
         return [(self.starts[piece], self.ends[piece], self.costs[piece]) for piece in pieces]
 
     @staticmethod
     def of(parts: Sequence[tuple[I64, I64, F64]]) -> Matches:
-        """Put the starts, ends and costs of templates together."""
+        """Concatenate the starts, ends and costs of templates."""
         offsets = np.cumsum([0, *(len(costs) for _, _, costs in parts)]).astype(np.int64)
         starts = np.concatenate([np.empty(0, np.int64), *(one for one, _, _ in parts)])
         ends = np.concatenate([np.empty(0, np.int64), *(one for _, one, _ in parts)])
@@ -79,12 +95,20 @@ def local_minima(curve: F64, threshold: float) -> I64:
 
     Parameters
     ----------
-    curve: float64 (L,), ∞ where no path ends.
-    threshold: τ > 0.
+    curve : float64 array (L,)
+        Distances, ∞ where no path ends.
+    threshold : float
+        τ > 0.
 
     Returns
     -------
-    int64 (M,), ascending.
+    int64 array (M,)
+        Ascending frames.
+
+    Raises
+    ------
+    ParameterError
+        If the threshold is not above 0.
     """
     if not threshold > 0:
         raise ParameterError("threshold", "above 0", threshold)
@@ -96,30 +120,37 @@ def local_minima(curve: F64, threshold: float) -> I64:
 
 
 def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F64 = np.inf) -> list[list[Segment]]:
-    """Label every frame with the class that explains it best, and grow the labelled runs (Eq. 5.4 to 5.7).
+    """Label every frame with the class that explains it best, and grow the labelled runs (thesis, Eq. 5.4 to 5.7).
 
     A template's modified curve is at most the cost of a minimum from the start to the end of its path (Eq. 5.4). A
-    class takes the least of its subclasses' modified curves; ties go to the first class, and within it to the
-    first subclass. A run of a label grows to the left while the class's modified curve, read leftwards, does not
-    rise, and to the right likewise, never into ∞. Grown segments of one class that overlap or touch are one.
+    class takes the least of its subclasses' modified curves (Eq. 5.5 and 5.6); ties go to the first class, and within
+    it to the first subclass. A run of a label (Eq. 5.7) grows to the left while the class's modified curve, read
+    leftwards, does not rise, and to the right likewise, never into ∞. Grown segments of one class that overlap or touch
+    are one.
 
     Parameters
     ----------
-    matches: the minima of each of S subclasses, in frames of takes laid end to end.
-    classes: int64 (S,), the class of each subclass, 0 … P − 1.
-    offsets: int64 (T + 1,), where the takes begin, and the end. No path and no segment reaches over such a place.
-    threshold: τ, or float64 with one for each class, which the confidence is measured against where no other class is
-        nearer: 1 − cost / rival, the rival being the mean over the segment's frames of the nearest other class's
-        modified curve, or the class's own τ where that is less.
+    matches : Matches
+        The minima of each of S subclasses, in frames of takes laid end to end.
+    classes : int64 array (S,)
+        The class of each subclass, 0 … P − 1.
+    offsets : int64 array (T + 1,)
+        The first frame of each take, and the end. No path and no segment crosses the border of a take.
+    threshold : float or float64 array (P,)
+        τ of all classes or of each, which the confidence is measured against where no other class is nearer: 1 − cost /
+        rival, the rival being the mean over the segment's frames of the nearest other class's modified curve, or the
+        class's own τ where that is less.
 
     Returns
     -------
-    For each take its segments in frames of the take, ordered by start, stop and class; those of different classes may
-    overlap.
+    list of list of Segment
+        For each take its segments in frames of the take, ordered by start, stop and class; those of different classes
+        may overlap.
 
     Raises
     ------
-    ParameterError: classes or thresholds that are not one for each.
+    ParameterError
+        If there is not one class for each subclass, or not one threshold for each class.
     """
     if len(classes) != len(matches) or (len(classes) and classes.min() < 0):
         raise ParameterError("classes", f"one index for each of {len(matches)} subclasses", len(classes))
@@ -134,15 +165,15 @@ def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F6
     begins[offsets] = True
     islands, curves = class_curves(matches.offsets, matches.starts, matches.ends, matches.costs, members, edges, begins)
     labels, *nearest = nearest_classes(islands, curves, int(offsets[-1]))
-    places, costs, sure = grown(islands, curves, labels, *nearest, taus)
-    homes = np.searchsorted(offsets, places[:, 1], side="right") - 1
+    places, costs, sure = grow_runs(islands, curves, labels, *nearest, taus)
+    takes = np.searchsorted(offsets, places[:, 1], side="right") - 1
     subclasses = first_members(
         places, costs, matches.offsets, matches.starts, matches.ends, matches.costs, members, edges
     )
     order = np.lexsort((places[:, 0], places[:, 2], places[:, 1]))
-    bounds = np.searchsorted(homes[order], np.arange(len(offsets)))
+    bounds = np.searchsorted(takes[order], np.arange(len(offsets)))
     rows = zip(
-        (places[order, 1] - offsets[homes[order]]).tolist(), (places[order, 2] - offsets[homes[order]]).tolist(),
+        (places[order, 1] - offsets[takes[order]]).tolist(), (places[order, 2] - offsets[takes[order]]).tolist(),
         places[order, 0].tolist(), costs[order].tolist(), subclasses[order].tolist(), sure[order].tolist(), strict=True,
     )  # fmt: skip
     segments = [Segment(*row) for row in rows]
@@ -153,15 +184,25 @@ def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F6
 def class_curves(
     offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64, begins: Bool
 ) -> tuple[I64, F64]:
-    """The modified curves of classes where they are finite (kernel).
+    """Return the modified curves of classes where they are finite (kernel).
 
-    members: int64 (S,), subclasses by class; those of class p from edges[p] to edges[p + 1]. begins: bool (L + 1,),
-    where a take begins, and the end.
+    Parameters
+    ----------
+    offsets, starts, ends, costs
+        See `Matches`.
+    members : int64 array (S,)
+        The subclasses by class.
+    edges : int64 array (P + 1,)
+        Class p has the subclasses members[edges[p]] to members[edges[p + 1] - 1].
+    begins : bool array (L + 1,)
+        The frames where a take begins, and the end.
 
     Returns
     -------
-    int64 (I, 4): class, first frame, frame behind the last, and place of the first value of each island, by class and
-    frame. float64: the values of all islands.
+    islands : int64 array (I, 4)
+        The class, the half-open range of frames, and the place of the first value of each island, by class and frame.
+    values : float64 array
+        The values of all islands.
     """
     frames = len(begins) - 1
     curve, touched = np.full(frames, np.inf), np.zeros(frames // _BLOCK + 1, np.bool_)
@@ -202,7 +243,10 @@ def class_curves(
 
 @nb.njit(cache=True, nogil=True)
 def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F64, F64]:
-    """Of each frame: its label, −1 for none; the class of the least cost, that cost, and the next class's (kernel)."""
+    """Return the label, the nearest class, its cost and the next class's cost of each frame (kernel).
+
+    The label is −1 where there is none.
+    """
     labels, nearest = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
     least, second = np.full(frames, np.inf), np.full(frames, np.inf)
     for island in range(len(islands)):
@@ -223,15 +267,18 @@ def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F
 
 
 @nb.njit(cache=True, nogil=True)
-def grown(
+def grow_runs(
     islands: I64, values: F64, labels: I64, nearest: I64, least: F64, second: F64, taus: F64
 ) -> tuple[I64, F64, F64]:
     """Grow the runs of labels (kernel).
 
     Returns
     -------
-    int64 (R, 4): class, first frame, frame behind the last, and the first frame of the least cost, of each segment.
-    float64 (R,): that cost. float64 (R,): the confidence.
+    places : int64 array (R, 4)
+        The class, the half-open range of frames, and the first frame of the least cost of each segment.
+    costs : float64 array (R,)
+        That cost.
+    confidences : float64 array (R,)
     """
     places, found = np.empty((256, 4), np.int64), 0
     for island in range(len(islands)):
@@ -281,7 +328,7 @@ def grown(
 def first_members(
     places: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
 ) -> I64:
-    """The first subclass of each segment's class that reaches the least cost where it lies (kernel)."""
+    """Return the first subclass of each segment's class that attains the least cost where it lies (kernel)."""
     longest = np.zeros(len(offsets) - 1, np.int64)
     for s in range(len(longest)):
         for place in range(offsets[s], offsets[s + 1]):

@@ -15,7 +15,8 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.annotation.decoding import Decoding, background, confidences, explain, lay_columns
+from kinedex.ops.annotation.background import background
+from kinedex.ops.annotation.decoding import Decoding, confidences, explain, lay_columns
 from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode

@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import (
     STANDING_OUT,
     Decoding,
     Explained,
-    background,
     confidences,
     explain,
-    log_ratios,
     margins,
 )
 from kinedex.ops.errors import ParameterError
@@ -30,6 +29,7 @@ TEMPLATES = st.lists(st.lists(COLUMN, min_size=1, max_size=6), min_size=1, max_s
 WORDS = st.lists(st.sampled_from([*range(2**FEATURES), int(NO_WORD)]), max_size=14)
 USUAL = st.lists(COLUMN, min_size=1, max_size=3)
 EVEN = np.full((1, FEATURES), 0.5)
+HALF = [(0.5,) * FEATURES]
 
 
 def template(columns: list[tuple[float, ...]]) -> Template:
@@ -143,7 +143,7 @@ def test_of_templates_that_fit_equally_the_first_is_taken() -> None:
     usual = EVEN
     decoding = Decoding(entry=0.05, stay=0.0, gain=0.0)
     (found,) = explain([same, same], usual, words, decoding)
-    value = 2 * log_ratios([same], usual, words[:1], decoding)[0, 0] - 0.05
+    value = 2 * oracle.log_ratio([1, 0, 0], (0.9, 0.5, 0.5), HALF, decoding.smoothing, 0.0) - 0.05
     assert found == Explained(0, 2, 0, pytest.approx(value))
 
 
@@ -155,7 +155,8 @@ def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> 
     decoding = Decoding(entry=0.1, stay=0.0, gain=0.0)
     found = explain(templates, usual, words, decoding)
     assert [one.template for one in found] == [1]
-    values = 6 * log_ratios(templates, usual, words[:1], decoding)[0] - 0.1
+    ratios = [oracle.log_ratio([1, 1, 0], one, HALF, decoding.smoothing, 0.0) for one in columns]
+    values = 6 * np.array(ratios) - 0.1
     expected = 1 - values / values[1]
     # without class 0, which has templates 0 and 1, template 2 is next; where each is a class of its own, template 0
     assert margins(found, templates, np.array([0, 0, 1, 2]), usual, words, decoding) == pytest.approx([expected[2]])
