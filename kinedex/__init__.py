@@ -27,11 +27,12 @@ if TYPE_CHECKING:
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
     from kinedex.pipelines.api.picture import Picture
+    from kinedex.pipelines.api.pipeline import ingest, run_pipeline
     from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.store import Store, open_store
     from kinedex.pipelines.api.take import Take, features, read
     from kinedex.pipelines.api.template import Difference, Template
-    from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+    from kinedex.pipelines.engine.runner import Outcome
 
     __version__: str
 
@@ -54,6 +55,7 @@ __all__ = [
     "annotate",
     "evaluate",
     "features",
+    "ingest",
     "load_feature_set",
     "open_store",
     "read",
@@ -78,10 +80,11 @@ _HOMES = {
     "annotate": "pipelines.api.annotation",
     "evaluate": "pipelines.api.annotation",
     "features": "pipelines.api.take",
+    "ingest": "pipelines.api.pipeline",
     "load_feature_set": "catalog.features",
     "open_store": "pipelines.api.store",
     "read": "pipelines.api.take",
-    "run_pipeline": "pipelines.engine.runner",
+    "run_pipeline": "pipelines.api.pipeline",
 }
 """The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""
 

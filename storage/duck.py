@@ -6,6 +6,7 @@ import glob
 import re
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,9 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
     connection = duckdb.connect(":memory:")
     # a GLOBAL setting holds for the cursors of this connection, too
     connection.execute("SET GLOBAL python_enable_replacements = false")
-    connection.execute("SET enable_progress_bar = false")
+    # in a notebook without ipywidgets DuckDB draws no progress bar, and cannot switch it off either
+    with suppress(duckdb.InvalidInputException):
+        connection.execute("SET enable_progress_bar = false")
     connection.execute("SET autoinstall_known_extensions = false")
     connection.execute("SET autoload_known_extensions = false")
     connection.execute(f"SET temp_directory = {quote(str(Path(tempfile.gettempdir()) / 'kinedex-duckdb'))}")

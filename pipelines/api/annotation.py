@@ -30,7 +30,7 @@ from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 
 def annotate(
     takes: Store | Take | Iterable[Take],
-    templates: Template | str | Sequence[Template | str],
+    templates: Template | str | Iterable[Template | str],
     method: str = "best",
     *,
     classes: str | Path = OWN,
@@ -46,7 +46,7 @@ def annotate(
     ----------
     takes : Store, Take, or iterable of Take
         The takes to annotate; of a store those that `where` selects.
-    templates : Template, str, or a sequence of them
+    templates : Template, str, or an iterable of them
         One template for each class (subclass); names are those of templates that the store has learned.
     method : str
         "best" explains all frames of a take together by templates in a row with background between them; "thesis"
@@ -174,7 +174,7 @@ class _StoredWords:
         return [self.store.stored.words().words]
 
 
-def _templates_of(takes: object, templates: Template | str | Sequence[Template | str]) -> list[Template]:
+def _templates_of(takes: object, templates: Template | str | Iterable[Template | str]) -> list[Template]:
     wanted = [templates] if isinstance(templates, Template | str) else list(templates)
     names = [one for one in wanted if isinstance(one, str)]
     if names and not isinstance(takes, Store):

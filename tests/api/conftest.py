@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import time
 from collections.abc import Iterator
@@ -11,10 +10,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from rich.console import Console
 
 import kinedex
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.synth.archive import write_archive
 
 PATIENCE_S = 600
@@ -31,9 +28,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
         _wait_for(done)
         return folder
     write_archive(folder / "archive", minutes=3, actors=2, jobs=1)
-    quiet = Terminal(Console(file=io.StringIO()))
-    settings = {"source": str(folder / "archive"), "classes": "synthetic"}
-    kinedex.run_pipeline("annotate", folder / "store", assignments=settings, terminal=quiet)
+    kinedex.run_pipeline("annotate", folder / "store", {"source": folder / "archive", "classes": "synthetic"})
     done.touch()
     return folder
 
