@@ -103,7 +103,7 @@ stretches AS MATERIALIZED (
     SELECT n.k, n.take_id, min(n.frame) AS start, max(n.next) AS stop FROM numbered AS n
     WHERE n.holds GROUP BY n.k, n.take_id, n.stretch)"""
 
-# The search of `kinedex search` in the same two passes (thesis, Section 4.3): backwards, of each pose the frames from
+# The search of `kinedex search` in the same two passes (thesis, Section 3.5): backwards, of each pose the frames from
 # which the rest can be completed; forwards, from the last frame of each such stretch of the first pose, always to the
 # farthest frame within the gap. Ranges that overlap or touch are one.
 _PATTERN = f"""WITH RECURSIVE
