@@ -13,9 +13,11 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.formats.motion.bodies import Body, read_acclaim, read_bvh
-from kinedex.storage.formats.motion.export import export_take
+from kinedex.storage.formats.motion.acclaim import read_acclaim
+from kinedex.storage.formats.motion.bvh import read_bvh
+from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.store.store import open_store
+from kinedex.storage.store.take_export import export_take
 
 FEATURES = load_feature_set()
 LOWER = ("root", "lhip", "lknee", "lankle", "ltoes", "rhip", "rknee", "rankle", "rtoes", "belly", "chest")

@@ -15,8 +15,8 @@ import numpy as np
 
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.formats.motion.export import export_take
 from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.take_export import export_take
 
 
 def compare(store: Store, where: str, folder: Path) -> str:

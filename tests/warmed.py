@@ -13,7 +13,7 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.stages import ingest
-from kinedex.storage.formats.motion.bodies import read_body
+from kinedex.storage.formats.motion.reader_table import read_body
 
 body = load_feature_set()
 ingest._compile_kernels(body)

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, features_of
 from kinedex.catalog.queries.query_writer import frames_shared
+from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack
-from kinedex.storage.formats.motion.export import TREE
 
 _STYLE = """:root { color-scheme: light dark; --line: #8884; --accent: #d2691e; }
 body { margin: 0; font: 13px system-ui, sans-serif; color: #222; background: #fff; }
@@ -66,8 +66,8 @@ def take_html(take: Shown) -> str:
 
 def player_page(take: Shown) -> str:
     """Return a whole page that plays a take."""
-    joints = [joint for joint in take.joints if joint in TREE]
-    parents = [joints.index(parent) if (parent := TREE[joint]) in joints else -1 for joint in joints]
+    joints = [joint for joint in take.joints if joint in JOINT_PARENTS]
+    parents = [joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints]
     columns = [take.joints.index(joint) for joint in joints]
     motion = pack(take.label, take.positions[:, columns].transpose(1, 2, 0), take.rate_hz)
     data = json.dumps({"joints": joints, "parents": parents, "motions": [asdict(motion)]}).replace("<", "\\u003c")

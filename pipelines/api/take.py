@@ -18,7 +18,7 @@ from kinedex.ops.words import NO_WORD, bits
 if TYPE_CHECKING:
     import polars as pl
 
-    from kinedex.storage.formats.motion.bodies import Body
+    from kinedex.storage.formats.motion.reader import Body
 
 ANALYSIS_RATE_HZ = 30.0
 """The rate at which takes are analysed, in frames per second."""
@@ -401,7 +401,8 @@ def read(
     """
     from kinedex.catalog.skeletons.mappings import load_mappings
     from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
-    from kinedex.storage.formats.motion.bodies import Given, read_body
+    from kinedex.storage.formats.motion.reader import ReadSettings
+    from kinedex.storage.formats.motion.reader_table import read_body
 
     file = Path(path).expanduser()
     if rate is not None:
@@ -409,7 +410,7 @@ def read(
     asf = skeleton_beside(file) if motion_ending(file) == ".amc" else None
     features = load_feature_set(feature_set)
     mappings = load_mappings("auto" if mapping is None else str(mapping), features.joints)
-    body = read_body(file, asf, mappings, features.joints, Given(override_rate_hz=rate))
+    body = read_body(file, asf, mappings, features.joints, ReadSettings(override_rate_hz=rate))
     about = {"source": str(file), "format": file.suffix[1:].lower(), "skeleton_source": asf and str(asf)}
     return take_of_body(file.stem, body, features, about)
 
@@ -490,8 +491,8 @@ def _body_of_array(
     orientation: npt.ArrayLike | None,
 ) -> Body:
     """Return a body whose joints are placed by an array."""
-    from kinedex.storage.formats.motion.bodies import Body
     from kinedex.storage.formats.motion.points import root_orientation
+    from kinedex.storage.formats.motion.reader import Body
 
     _check_rate(rate)
     names = feature_set.joints if joints is None else tuple(joints)
@@ -528,7 +529,7 @@ def _body_of_array(
 
 
 def _check_rate(rate: float) -> None:
-    from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
+    from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 
     if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
         raise ParameterError("rate", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames per second", rate)

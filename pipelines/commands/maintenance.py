@@ -41,9 +41,9 @@ def inspect(
     """Show what a motion file holds, and draw a few of its frames."""
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
-    from kinedex.storage.formats.motion.bodies import Given
+    from kinedex.storage.formats.motion.reader import ReadSettings
 
-    found = inspect_file(file, skeleton, source, Given(None, rate, fill_gap_frames, body_model))
+    found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model))
     path = picture or Path(f"{file.stem}.png")
     drawn = write_picture(found, path)
     if drawn:

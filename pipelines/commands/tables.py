@@ -114,8 +114,8 @@ def export(
 
     Positions are in metres; Y is up.
     """
-    from kinedex.storage.formats.motion.export import export_take
     from kinedex.storage.store.store import open_store
+    from kinedex.storage.store.take_export import export_take
 
     form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
     path = output or Path(f"{Path(take).name}.{form}")

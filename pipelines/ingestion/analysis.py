@@ -8,7 +8,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.resample import feature_rate, resample
-from kinedex.storage.formats.motion.bodies import Body
+from kinedex.storage.formats.motion.reader import Body
 
 F64 = npt.NDArray[np.float64]
 

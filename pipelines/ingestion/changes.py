@@ -6,22 +6,22 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.pipelines.engine.code_digest import code_digest
+from kinedex.pipelines.engine.code_digest import code_digest, plugin_digest
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
 from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
-from kinedex.storage.formats.motion.bodies import FORMS, Given, read_body
-from kinedex.storage.formats.motion.body_models import model_digest
+from kinedex.storage.formats.motion.reader import Reader, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body, readers_by_ending
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups
 from kinedex.storage.store.writer import StoreWriter
 
@@ -55,7 +55,7 @@ def compare(
     found: Scan,
     naming: Naming,
     patterns: Sequence[str],
-    given: Given,
+    given: ReadSettings,
 ) -> Changes:
     """Compare a source with a store, by size and time first; only files that seem to be others are read for it.
 
@@ -112,14 +112,23 @@ def compare(
     return Changes(tasks, unchanged, restated, gone, renamed, failures, skeleton_sums.table())
 
 
-def _recipes(feature_set: FeatureSet, mappings: Mappings, given: Given) -> dict[str, str]:
-    """What the takes of each ending depend on besides their own files."""
-    recipes = {
-        ending[1:]: _recipe(feature_set, mappings.digest(form), _matters(given, form)) for ending, form in FORMS.items()
+def _recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:
+    """Return for each ending a hash of all that its takes depend on besides their files; takes are read again for it.
+
+    The format of an .npz is known when it is read: settings that count for any reader of an ending count for all.
+    """
+    code = code_digest(read_body, analyse, blind)
+    return {
+        ending[1:]: digest(
+            [feature_set.digest, code, *(_reader_recipe(reader, mappings, settings) for reader in readers)]
+        )
+        for ending, readers in readers_by_ending().items()
     }
-    # What an .npz holds is known when it is read: what matters to either of its formats matters.
-    recipes["npz"] += f" {mappings.digest('amass')} {model_digest(given.body_model)}"
-    return recipes
+
+
+def _reader_recipe(reader: Reader, mappings: Mappings, settings: ReadSettings) -> list[object]:
+    plugin = plugin_digest(reader.distribution, type(reader)) if reader.distribution else ""
+    return [mappings.digest(reader.format), reader.relevant_settings(settings), plugin]
 
 
 def _name(naming: Naming, motion: SourceFile) -> str:
@@ -174,18 +183,6 @@ def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
         f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
         "differs; rename one, set `name: path`, or use a store of its own",
     )
-
-
-def _matters(given: Given, form: Format) -> object:
-    """What of the user's word changes a take of a format."""
-    if form in ("positions", "c3d"):
-        return astuple(replace(given, body_model=None))
-    return given.acclaim_hz if form == "acclaim" else given.override_rate_hz
-
-
-def _recipe(feature_set: FeatureSet, mappings: str, given: object) -> str:
-    """What a take's rows depend on besides its own files; when it changes, the take is read again."""
-    return digest([feature_set.digest, mappings, given, code_digest(read_body, analyse, blind)])
 
 
 def digest(parts: object) -> str:

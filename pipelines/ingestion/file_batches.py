@@ -17,8 +17,8 @@ from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.failures import Failure, failure
-from kinedex.storage.formats.motion.acclaim import read_text
-from kinedex.storage.formats.motion.bodies import READ_WHOLE, Body, Given, read_body
+from kinedex.storage.formats.motion.reader import Body, ReadSettings, source_bytes
+from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
@@ -45,7 +45,7 @@ class Batch:
     feature_set: FeatureSet
     rate_hz: float
     mappings: Mappings
-    given: Given
+    given: ReadSettings
     strict: bool
     tasks: tuple[Task, ...]
 
@@ -97,7 +97,7 @@ def read_batch(batch: Batch) -> Written:
 def _read(batch: Batch, task: Task) -> tuple[str, Body]:
     """The checksum of one file and the body in it, of the same bytes where the file is read as a whole."""
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
-    data = read_text(motion) if motion.suffix.lower() in READ_WHOLE else None
+    data = source_bytes(motion) if reader_of(motion).reads_whole else None
     # not before: it reads the whole file, which is work for many processes
     content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
     return content, read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.formats.motion.bodies import FORMS
+from kinedex.storage.formats.motion.reader_table import motion_endings
 from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
 
 ABOVE = 3
@@ -27,8 +27,8 @@ def motion_ending(file: Path) -> str:
         raise KinedexError(f"{file}: is a folder; give a file of it, or read them all: kinedex ingest STORE {file}")
     if not file.is_file():
         raise KinedexError(f"{file}: no such file")
-    if ending not in FORMS:
-        raise SourceError(file, f"is not read: {UNREAD.get(ending) or 'kinedex reads ' + ', '.join(FORMS)}")
+    if ending not in motion_endings():
+        raise SourceError(file, f"is not read: {UNREAD.get(ending) or 'kinedex reads ' + ', '.join(motion_endings())}")
     return ending
 
 

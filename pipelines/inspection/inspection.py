@@ -12,6 +12,7 @@ import pyarrow as pa
 from rich.console import Console
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height
 from kinedex.ops.body import kinematics
@@ -22,14 +23,15 @@ from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
-from kinedex.storage.formats.motion.acclaim import INCH_M, read_asf
 from kinedex.storage.formats.motion.amass import parse_amass
-from kinedex.storage.formats.motion.bodies import NOTHING_GIVEN, Body, Given, form_of, read_body
+from kinedex.storage.formats.motion.asf import INCH_M, read_asf
 from kinedex.storage.formats.motion.body_models import load_body_model
-from kinedex.storage.formats.motion.bvh import parse_bvh
-from kinedex.storage.formats.motion.c3d import parse_c3d
-from kinedex.storage.formats.motion.export import TREE
-from kinedex.storage.formats.motion.positions import Points, parse_positions
+from kinedex.storage.formats.motion.bvh_parser import parse_bvh
+from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.position_files import parse_positions
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 
 F64 = npt.NDArray[np.float64]
 
@@ -82,7 +84,7 @@ class _Skeleton:
 
 
 def inspect_file(
-    file: Path, skeleton: str = "auto", source: Path | None = None, given: Given = NOTHING_GIVEN
+    file: Path, skeleton: str = "auto", source: Path | None = None, given: ReadSettings = DEFAULT_SETTINGS
 ) -> Inspection:
     """Collect the facts about a motion file, as far as they can be known where it is unreadable.
 
@@ -112,7 +114,7 @@ def inspect_file(
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
     found.add("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    found.add("format", "NPZ, joint angles (AMASS)" if form_of(file) == "amass" else _FORMATS[ending])
+    found.add("format", "NPZ, joint angles (AMASS)" if reader_of(file).format == "amass" else _FORMATS[ending])
     try:
         asf = skeleton_beside(file, source) if ending == ".amc" else None
         if asf is not None:
@@ -153,19 +155,19 @@ def show(found: Inspection, console: Console, features: bool = False) -> None:
         console.print(Shown(found.features))
 
 
-def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: Given) -> _Skeleton:
+def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: ReadSettings) -> _Skeleton:
     """Add the facts known before any mapping, and return the nodes."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
         _add_nodes(found, nodes)
         return _Skeleton("acclaim", nodes)
-    if form_of(file) == "positions":
+    if reader_of(file).format == "positions":
         points = parse_positions(file)
         names = points.names or mappings.names_in_order(file, len(points.positions))
         return _raw_points(found, file, "positions", points, points.places(names))
-    if form_of(file) == "amass":
+    if reader_of(file).format == "amass":
         return _raw_poses(found, file, given)
-    if form_of(file) == "c3d":
+    if reader_of(file).format == "c3d":
         markers = parse_c3d(file)
         axes = _UPRIGHT[markers.up or "z"]
         upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
@@ -179,7 +181,7 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, gi
     return _Skeleton("bvh", bvh.places, _raw_figure(file, positions, bones, _times(shown, bvh.rate_hz)))
 
 
-def _raw_poses(found: Inspection, file: Path, given: Given) -> _Skeleton:
+def _raw_poses(found: Inspection, file: Path, given: ReadSettings) -> _Skeleton:
     """Add the facts about a file of joint angles, and return its joints: those of the body model where one is given."""
     poses = parse_amass(file)
     names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
@@ -271,7 +273,7 @@ def _add_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
             found.add("", f"lacks {node}, for {what}")
 
 
-def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Given) -> None:
+def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: ReadSettings) -> None:
     if not any(name == "rate" for name, _ in found.lines):
         found.lines = [line for line in found.lines if line[0] != "length"]
         known = given.rate_hz or given.override_rate_hz
@@ -312,7 +314,7 @@ def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
     points = _facing(body.positions[:, :, shown], joints)
     bones = [
         (joints.index(joint), joints.index(parent), _side(joint))
-        for joint, parent in TREE.items()
+        for joint, parent in JOINT_PARENTS.items()
         if parent is not None and joint in joints and parent in joints
     ]
     ground = float(np.nanmin(body.positions[:, 1]))

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
-from kinedex.storage.formats.motion.export import TREE
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
@@ -89,8 +89,8 @@ def embed(
         if unknown:
             raise KinedexError(f"embed: no timeline is of a take '{unknown[0]}'{did_you_mean(unknown[0], takes)}")
     chosen = [] if wanted == "none" else list(wanted) if isinstance(wanted, list) else list(takes)
-    joints = tuple(joint for joint in store.feature_set.joints if joint in TREE)
-    parents = tuple(joints.index(parent) if (parent := TREE[joint]) in joints else -1 for joint in joints)
+    joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
+    parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
     packed: list[Motion] = []
     size = 0
     for name in chosen:

@@ -24,10 +24,10 @@ from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest
 from kinedex.pipelines.ingestion.failures import Failure, failure, killer, log_table, told
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
 from kinedex.pipelines.ingestion.task_batches import run_batches
-from kinedex.storage.formats.motion.bodies import Given
 from kinedex.storage.formats.motion.body_models import model_digest
-from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
-from kinedex.storage.formats.motion.sources import MOTIONS, scan
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
+from kinedex.storage.formats.motion.reader_table import motion_endings
+from kinedex.storage.formats.motion.sources import scan
 from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
@@ -99,10 +99,10 @@ class Params(BaseModel):
         return patterns
 
     @property
-    def given(self) -> Given:
+    def given(self) -> ReadSettings:
         """What the files are told by the user."""
         model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
-        return Given(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
+        return ReadSettings(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
 
 
 class Ingest(Stage[Params]):
@@ -124,7 +124,7 @@ class Ingest(Stage[Params]):
         found = scan(params.source)
         if not found.motions:
             raise KinedexError(
-                f"no motion files ({', '.join(MOTIONS)}) below {params.source}; is this the "
+                f"no motion files ({', '.join(motion_endings())}) below {params.source}; is this the "
                 "right folder?"
                 + "".join(f" {line}." for line in found.unread_lines())
                 + "".join(f" {refused.fault}." for refused in found.refused[:3])

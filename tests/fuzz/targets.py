@@ -23,11 +23,13 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
-from kinedex.storage.formats.motion.bodies import FARTHEST_M, Given, read_body
 from kinedex.storage.formats.motion.body_models import load_body_model
-from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ, parse_bvh
-from kinedex.storage.formats.motion.c3d import parse_c3d
-from kinedex.storage.formats.motion.positions import is_positions_csv
+from kinedex.storage.formats.motion.bvh_parser import parse_bvh
+from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.mapped_body import FARTHEST_M
+from kinedex.storage.formats.motion.position_files import is_positions_csv
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import STANDING
 from tests.fuzz import seeds
 from tests.fuzz.binary import C3D, NPY, NPZ
@@ -101,7 +103,7 @@ def _check_refusal(path: Path, fault: Exception) -> None:
 # ---- motion ----------------------------------------------------------------------------------------------
 
 
-def check_motion(path: Path, asf: Path | None = None, given: Given = Given(30.0, None, 5)) -> None:  # noqa: B008
+def check_motion(path: Path, asf: Path | None = None, given: ReadSettings = ReadSettings(30.0, None, 5)) -> None:  # noqa: B008
     """Read a motion file as an ingest does; what comes out must be finite, within bounds, and fit to be written."""
     feature_set, mappings = seeds.known()
     body = read_body(path, asf, mappings, feature_set.joints, given)
@@ -160,7 +162,7 @@ def check_strange_bvh(path: Path) -> None:
     bvh = parse_bvh(path)
     if not np.isfinite(bvh.channels).all() or not SLOWEST_HZ <= bvh.rate_hz <= FASTEST_HZ:
         raise Broken("channels that are not finite, or a rate out of bounds")
-    if len(bvh.places) + len(bvh.pointless) != len(bvh.nodes):
+    if len(bvh.places) + len(bvh.redundant) != len(bvh.nodes):
         raise Broken("two nodes of one name")
 
 
@@ -175,7 +177,7 @@ def check_strange_c3d(path: Path) -> None:
 
 def check_amass(path: Path) -> None:
     """Joint angles with a body model; what has positions after a mutation is read as such."""
-    check_motion(path, given=Given(30.0, None, 5, str(_body_model())))
+    check_motion(path, given=ReadSettings(30.0, None, 5, str(_body_model())))
 
 
 @lru_cache(maxsize=1)

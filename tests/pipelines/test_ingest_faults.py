@@ -20,7 +20,8 @@ from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
 from kinedex.pipelines.ingestion import file_batches as reading
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.formats.motion.bodies import Body, read_body
+from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.compaction import FANOUT
 from kinedex.storage.store.store import Store, open_store

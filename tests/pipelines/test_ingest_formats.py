@@ -16,9 +16,9 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.body_models import BODY
-from kinedex.storage.formats.motion.export import export_take
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.take_export import export_take
 from kinedex.storage.store.verification import verify
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo

@@ -13,7 +13,9 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.formats.motion.bodies import Body, read_acclaim, read_bvh
+from kinedex.storage.formats.motion.acclaim import read_acclaim
+from kinedex.storage.formats.motion.bvh import read_bvh
+from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
 

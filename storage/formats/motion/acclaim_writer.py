@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.synth.body import Body
-from kinedex.storage.formats.motion.acclaim import INCH_M
+from kinedex.storage.formats.motion.asf import INCH_M
 
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]

@@ -1,22 +1,33 @@
-"""AMASS files: the joint angles of SMPL bodies; where the joints are at rest, a body model of the user's own says."""
+"""The reader of AMASS files: the joint angles of SMPL bodies.
+
+The places of the joints at rest come from a body model, a file of the user's own.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.ops.body import axisangle
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.body import NOTHING_GIVEN, Body, Given, built, orientation, refuse_far
-from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, LARGEST, load_body_model
-from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, LARGEST, load_body_model, model_digest
+from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
 from kinedex.storage.formats.motion.numpy_arrays import array_names, load_arrays
-from kinedex.storage.formats.motion.positions import ARRAYS
+from kinedex.storage.formats.motion.position_files import ARRAYS
+from kinedex.storage.formats.motion.reader import (
+    DEFAULT_SETTINGS,
+    FASTEST_HZ,
+    SLOWEST_HZ,
+    Body,
+    MotionFile,
+    Reader,
+    ReadSettings,
+)
 
 F64 = npt.NDArray[np.float64]
 
@@ -31,10 +42,22 @@ _POSED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS),
 
 @dataclass(frozen=True)
 class Poses:
-    """The angles of a body over time.
+    """The joint angles of a body over time.
 
-    names: the joints that turn. turns: float64 (T, J, 3), rotation vectors. places: float64 (T, 3), the root's way from
-    its place at rest. shape: float64 (B,), the figure's shape (betas). gender: male, female or neutral.
+    Attributes
+    ----------
+    names : tuple of str
+        The joints that turn.
+    turns : float64 array (T, J, 3)
+        Rotation vectors, in radians.
+    places : float64 array (T, 3)
+        The root's displacement from its place at rest, in metres.
+    shape : float64 array (B,)
+        The figure's shape (betas).
+    gender : str
+        "male", "female" or "neutral".
+    rate_hz : float, optional
+        Frames per second, if the file states them.
     """
 
     names: tuple[str, ...]
@@ -45,32 +68,60 @@ class Poses:
     rate_hz: float | None
 
 
-def holds_poses(path: Path) -> bool:
-    """Whether an NPZ file holds joint angles, and no positions."""
-    names = set(array_names(path))
-    return bool(names & {"poses", "pose_body"}) and not names & set(ARRAYS)
+class AmassReader(Reader):
+    """Reads NPZ files that hold joint angles and no positions."""
+
+    format: ClassVar[Format] = "amass"
+    endings: ClassVar[tuple[str, ...]] = (".npz",)
+
+    def sniff(self, path: Path) -> bool:
+        """Return whether an NPZ file holds joint angles and no positions."""
+        names = set(array_names(path))
+        return bool(names & {"poses", "pose_body"}) and not names & set(ARRAYS)
+
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the rates, and the body model with size and time of its files."""
+        return settings.rate_hz, settings.override_rate_hz, model_digest(settings.body_model)
+
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read a file as `read_amass` does."""
+        return read_amass(file.path, mappings, joints, settings)
 
 
-def read_amass(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN) -> Body:
-    """Read an AMASS file, with the body model that is given.
+def read_amass(
+    path: Path, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings = DEFAULT_SETTINGS
+) -> Body:
+    """Read an AMASS file with the body model of the settings.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    mappings : Mappings
+        Skeleton mappings in which the joints are looked up.
+    joints : tuple of str
+        The named joints, in the order of the result.
+    settings : ReadSettings, optional
+        Settings of the user.
 
     Raises
     ------
-    SourceError: what of the file is wrong, or that there is no body model.
+    SourceError
+        The file is damaged, no mapping fits, no rate is known, or there is no body model.
     """
     poses = parse_amass(path)
-    if given.body_model is None:
+    if settings.body_model is None:
         raise SourceError(
             path,
-            "holds the joint angles of a body (AMASS), and where its joints are at rest only a body model says, which "
-            "may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints at rest; "
-            "docs/formats.md says how",
+            "holds the joint angles of a body (AMASS); the places of its joints at rest are in a body model, which may "
+            "not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints at rest; "
+            "docs/formats.md explains it",
         )
-    model = load_body_model(given.body_model, poses.gender)
+    model = load_body_model(settings.body_model, poses.gender)
     warnings: list[str] = []
     rest = model.rest(poses.shape)
     if poses.shape.any() and not model.shapes.shape[2]:
-        warnings.append("the figure has the shape of the body model; that of the file (betas) is left out")
+        warnings.append("the figure has the shape of the body model; that of the file (betas) is not used")
     turns = np.zeros((len(poses.turns), len(model.names), 3))
     for i, name in enumerate(model.names):
         if name in poses.names:
@@ -82,28 +133,34 @@ def read_amass(path: Path, mappings: Mappings, joints: tuple[str, ...], given: G
     positions *= unit_m
     refuse_far(path, positions, joints, fit.unknown)
     if poses.rate_hz is not None:
-        rate_hz = given.rate_of(poses.rate_hz, warnings)
-    elif (said := given.override_rate_hz or given.rate_hz) is not None:
-        rate_hz = said
+        rate_hz = settings.rate_of(poses.rate_hz, warnings)
+    elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
+        rate_hz = set_hz
     else:
         raise SourceError(path, f"has none of {', '.join(RATES)}: give `rate_hz`, or --rate")
     return Body(
         positions=positions,
-        orientation=orientation(fit, turned),
+        orientation=mapped_orientation(fit, turned),
         rate_hz=rate_hz,
         unit=f"{unit_m:.6g} m",
         skeleton=fit.mapping.name,
         unknown=fit.unknown,
-        warnings=(*warnings, *built(fit)),
+        warnings=(*warnings, *virtual_joint_warnings(fit)),
     )
 
 
 def parse_amass(path: Path) -> Poses:
     """Read the angles of an AMASS file, in one array (`poses`) or in parts (`root_orient`, `pose_body`, …).
 
+    Parameters
+    ----------
+    path : Path
+        The file.
+
     Raises
     ------
-    SourceError: an array is missing, has another shape, or holds what is no number.
+    SourceError
+        An array is missing, has another shape, or holds something else than numbers.
     """
     arrays, names = load_arrays(path, ("poses", "trans", "betas", "gender", *PARTS, *RATES))
     posed, turns = _turns(path, arrays)
@@ -124,7 +181,7 @@ def parse_amass(path: Path) -> Poses:
 
 
 def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
-    """The joints that turn, and their rotation vectors (T, J, 3)."""
+    """Return the joints that turn, and their rotation vectors (T, J, 3)."""
     if "poses" in arrays:
         poses = _angles(path, arrays, "poses")
         if poses.shape[1] not in _POSED:

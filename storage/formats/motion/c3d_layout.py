@@ -1,4 +1,4 @@
-"""The layout of C3D files: what their header and parameters say of their frames, held against the file's size.
+"""The layout of C3D files: the statements of header and parameters about the frames, checked against the file's size.
 
 Blocks of 512 bytes: a header, parameters, frames (the C3D user guide, c3d.org). Nothing here trusts a count.
 """
@@ -12,20 +12,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.positions import MOST_POINTS
+from kinedex.storage.formats.motion.reader import MOST_POINTS
 
 BLOCK = 512
 KEY = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
-"""Processor types: how numbers are written."""
+"""Processor types, which determine how numbers are written."""
 
-_USED = ("POINT", "ANALOG", "TRIAL")  # the groups that are looked into; what else is there may be as it likes
-_MOST_SAID = 0xFFFF  # frames that a word can count
+_USED = ("POINT", "ANALOG", "TRIAL")  # only these groups are read; others may be damaged
+_MOST_COUNTED = 0xFFFF  # frames that 16 bits can count
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter as it stands in the file. kind: bytes of a value, −1 for text. dims: the counts of its values."""
+    """One parameter as the file holds it.
+
+    Attributes
+    ----------
+    kind : int
+        Bytes of a value; −1 for text.
+    dims : tuple of int
+        Numbers of its values along each dimension.
+    values : bytes
+        All values.
+    """
 
     kind: int
     dims: tuple[int, ...]
@@ -33,17 +43,17 @@ class Parameter:
 
     @property
     def words(self) -> tuple[int, ...]:
-        """The values as unsigned numbers, where they are two bytes each."""
+        """The values as unsigned numbers if they have two bytes each; otherwise empty."""
         return struct.unpack(f"<{len(self.values) // 2}H", self.values) if self.kind == 2 else ()
 
     @property
     def real(self) -> bytes:
-        """The bytes of the first value, where it is a number of four bytes; empty where not."""
+        """The bytes of the first value if it is a number of four bytes; otherwise empty."""
         return self.values[:4] if self.kind == 4 else b""
 
     @property
     def texts(self) -> list[str]:
-        """The values as texts, as many characters each as the first dimension says."""
+        """The values as texts; the first dimension is the length of each."""
         width = self.dims[0] if self.dims else 1
         if self.kind != -1 or not width:
             return []
@@ -59,7 +69,7 @@ def _decoded(text: bytes) -> str:
 
 
 def real(raw: bytes, processor: int) -> float:
-    """A number of four bytes; DEC's has its halves exchanged and is four times as large."""
+    """Decode a number of four bytes; DEC's has its halves exchanged and is four times as large."""
     if processor == INTEL:
         return float(struct.unpack("<f", raw)[0])
     return float(struct.unpack("<f", raw[2:] + raw[:2])[0]) / 4.0
@@ -67,12 +77,32 @@ def real(raw: bytes, processor: int) -> float:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything is.
+    """The places and sizes of everything in a file.
 
-    points: markers of a frame. analog: analog samples of a frame. frames: those that the file holds. first: the number
-    of the first of them. start: the byte where they begin. size: bytes of one number. processor: INTEL or DEC.
-    scale: the bytes of what whole numbers are multiplied with. rates: frames per second by the parameters, and by the
-    header. said: the parameters of the markers.
+    Attributes
+    ----------
+    points : int
+        Markers of a frame.
+    analog : int
+        Analog samples of a frame.
+    frames : int
+        Frames that the file holds.
+    first : int
+        Number of the first frame.
+    start : int
+        Byte where the frames begin.
+    size : int
+        Bytes of one number.
+    processor : int
+        `INTEL` or `DEC`.
+    scale : bytes
+        The factor of whole numbers, as the file writes it.
+    rates : tuple of float
+        Frames per second by the parameters, and by the header.
+    parameters : dict of str to Parameter
+        The parameters of the group POINT.
+    warnings : tuple of str
+        Reservations about the file.
     """
 
     points: int
@@ -84,16 +114,22 @@ class Layout:
     processor: int
     scale: bytes
     rates: tuple[float, ...]
-    said: dict[str, Parameter]
+    parameters: dict[str, Parameter]
     warnings: tuple[str, ...]
 
 
 def read_layout(path: Path) -> Layout:
-    """What a file is made of.
+    """Read the layout of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
 
     Raises
     ------
-    SourceError: what of it contradicts itself or its size.
+    SourceError
+        The file contradicts itself or its size.
     """
     head, size = _head(path)
     begin = (head[0] - 1) * BLOCK if head else 0
@@ -108,11 +144,11 @@ def read_layout(path: Path) -> Layout:
     found = dict(_parameters(path, head, begin + 4, min(end, len(head))))
     points, analog, first, last = struct.unpack_from("<4H", head, 2)
     start_block, per_frame = struct.unpack_from("<2H", head, 16)
-    said = found.get("POINT:USED")
-    if said is not None and said.words:
-        points = said.words[0]
+    stated = found.get("POINT:USED")
+    if stated is not None and stated.words:
+        points = stated.words[0]
     if not 0 < points <= MOST_POINTS:
-        raise SourceError(path, f"expected 1 to {MOST_POINTS} markers, it says {points}")
+        raise SourceError(path, f"expected 1 to {MOST_POINTS} markers, it states {points}")
     channels = found.get("ANALOG:USED")
     start = _start(path, found, start_block, begin + 4, size)
     number = _number_size(_real(found, "POINT:SCALE") or head[12:16], processor)
@@ -134,7 +170,7 @@ def read_layout(path: Path) -> Layout:
         processor=processor,
         scale=_real(found, "POINT:SCALE") or head[12:16],
         rates=tuple(rates),
-        said=of_points,
+        parameters=of_points,
         warnings=warnings,
     )
 
@@ -144,7 +180,7 @@ def _real(found: dict[str, Parameter], name: str) -> bytes:
 
 
 def _head(path: Path) -> tuple[bytes, int]:
-    """The first bytes of the file, in which header and parameters lie, and its size."""
+    """Return the first bytes of the file, in which header and parameters lie, and its size."""
     try:
         with path.open("rb") as file:
             head = file.read(BLOCK * (255 + 255))
@@ -154,12 +190,12 @@ def _head(path: Path) -> tuple[bytes, int]:
 
 
 def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[str, Parameter]]:
-    """All parameters as "GROUP:NAME"; one of those needed that cannot be one is an error."""
+    """Yield all parameters with their names "GROUP:NAME"; a damaged one of the groups in use is an error."""
     groups: dict[int, str] = {}
     loose: list[tuple[int, str, Parameter | None]] = []
     while True:
         if at + 2 > end:
-            raise SourceError(path, "its parameters do not end where it says")
+            raise SourceError(path, "its parameters do not end where the header states")
         length, group = struct.unpack_from("<bb", head, at)
         if group == 0 or (length == 0 and group > 0):
             break
@@ -186,7 +222,7 @@ def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[st
 
 
 def _parameter(head: bytes, at: int) -> Parameter | None:
-    """What stands at a byte; None where that cannot be a parameter."""
+    """Read the parameter at a byte; None if that cannot be a parameter."""
     try:
         kind, count = struct.unpack_from("<bB", head, at)
         dims = struct.unpack_from(f"<{count}B", head, at + 2)
@@ -199,9 +235,9 @@ def _parameter(head: bytes, at: int) -> Parameter | None:
 
 
 def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size: int) -> int:
-    """The byte where the frames begin: by the header, else by the parameters."""
-    said = found.get("POINT:DATA_START")
-    for candidate in (block, *(said.words[:1] if said is not None else ())):
+    """Return the byte where the frames begin, by the header, else by the parameters."""
+    stated = found.get("POINT:DATA_START")
+    for candidate in (block, *(stated.words[:1] if stated is not None else ())):
         start = (candidate - 1) * BLOCK
         if least < start < size:
             return start
@@ -209,29 +245,29 @@ def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size
 
 
 def _number_size(scale: bytes, processor: int) -> int:
-    """Bytes of one number: 4 where the scale is negative, else 2."""
+    """Return the bytes of one number: 4 if the scale is negative, else 2."""
     return 4 if scale[3 if processor == INTEL else 1] & 0x80 else 2
 
 
 def _long(parameter: Parameter | None) -> int | None:
-    """A count in two words of 16 bits each, the lower first, as TRIAL:ACTUAL_START_FIELD has it."""
+    """Return a count in two words of 16 bits each, the lower first, as in TRIAL:ACTUAL_START_FIELD."""
     if parameter is None or len(parameter.words) < 2:
         return None
     return parameter.words[0] + (parameter.words[1] << 16)
 
 
 def _frame_counts(found: dict[str, Parameter], first: int, last: int) -> list[int]:
-    """What the file says of its number of frames, the places that can hold a large one first."""
+    """Return the stated numbers of frames, the parameters that can hold large ones first."""
     counts = []
     start, end = (_long(found.get(f"TRIAL:ACTUAL_{name}_FIELD")) for name in ("START", "END"))
     if start is not None and end is not None:
         counts.append(end - start + 1)
     for name in ("POINT:LONG_FRAMES", "POINT:FRAMES"):
-        said = found.get(name)
-        if said is not None and said.words:
-            counts.append(said.words[0])
-        elif said is not None and said.kind == 4 and len(said.values) == 4:
-            (value,) = struct.unpack("<f", said.values)
+        stated = found.get(name)
+        if stated is not None and stated.words:
+            counts.append(stated.words[0])
+        elif stated is not None and stated.kind == 4 and len(stated.values) == 4:
+            (value,) = struct.unpack("<f", stated.values)
             counts.append(int(value) if 0 < value < 2**31 else 0)
     counts.append(last - first + 1)
     return [count for count in counts if count > 0]
@@ -240,7 +276,7 @@ def _frame_counts(found: dict[str, Parameter], first: int, last: int) -> list[in
 def _fit(
     path: Path, start: int, end: int, number: int, points: int, samples: set[int], counts: list[int]
 ) -> tuple[int, int, tuple[str, ...]]:
-    """Analog samples a frame and frames, as they fit the bytes from start to end; with a warning where they do not."""
+    """Return analog samples of a frame, and frames, that fit the bytes from start to end, with warnings if none do."""
     room = end - start
     # The frames fill their last block, or end where they end; some programs add a block to those that fill it exactly.
     sizes = {analog: number * (4 * points + analog) for analog in sorted(samples)}
@@ -253,17 +289,17 @@ def _fit(
     ((analog, size),) = sizes.items()
     there = room // size
     if not there or not counts:
-        raise SourceError(path, "holds no frames" if counts else "does not say how many frames it holds")
+        raise SourceError(path, "holds no frames" if counts else "does not state how many frames it holds")
     if counts[0] > there:
-        return analog, there, (f"the file says {counts[0]} frames, it holds {there}, which are kept",)
-    if counts[0] == _MOST_SAID:
+        return analog, there, (f"the file states {counts[0]} frames, it holds {there}, which are kept",)
+    if counts[0] == _MOST_COUNTED:
         there -= _empty(path, start + there * size, size)
-        return analog, there, (f"the file says {counts[0]} frames, the most that it can say, and holds {there}",)
-    return analog, counts[0], (f"the file says {counts[0]} frames, which are read; it has room for {there}",)
+        return analog, there, (f"the file states {counts[0]} frames, the most that it can state, and holds {there}",)
+    return analog, counts[0], (f"the file states {counts[0]} frames, which are read; it has room for {there}",)
 
 
 def _empty(path: Path, end: int, size: int) -> int:
-    """How many frames before a byte are nothing but what fills the last block up."""
+    """Return the number of frames before a byte that only fill up the last block."""
     with path.open("rb") as file:
         file.seek(end - BLOCK // size * size)
         tail = file.read(BLOCK // size * size)

@@ -1,72 +1,105 @@
-"""Bodies from places: joint positions and markers; short gaps are closed, and frames in long ones are invalid."""
+"""Points over time, such as joint positions and markers, and the body that they make.
+
+Short gaps are closed along straight lines; frames in longer gaps are invalid.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import Gap, fill_gaps
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.body import NOTHING_GIVEN, Body, Given, built, refuse_far, to_metres
-from kinedex.storage.formats.motion.c3d import parse_c3d
-from kinedex.storage.formats.motion.positions import Points, parse_positions
+from kinedex.storage.formats.motion.mapped_body import refuse_far, to_metres
+from kinedex.storage.formats.motion.reader import Body, ReadSettings
 
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_SPINE = ("chest", "neck", "belly", "head")  # the first that is known says what is up for the root
+_SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
-def read_positions(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN) -> Body:
-    """Read a file of joint positions (TRC, CSV, NPZ, NPY).
+@dataclass(frozen=True)
+class Points:
+    """Named points over time, in the file's own unit and axes.
 
-    Raises
-    ------
-    SourceError: file, line and column of the first fault, that no mapping fits, that no frame is whole, or that nobody
-    says the rate.
+    Attributes
+    ----------
+    path : str
+        The file.
+    names : tuple of str
+        Names of the points; empty if the file names none.
+    positions : float64 array (N, 3, T)
+        Places of the points; NaN where a point was not seen.
+    rate_hz : float, optional
+        Frames per second, if the file states them.
+    clock_hz : float, optional
+        Frames per second by the file's own times, if it has some.
+    unit_m : float, optional
+        Metres of the unit, if the file states it.
+    warnings : list of str
+        Reservations about the file.
     """
-    points = parse_positions(path)
-    names = points.names or mappings.names_in_order(path, len(points.positions))
-    fit = mappings.detect(path, "positions", points.places(names))
-    warnings = list(points.warnings)
-    if not points.names:
-        warnings.append(
-            f"the file does not name its joints; they are read in the order of mapping '{fit.mapping.name}'"
-        )
-    warnings += built(fit)
-    return _body(points, names, fit, joints, given, warnings)
+
+    path: str
+    names: tuple[str, ...]
+    positions: F64
+    rate_hz: float | None = None
+    clock_hz: float | None = None
+    unit_m: float | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    def places(self, names: Sequence[str] = ()) -> dict[str, int]:
+        """Return name → index of the points that are seen in any frame; `names` serve a file that has none."""
+        seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
+        return {name: i for i, name in enumerate(self.names or names) if seen[i]}
 
 
-def read_c3d(path: Path, mappings: Mappings, joints: tuple[str, ...], given: Given = NOTHING_GIVEN) -> Body:
-    """Read the markers of a C3D file.
-
-    Raises
-    ------
-    SourceError: what of the file contradicts itself, that no mapping fits, or that no frame is whole.
-    """
-    markers = parse_c3d(path)
-    fit = mappings.detect(path, "c3d", markers.places()).upright(markers.up)
-    return _body(markers, markers.names, fit, joints, given, list(markers.warnings))
-
-
-def _body(
-    points: Points, names: tuple[str, ...], fit: Fit, joints: tuple[str, ...], given: Given, warnings: list[str]
+def body_of_points(
+    points: Points,
+    names: tuple[str, ...],
+    fit: Fit,
+    joints: tuple[str, ...],
+    settings: ReadSettings,
+    warnings: list[str],
 ) -> Body:
-    """The body that points make: there are no turns among them, so the root's is made of places."""
+    """Make a body of points; points have no turns, so the root's orientation follows from hips and spine.
+
+    Parameters
+    ----------
+    points : Points
+        The points of a file.
+    names : tuple of str
+        Their names.
+    fit : Fit
+        The skeleton mapping that fits the names.
+    joints : tuple of str
+        The named joints, in the order of the result.
+    settings : ReadSettings
+        Settings of the user.
+    warnings : list of str
+        Reservations about the file; more are appended.
+
+    Raises
+    ------
+    SourceError
+        No rate is known, no frame is whole, or a joint is absurdly far away.
+    """
     path = Path(points.path)
-    rate_hz = _rate(points, given, warnings)
-    longest = given.gap_frames(rate_hz)
-    taken = list(fit.nodes)
-    filled, closed, left = _filled(points, taken, longest)
+    rate_hz = _rate(points, settings, warnings)
+    longest = settings.gap_frames(rate_hz)
+    used = list(fit.nodes)
+    filled, closed, left = _filled(points, used, longest)
     positions = fit.apply(filled, joints)
     known = [i for i, joint in enumerate(joints) if joint not in fit.unknown]
     valid: Mask = np.logical_not(np.isnan(positions[known]).any(axis=(0, 1)))
-    called = [names[index] for index in taken]
+    called = [names[index] for index in used]
     if closed:
         warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed, called)}")
     if not valid.all():
@@ -87,34 +120,34 @@ def _body(
     )
 
 
-def _rate(points: Points, given: Given, warnings: list[str]) -> float:
-    """The rate that counts; a warning where the file contradicts itself, or the user."""
+def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
+    """Return the rate that counts; warn if the file contradicts itself or the user."""
     if points.rate_hz is not None:
-        rate_hz = given.rate_of(points.rate_hz, warnings)
-    elif (said := given.override_rate_hz or given.rate_hz) is not None:
-        rate_hz = said
+        rate_hz = settings.rate_of(points.rate_hz, warnings)
+    elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
+        rate_hz = set_hz
     else:
         seen = f" (by its times, {points.clock_hz:.4g} Hz)" if points.clock_hz is not None else ""
-        raise SourceError(points.path, f"does not say its frames per second{seen}: give `rate_hz`, or --rate")
+        raise SourceError(points.path, f"does not state its frames per second{seen}: give `rate_hz`, or --rate")
     if points.clock_hz is not None and abs(points.clock_hz - rate_hz) > 0.01 * rate_hz:
         warnings.append(f"it is read at {rate_hz:.6g} Hz, but by the times in the file it is {points.clock_hz:.6g} Hz")
     return rate_hz
 
 
-def _filled(points: Points, taken: list[int], longest: int) -> tuple[F64, list[Gap], list[Gap]]:
-    """The points with the short gaps closed of those that are taken, the gaps closed, and those left."""
-    part, closed, left = fill_gaps(points.positions[taken], longest)
+def _filled(points: Points, used: list[int], longest: int) -> tuple[F64, list[Gap], list[Gap]]:
+    """Return the points with short gaps of the used ones closed, the gaps closed, and the gaps left."""
+    part, closed, left = fill_gaps(points.positions[used], longest)
     if not closed:
         return points.positions, closed, left
     filled = points.positions.copy()
-    filled[taken] = part
+    filled[used] = part
     return filled, closed, left
 
 
 def _invalid(
     path: Path, fit: Fit, valid: Mask, left: list[Gap], longest: int, names: list[str], lost: list[str]
 ) -> str:
-    """What is said of invalid frames: how many, for want of which points; an error where all are."""
+    """Describe the invalid frames, their number and the missing points; raise a SourceError if all frames are."""
     blamed = [gap for gap in left if not valid[gap.start : gap.stop].all()]
     unplaced = ~valid
     for gap in blamed:
@@ -125,27 +158,27 @@ def _invalid(
             f"{', '.join(lost)} cannot be placed in source frame {int(np.argmax(unplaced))}, though all points are "
             "there: one of them is too far away",
         )
-    said = (
+    reason = (
         f"points that the mapping '{fit.mapping.name}' takes are missing for more than {longest} frames: "
         f"{_gaps_in_words(blamed, names)}"
     )
     if not valid.any():
-        raise SourceError(path, f"no frame is whole: {said}; `fill_gap_frames` closes longer gaps")
+        raise SourceError(path, f"no frame is whole: {reason}; `fill_gap_frames` closes longer gaps")
     most = max(gap.frames for gap in blamed)
     return (
-        f"{np.count_nonzero(~valid)} of {len(valid)} source frames are invalid and have no word; {said}; "
+        f"{np.count_nonzero(~valid)} of {len(valid)} source frames are invalid and have no word; {reason}; "
         f"`fill_gap_frames: {most}` closes all gaps along straight lines"
     )
 
 
 def _gaps_in_words(gaps: list[Gap], names: list[str], most: int = 6) -> str:
-    """The points with most frames in gaps first, and how many there are besides."""
+    """List points with the frames of their gaps, most frames first, and the number of further points."""
     frames: dict[str, list[int]] = {}
     for gap in gaps:
         frames.setdefault(names[gap.point], []).append(gap.frames)
     worst = sorted(frames.items(), key=lambda item: -sum(item[1]))
-    said = [f"{name} {sum(counts)} frames (longest {max(counts)})" for name, counts in worst[:most]]
-    return ", ".join(said) + (f" and {len(worst) - most} more points" if len(worst) > most else "")
+    shown = [f"{name} {sum(counts)} frames (longest {max(counts)})" for name, counts in worst[:most]]
+    return ", ".join(shown) + (f" and {len(worst) - most} more points" if len(worst) > most else "")
 
 
 def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warnings: list[str]) -> F64:

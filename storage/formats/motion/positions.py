@@ -1,313 +1,64 @@
-"""Files of joint positions: TRC, CSV, NPZ and NPY, as marker-less systems and kinedex itself write them."""
+"""The reader of joint positions: TRC, CSV, NPZ and NPY files."""
 
 from __future__ import annotations
 
-import csv
-import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
-import numpy as np
-import numpy.typing as npt
-
-from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.acclaim import read_text
-from kinedex.storage.formats.motion.bvh import FASTEST_HZ, SLOWEST_HZ
-from kinedex.storage.formats.motion.numpy_arrays import load_array, load_arrays
-
-F64 = npt.NDArray[np.float64]
-
-ARRAYS = ("positions", "joints", "keypoints", "keypoints_3d")
-NAMES = ("names", "joint_names", "keypoint_names")
-RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
-"""The keys of an NPZ file: the positions (frames, joints, 3), the joints' names, and frames per second."""
-
-MOST_POINTS = 10_000
-"""A file that claims more points than this is no body."""
-
-_UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-_AXIS = re.compile(r"(.+)_([xyzXYZ])")
+from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
+from kinedex.storage.formats.motion.points import body_of_points
+from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, Reader, ReadSettings
 
 
-@dataclass(frozen=True)
-class Points:
-    """Named points over time, in the file's own unit and axes.
+class PositionsReader(Reader):
+    """Reads files of joint positions; a .csv is one if its header names joints."""
 
-    names: empty where the file names none. positions: float64 (N, 3, T), NaN where a point was not seen.
-    rate_hz, unit_m: None where the file does not say. clock_hz: the rate by the file's own times, None without.
-    """
+    format: ClassVar[Format] = "positions"
+    endings: ClassVar[tuple[str, ...]] = (".trc", ".csv", ".npz", ".npy")
 
-    path: str
-    names: tuple[str, ...]
-    positions: F64
-    rate_hz: float | None = None
-    clock_hz: float | None = None
-    unit_m: float | None = None
-    warnings: list[str] = field(default_factory=list)
+    def sniff(self, path: Path) -> bool:
+        """Return whether a .csv has the header of joint positions; other endings need no look."""
+        return path.suffix.lower() != ".csv" or is_positions_csv(path)
 
-    def places(self, names: Sequence[str] = ()) -> dict[str, int]:
-        """Name → index of the points that are seen in any frame; `names` where the file has none."""
-        seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
-        return {name: i for i, name in enumerate(self.names or names) if seen[i]}
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the rates and the longest gap."""
+        return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
+
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read a file as `read_positions` does."""
+        return read_positions(file.path, mappings, joints, settings)
 
 
-def parse_positions(path: Path) -> Points:
-    """Read a file of joint positions, told by its ending: .trc, .csv, .npz or .npy.
+def read_positions(
+    path: Path, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings = DEFAULT_SETTINGS
+) -> Body:
+    """Read a file of joint positions (TRC, CSV, NPZ, NPY).
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    mappings : Mappings
+        Skeleton mappings in which the points are looked up.
+    joints : tuple of str
+        The named joints, in the order of the result.
+    settings : ReadSettings, optional
+        Settings of the user.
 
     Raises
     ------
-    SourceError: with the line, and the column or key, of the first thing that is wrong.
+    SourceError
+        The file is damaged, no mapping fits, no frame is whole, or no rate is known.
     """
-    readers: dict[str, Callable[[Path], Points]] = {
-        ".trc": parse_trc, ".csv": parse_csv, ".npz": parse_arrays, ".npy": parse_arrays,
-    }  # fmt: skip
-    return readers[path.suffix.lower()](path)
-
-
-def is_positions_csv(path: Path) -> bool:
-    """Whether the header of a CSV file names joint positions; other tables lie about in archives, too.
-
-    A file that cannot be read counts as one, so that the fault is said when it is.
-    """
-    try:
-        with path.open("rb") as file:
-            header = file.readline(1 << 20)
-    except OSError:
-        return True
-    columns = [found for cell in _cells(_text(header), ",") if (found := _AXIS.fullmatch(cell.strip()))]
-    axes: dict[str, set[str]] = {}
-    for found in columns:
-        axes.setdefault(found[1], set()).add(found[2].lower())
-    return any(len(found) == 3 for found in axes.values())
-
-
-def parse_csv(path: Path) -> Points:
-    """Read a CSV file: a header with `<joint>_x`, `<joint>_y`, `<joint>_z` for every joint, then one row a frame.
-
-    The columns may stand in any order. `frame` (whole numbers, one more in every row) and `time` (seconds) may be
-    there; other columns are not used, and that is a warning. An empty cell or `nan` is a gap.
-    """
-    lines = _lines(path)
-    header = [cell.strip() for cell in _cells(lines[0], ",")]
-    columns: dict[str, dict[str, int]] = {}
-    unused = []
-    for i, name in enumerate(header):
-        found = _AXIS.fullmatch(name)
-        if header.index(name) != i:
-            raise SourceError(path, f"column '{name}' stands twice in the header", line=1)
-        if found:
-            columns.setdefault(found[1], {})[found[2].lower()] = i
-        elif name.lower() not in ("frame", "time"):
-            unused.append(name or f"number {i + 1}")
-    for joint, axes in columns.items():
-        for axis in "xyz":
-            if axis not in axes:
-                raise SourceError(path, f"column '{joint}_{axis}' is missing in the header", line=1)
-    _refuse_count(path, len(columns), "'<joint>_x', '<joint>_y' and '<joint>_z' for every joint", 1)
-    rows, where = _rows(path, lines, 1, ",", header)
-    order = [columns[joint][axis] for joint in columns for axis in "xyz"]
-    lower = [name.lower() for name in header]
-    if "frame" in lower:
-        _check_frames(path, rows[:, lower.index("frame")], where)
-    clock = _clock(path, rows[:, lower.index("time")], where) if "time" in lower else None
-    warnings = [f"columns {', '.join(unused)} are not used"] if unused else []
-    return Points(str(path), tuple(columns), _points(rows[:, order]), clock_hz=clock, warnings=warnings)
-
-
-def parse_trc(path: Path) -> Points:
-    """Read a TRC file (OpenSim, Pose2Sim and others): five lines of header with rate and unit, then one row a frame.
-
-    An empty cell or `nan` is a gap; a point at 0, 0, 0 is one that stands there.
-    """
-    lines = _lines(path)
-    if not lines[0].startswith("PathFileType") or len(lines) < 5:
-        raise SourceError(path, "expected a TRC header of five lines that begins with PathFileType", line=1)
-    said = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    rate_hz = _header_number(path, said, "DataRate")
-    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
-        raise SourceError(path, f"DataRate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}", line=3)
-    unit = said.get("Units", "").lower()
-    if unit not in _UNITS_M:
-        raise SourceError(path, f"Units must be one of {', '.join(_UNITS_M)}, got {unit or 'nothing'!r}", line=3)
-    cells = [cell.strip() for cell in lines[3].split("\t")]
-    if [cell.lower() for cell in cells[:2]] != ["frame#", "time"]:
-        raise SourceError(path, "expected 'Frame#', 'Time' and the names of the markers, tab by tab", line=4)
-    names = [cell for cell in cells[2:] if cell]
-    _refuse_count(path, len(names), "names of markers after 'Frame#' and 'Time'", 4)
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise SourceError(path, f"two markers are named '{twice}'", line=4)
-    header = ["Frame#", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]
-    rows, where = _rows(path, lines, 5, "\t", header)
-    warnings = []
-    for key, what, is_there in (("NumFrames", "frames", len(rows)), ("NumMarkers", "markers", len(names))):
-        claimed = _header_number(path, said, key)
-        if claimed != is_there:
-            warnings.append(f"the header says {claimed:g} {what}, the file holds {is_there}, which are kept")
-    _check_frames(path, rows[:, 0], where)
-    clock = _clock(path, rows[:, 1], where)
-    return Points(str(path), tuple(names), _points(rows[:, 2:]), rate_hz, clock, _UNITS_M[unit], warnings)
-
-
-def parse_arrays(path: Path) -> Points:
-    """Read an NPZ file with positions (frames, joints, 3), perhaps names and a rate, or an NPY file with these alone.
-
-    Raises
-    ------
-    SourceError: no such array, or one of another shape.
-    """
-    if path.suffix.lower() == ".npy":
-        arrays, others = {"positions": load_array(path)}, ["positions"]
-    else:
-        arrays, others = load_arrays(path, (*ARRAYS, *NAMES, *RATES))
-    key = next((key for key in ARRAYS if key in arrays), None)
-    if key is None:
-        raise SourceError(path, f"has none of the arrays {', '.join(ARRAYS)}{did_you_mean('positions', others)}")
-    array = arrays[key]
-    if array.ndim != 3 or array.shape[2] != 3 or not array.size or array.dtype.kind not in "fiu":
-        raise SourceError(
-            path, f"'{key}' must be numbers of shape (frames, joints, 3), got {array.shape} of {array.dtype}"
+    points = parse_positions(path)
+    names = points.names or mappings.names_in_order(path, len(points.positions))
+    fit = mappings.detect(path, "positions", points.places(names))
+    warnings = list(points.warnings)
+    if not points.names:
+        warnings.append(
+            f"the file does not name its joints; they are read in the order of mapping '{fit.mapping.name}'"
         )
-    _refuse_count(path, array.shape[1], "joints", None)
-    names = _array_names(path, arrays, array.shape[1])
-    rate = next((arrays[name] for name in RATES if name in arrays), None)
-    rate_hz = None
-    if rate is not None:
-        if rate.size != 1 or rate.dtype.kind not in "fiu" or not SLOWEST_HZ <= float(rate.ravel()[0]) <= FASTEST_HZ:
-            raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
-        rate_hz = float(rate.ravel()[0])
-    positions = np.ascontiguousarray(np.moveaxis(array.astype(np.float64), 0, 2))
-    if np.isinf(positions).any():
-        raise SourceError(path, f"'{key}' has infinite numbers, the first in frame {_first(np.isinf(positions), 2)}")
-    return Points(str(path), names, _whole(positions), rate_hz)
-
-
-def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, ...]:
-    key = next((key for key in NAMES if key in arrays), None)
-    if key is None:
-        return ()
-    names = tuple(str(name) for name in arrays[key].ravel())
-    if (
-        len(names) != joints
-        or len(set(names)) != joints
-        or arrays[key].dtype.kind != "U"
-        or not all(map(_is_text, names))
-    ):
-        raise SourceError(path, f"'{key}' must be {joints} different texts, one a joint, got {len(names)} values")
-    return names
-
-
-def _is_text(name: str) -> bool:
-    """Whether this can be written; NumPy takes any four bytes for a letter."""
-    try:
-        return name.encode().decode() == name
-    except UnicodeError:
-        return False
-
-
-def _lines(path: Path) -> list[str]:
-    return _text(read_text(path)).splitlines()
-
-
-def _text(data: bytes) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    """The cells of a line; quotes count only where all of them are those of a table."""
-    if '"' not in line:
-        return line.split(separator)
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True), [])
-    except csv.Error:
-        return line.split(separator)
-
-
-def _rows(path: Path, lines: list[str], first: int, separator: str, header: list[str]) -> tuple[F64, list[int]]:
-    """The numbers below a header, NaN for empty cells, and the line of every row; blank lines are passed over."""
-    rows, where = [], []
-    for number, line in enumerate(lines[first:], first + 1):
-        if not line.strip():
-            continue
-        cells = _cells(line, separator) if separator in line else line.split()
-        while len(cells) > len(header) and not cells[-1].strip():
-            cells.pop()
-        if len(cells) != len(header):
-            raise SourceError(path, f"{len(cells)} cells, the header has {len(header)} columns", line=number)
-        try:
-            if "_" in line:
-                raise ValueError
-            rows.append(np.array([cell if cell.strip() else "nan" for cell in cells], dtype=np.float64))
-        except ValueError:
-            rows.append(np.array([_number(path, cell, name, number) for cell, name in zip(cells, header, strict=True)]))
-        if np.isinf(rows[-1]).any():
-            at = int(np.flatnonzero(np.isinf(rows[-1]))[0])
-            raise SourceError(path, f"column '{header[at]}': not a finite number: {cells[at]!r}", line=number)
-        where.append(number)
-    if not rows:
-        raise SourceError(path, "no frames: the file ends after its header", line=len(lines))
-    return np.stack(rows), where
-
-
-def _number(path: Path, cell: str, column: str, line: int) -> float:
-    text = cell.strip()
-    try:
-        if "_" in text:  # Python's own notation, no one else's
-            raise ValueError
-        return float(text or "nan")
-    except ValueError:
-        raise SourceError(path, f"column '{column}': not a number: {cell[:40]!r}", line=line) from None
-
-
-def _header_number(path: Path, said: dict[str, str], key: str) -> float:
-    if key not in said:
-        raise SourceError(path, f"the header has no {key}{did_you_mean(key, said)}", line=2)
-    value = _number(path, said[key], key, 3)
-    if not np.isfinite(value):
-        raise SourceError(path, f"{key} must be a number, got {said[key]!r}", line=3)
-    return value
-
-
-def _check_frames(path: Path, numbers: F64, where: list[int]) -> None:
-    """Frames are numbered one by one; a jump would make everything after it come too early."""
-    wrong = np.flatnonzero(~(np.diff(numbers) == 1.0))
-    if len(wrong) or not np.isfinite(numbers[0]):
-        at = int(wrong[0]) + 1 if len(wrong) else 0
-        before = f"after frame {numbers[at - 1]:g} " if at else ""
-        raise SourceError(
-            path, f"expected the next frame's number {before}, got {numbers[at]:g}; frames may have gaps in their "
-            "cells, but none may be left out", line=where[at],
-        )  # fmt: skip
-
-
-def _clock(path: Path, times: F64, where: list[int]) -> float | None:
-    """Frames per second by a column of times; None for a single frame."""
-    wrong = np.flatnonzero(~(np.diff(times) > 0.0))
-    if len(wrong):
-        raise SourceError(path, f"time {times[wrong[0] + 1]:g} does not come after the last", line=where[wrong[0] + 1])
-    return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else None
-
-
-def _points(columns: F64) -> F64:
-    """Columns (T, 3 N) as points (N, 3, T)."""
-    return _whole(np.ascontiguousarray(columns.reshape(len(columns), -1, 3).transpose(1, 2, 0)))
-
-
-def _whole(positions: F64) -> F64:
-    """A point with one coordinate missing is missing."""
-    positions[np.broadcast_to(np.isnan(positions).any(axis=1, keepdims=True), positions.shape)] = np.nan
-    return positions
-
-
-def _first(mask: npt.NDArray[np.bool_], axis: int) -> int:
-    return int(np.nonzero(mask)[axis].min())
-
-
-def _refuse_count(path: Path, count: int, what: str, line: int | None) -> None:
-    if not 0 < count <= MOST_POINTS:
-        raise SourceError(path, f"expected 1 to {MOST_POINTS} {what}, found {count}", line=line)
+    warnings += virtual_joint_warnings(fit)
+    return body_of_points(points, names, fit, joints, settings, warnings)

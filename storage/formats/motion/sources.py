@@ -13,10 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError, StoreError
-from kinedex.storage.formats.motion.positions import is_positions_csv
-
-MOTIONS = (".amc", ".bvh", ".c3d", ".trc", ".csv", ".npz", ".npy")
-"""Endings of motion files; a .csv is one where its header names joint positions."""
+from kinedex.storage.formats.motion.reader_table import is_motion_file, motion_endings
 
 UNREAD = {
     ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
@@ -134,14 +131,14 @@ def scan(root: str | Path) -> Scan:
     skeletons: list[SourceFile] = []
     unread: list[SourceFile] = []
     refused: list[Refused] = []
-    kinds = dict.fromkeys(MOTIONS, motions) | {".asf": skeletons} | dict.fromkeys(UNREAD, unread)
+    kinds = dict.fromkeys(UNREAD, unread) | {".asf": skeletons} | dict.fromkeys(motion_endings(), motions)
     for folder, name in _entries(root, refused):
         ending = os.path.splitext(name)[1].lower()
         kind = kinds.get(ending)
         if kind is not None:
             try:
                 file = _source_file(root, folder, name)
-                if ending != ".csv" or is_positions_csv(file.absolute):
+                if kind is not motions or is_motion_file(file.absolute):
                     kind.append(file)
             except SourceError as fault:
                 refused.append(Refused(readable(_below(root, folder, name)), fault))

@@ -22,7 +22,8 @@ from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.inspection import Inspection, inspect_file, write_picture
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
-from kinedex.storage.formats.motion.bodies import Given, read_body
+from kinedex.storage.formats.motion.reader import ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import standing
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
@@ -139,7 +140,7 @@ def test_positions_are_described_with_their_gaps_and_drawn_as_dots_until_they_co
     assert said(found, "mapping").startswith("named-positions")
     assert "give `rate_hz`, or --rate" in str(found.fault)
     assert write_picture(found, tmp_path / "dots.png")
-    found = inspect_file(tmp_path / "a.npz", given=Given(override_rate_hz=30.0, fill_gap_frames=2))
+    found = inspect_file(tmp_path / "a.npz", given=ReadSettings(override_rate_hz=30.0, fill_gap_frames=2))
     assert found.fault is None
     assert said(found, "rate") == "30 Hz (given)"
     assert "lknee 2 frames" in said(found, "warnings")

@@ -13,8 +13,9 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import ConfigError, SourceError
 from kinedex.storage.formats.motion.amass import parse_amass
-from kinedex.storage.formats.motion.bodies import Body, Given, form_of, read_body
 from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, load_body_model
+from kinedex.storage.formats.motion.reader import Body, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from tests.bodies import STANDING
 from tests.oracles import axisangle as oracle
 
@@ -79,7 +80,7 @@ def table(path: Path, names: tuple[str, ...] = SMPLH) -> str:
 
 
 def read(path: Path, model: str | None, **given: Any) -> Body:
-    return read_body(path, None, AUTO, JOINTS, Given(body_model=model, **given))
+    return read_body(path, None, AUTO, JOINTS, ReadSettings(body_model=model, **given))
 
 
 def joint(body: Body, name: str) -> np.ndarray:
@@ -173,7 +174,7 @@ def test_a_figure_s_shape_counts_where_the_model_has_shapes_and_is_said_where_no
     path = save(tmp_path / "a.npz", arrays)
     shaped, plain = read(path, str(tmp_path / "model.npz")), read(path, table(tmp_path / "model.csv"))
     np.testing.assert_allclose(joint(shaped, "lwrist")[0] - joint(plain, "lwrist")[0], 0.05)
-    assert plain.warnings[0] == "the figure has the shape of the body model; that of the file (betas) is left out"
+    assert plain.warnings[0] == "the figure has the shape of the body model; that of the file (betas) is not used"
     assert not any("betas" in warning for warning in shaped.warnings)
 
 
@@ -199,11 +200,11 @@ def test_without_a_body_model_the_error_says_what_to_give(tmp_path: Path) -> Non
 
 
 def test_angles_are_told_from_positions(tmp_path: Path) -> None:
-    assert form_of(save(tmp_path / "a.npz", angles(2))) == "amass"
-    assert form_of(save(tmp_path / "b.npz", {"positions": np.zeros((2, 24, 3))})) == "positions"
-    assert form_of(save(tmp_path / "c.npz", angles(2) | {"joints": np.zeros((2, 24, 3))})) == "positions"
+    assert reader_of(save(tmp_path / "a.npz", angles(2))).format == "amass"
+    assert reader_of(save(tmp_path / "b.npz", {"positions": np.zeros((2, 24, 3))})).format == "positions"
+    assert reader_of(save(tmp_path / "c.npz", angles(2) | {"joints": np.zeros((2, 24, 3))})).format == "positions"
     (tmp_path / "d.npz").write_bytes(b"PK nonsense")
-    assert form_of(tmp_path / "d.npz") == "positions"
+    assert reader_of(tmp_path / "d.npz").format == "positions"
 
 
 GOOD = angles(3)

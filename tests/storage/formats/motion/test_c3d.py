@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion import c3d
-from kinedex.storage.formats.motion.bodies import Body, Given, read_body
-from kinedex.storage.formats.motion.c3d import parse_c3d
+from kinedex.storage.formats.motion import c3d_markers
+from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.reader import Body, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import STANDING
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 
@@ -24,7 +25,7 @@ JOINTS = load_feature_set().joints
 AUTO = load_mappings("auto", JOINTS)
 
 
-def read(path: Path, given: Given = Given()) -> Body:  # noqa: B008
+def read(path: Path, given: ReadSettings = ReadSettings()) -> Body:  # noqa: B008
     return read_body(path, None, AUTO, JOINTS, given)
 
 
@@ -103,7 +104,7 @@ def test_the_file_s_own_word_on_what_is_up_counts(tmp_path: Path, up: str, order
     assert (joint(body, "lknee")[1] < joint(body, "lhip")[1]).all()
     minus = read(write_c3d(tmp_path / "c.c3d", points, Y_SCREEN=[f"-{up}"]))
     np.testing.assert_array_equal(minus.positions, body.positions)
-    assert minus.warnings == (f"POINT:Y_SCREEN says -{up}; {up} is taken to point up",)
+    assert minus.warnings == (f"POINT:Y_SCREEN is -{up}; {up} is taken to point up",)
 
 
 def test_units_and_rates_are_the_file_s_own(tmp_path: Path) -> None:
@@ -113,7 +114,7 @@ def test_units_and_rates_are_the_file_s_own(tmp_path: Path) -> None:
         body = read(write_c3d(tmp_path / "b.c3d", walk * scale, unit=unit, rate=99.5))
         np.testing.assert_allclose(body.positions, expected.positions, atol=1e-5)
         assert body.rate_hz == 99.5
-    assert read(tmp_path / "b.c3d", Given(override_rate_hz=50.0)).rate_hz == 50.0
+    assert read(tmp_path / "b.c3d", ReadSettings(override_rate_hz=50.0)).rate_hz == 50.0
     with pytest.raises(SourceError, match="its unit must be one of m, cm, mm, in"):
         read(write_c3d(tmp_path / "c.c3d", walk, unit="ft"))
     contradicted = bytearray((tmp_path / "a.c3d").read_bytes())
@@ -121,7 +122,7 @@ def test_units_and_rates_are_the_file_s_own(tmp_path: Path) -> None:
     (tmp_path / "d.c3d").write_bytes(contradicted)
     body = read(tmp_path / "d.c3d")
     assert body.rate_hz == 120.0
-    assert body.warnings == ("its parameters say 120 Hz, which counts, its header 60 Hz",)
+    assert body.warnings == ("its parameters state 120 Hz, which counts, its header 60 Hz",)
 
 
 def test_a_take_begins_with_the_first_frame_that_is_there(tmp_path: Path) -> None:
@@ -137,7 +138,7 @@ def test_more_frames_than_a_word_can_count(tmp_path: Path, said: bool) -> None:
     markers = parse_c3d(write_c3d(tmp_path / "a.c3d", points, ("a", "b", "c"), **more))
     assert markers.positions.shape == (3, 3, 70_000)
     np.testing.assert_allclose(markers.positions, points, rtol=1e-6)
-    warning = "the file says 65535 frames, the most that it can say, and holds 70000"
+    warning = "the file states 65535 frames, the most that it can state, and holds 70000"
     assert markers.warnings == ([] if said else [warning])
 
 
@@ -145,7 +146,7 @@ def test_analog_channels_cost_nothing_and_stretches_have_no_seam(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = parse_c3d(walking(tmp_path / "a.c3d", 50))
-    monkeypatch.setattr(c3d, "_AT_ONCE", 7 * len(LABELS))
+    monkeypatch.setattr(c3d_markers, "_AT_ONCE", 7 * len(LABELS))
     with_forces = parse_c3d(walking(tmp_path / "b.c3d", 50, analog=12))
     np.testing.assert_array_equal(with_forces.positions, plain.positions)
     assert with_forces.names == plain.names
@@ -196,7 +197,7 @@ def test_a_file_cut_off_keeps_the_frames_that_are_there_and_says_so(tmp_path: Pa
     frames = cut.positions.shape[2]
     assert 40 < frames < 50
     np.testing.assert_array_equal(cut.positions, whole.positions[:, :, :frames])
-    assert cut.warnings == [f"the file says 100 frames, it holds {frames}, which are kept"]
+    assert cut.warnings == [f"the file states 100 frames, it holds {frames}, which are kept"]
 
 
 def _patched(data: bytes, at: int, form: str, value: float) -> bytes:
@@ -223,7 +224,7 @@ FAULTS = {
         "should begin at block 60000",
     ),
     "a count of no markers": (lambda data: _patched(data, _value(data, b"USED"), "<H", 0), "1 to 10000 markers"),
-    "a count of too many": (lambda data: _patched(data, _value(data, b"USED"), "<H", 60000), "it says 60000"),
+    "a count of too many": (lambda data: _patched(data, _value(data, b"USED"), "<H", 60000), "it states 60000"),
     "dimensions beyond all bounds": (
         lambda data: _patched(data, _value(data, b"LABELS"), "<B", 255), "POINT:LABELS is larger",
     ),
@@ -283,10 +284,10 @@ def test_a_long_occlusion_makes_its_frames_invalid_and_says_whose(tmp_path: Path
         "for more than 12 frames: LKNE 20 frames (longest 20); `fill_gap_frames: 20` closes all gaps along straight "
         "lines",
     )
-    closed = read(tmp_path / "a.c3d", Given(fill_gap_frames=20))
+    closed = read(tmp_path / "a.c3d", ReadSettings(fill_gap_frames=20))
     assert closed.valid is None
     np.testing.assert_allclose(joint(closed, "lknee")[2, 50], joint(closed, "rknee")[2, 50], atol=1e-5)
-    none = read(tmp_path / "a.c3d", Given(fill_gap_frames=0))
+    none = read(tmp_path / "a.c3d", ReadSettings(fill_gap_frames=0))
     assert none.valid is not None
     assert np.count_nonzero(~none.valid) == 40
 
@@ -321,7 +322,7 @@ def test_a_take_without_a_whole_frame_does_not_come_in(tmp_path: Path) -> None:
     points[LABELS.index("RKNE"), :, 30:] = np.nan
     path = write_c3d(tmp_path / "a.c3d", 1000 * z_up(points))
     with pytest.raises(SourceError, match=r"no frame is whole: .* LKNE 30 frames \(longest 30\), RKNE 30 frames"):
-        read(path, Given(fill_gap_frames=5))
+        read(path, ReadSettings(fill_gap_frames=5))
 
 
 def test_a_body_that_is_not_seen_at_first_is_measured_where_it_is(tmp_path: Path) -> None:

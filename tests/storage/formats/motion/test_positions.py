@@ -14,8 +14,9 @@ from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import numpy_arrays as stored
-from kinedex.storage.formats.motion.bodies import Body, Given, read_body
-from kinedex.storage.formats.motion.positions import is_positions_csv, parse_positions
+from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions
+from kinedex.storage.formats.motion.reader import Body, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import STANDING, index, standing, turned
 
 FEATURES = load_feature_set()
@@ -23,7 +24,7 @@ JOINTS = FEATURES.joints
 AUTO = load_mappings("auto", JOINTS)
 COCO = load_skeleton("coco-17", JOINTS).order
 SMPL = load_skeleton("smpl-24", JOINTS).order
-AT_30 = Given(rate_hz=30.0)
+AT_30 = ReadSettings(rate_hz=30.0)
 
 
 def keypoints(order: tuple[str, ...], frames: int) -> np.ndarray:
@@ -74,7 +75,7 @@ def write(path: Path, content: str) -> Path:
     return path
 
 
-def read(path: Path, given: Given = AT_30) -> Body:
+def read(path: Path, given: ReadSettings = AT_30) -> Body:
     return read_body(path, None, AUTO, JOINTS, given)
 
 
@@ -145,23 +146,23 @@ def test_long_gaps_make_frames_invalid_and_short_ones_are_closed(tmp_path: Path)
     assert np.isnan(body.orientation).any(axis=0).tolist() == (~body.valid).tolist()
     whole = read(write(tmp_path / "b.trc", trc(1000 * walk, COCO)))
     np.testing.assert_allclose(body.positions[:, :, body.valid], whole.positions[:, :, body.valid], atol=1e-5)
-    closed = read(path, Given(fill_gap_frames=8))
+    closed = read(path, ReadSettings(fill_gap_frames=8))
     assert closed.valid is None
     np.testing.assert_allclose(closed.positions, whole.positions, atol=1e-5)
-    none = read(path, Given(fill_gap_frames=0)).valid
+    none = read(path, ReadSettings(fill_gap_frames=0)).valid
     assert none is not None
     assert np.count_nonzero(~none) == 11
 
 
 def test_rates_that_contradict_each_other_are_said_and_missing_ones_asked_for(tmp_path: Path) -> None:
     walk = keypoints(COCO, 8)
-    said = read(write(tmp_path / "a.trc", trc(1000 * walk, COCO, step=1 / 50)), Given())
+    said = read(write(tmp_path / "a.trc", trc(1000 * walk, COCO, step=1 / 50)), ReadSettings())
     assert said.rate_hz == 60.0
     assert "it is read at 60 Hz, but by the times in the file it is 50 Hz" in said.warnings
-    other = read(tmp_path / "a.trc", Given(override_rate_hz=50.0))
-    assert (other.rate_hz, other.warnings[-1]) == (50.0, "the file says 60 Hz; it is read at 50 Hz, which was given")
-    with pytest.raises(SourceError, match="does not say its frames per second: give `rate_hz`"):
-        read(write(tmp_path / "a.csv", csv_text(walk, COCO)), Given())
+    other = read(tmp_path / "a.trc", ReadSettings(override_rate_hz=50.0))
+    assert (other.rate_hz, other.warnings[-1]) == (50.0, "the file states 60 Hz; it is read at 50 Hz, which was given")
+    with pytest.raises(SourceError, match="does not state its frames per second: give `rate_hz`"):
+        read(write(tmp_path / "a.csv", csv_text(walk, COCO)), ReadSettings())
 
 
 TRC = trc(1000 * keypoints(COCO, 3), COCO)

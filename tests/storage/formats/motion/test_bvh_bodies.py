@@ -11,8 +11,10 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.ops.body import features
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion import bodies
-from kinedex.storage.formats.motion.bodies import Body, Given, read_body, read_bvh
+from kinedex.storage.formats.motion import bvh
+from kinedex.storage.formats.motion.bvh import read_bvh
+from kinedex.storage.formats.motion.reader import Body, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
 from tests.oracles import bvh as oracle
 
@@ -49,7 +51,7 @@ def test_a_take_is_worked_on_in_stretches_without_a_seam(tmp_path: Path, monkeyp
     root = mixamo()
     path = write(tmp_path / "a.bvh", root, dance(root, 400))
     whole = read_bvh(path, AUTO, JOINTS)
-    monkeypatch.setattr(bodies, "_WORKED_ON", 1)
+    monkeypatch.setattr(bvh, "_BLOCK_SIZE", 1)
     parts = read_bvh(path, AUTO, JOINTS)
     np.testing.assert_array_equal(parts.positions, whole.positions)
     np.testing.assert_array_equal(parts.orientation, whole.orientation)
@@ -217,10 +219,10 @@ def test_the_ending_of_a_file_tells_its_format_in_any_letter_case(tmp_path: Path
 
 def test_a_rate_that_is_given_counts_in_place_of_the_file_s_and_that_is_said(tmp_path: Path) -> None:
     path = write(tmp_path / "a.bvh", mixamo(), still(mixamo()))
-    body = read_body(path, None, AUTO, JOINTS, Given(rate_hz=50.0, override_rate_hz=60.0))
+    body = read_body(path, None, AUTO, JOINTS, ReadSettings(rate_hz=50.0, override_rate_hz=60.0))
     assert body.rate_hz == 60.0
-    assert "the file says 30 Hz; it is read at 60 Hz, which was given" in body.warnings
-    for given in (Given(rate_hz=50.0), Given(override_rate_hz=30.0)):
+    assert "the file states 30 Hz; it is read at 60 Hz, which was given" in body.warnings
+    for given in (ReadSettings(rate_hz=50.0), ReadSettings(override_rate_hz=30.0)):
         same = read_body(path, None, AUTO, JOINTS, given)
         assert same.rate_hz == 30.0
         assert not any("Hz" in warning for warning in same.warnings)

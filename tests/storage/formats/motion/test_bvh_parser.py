@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.bvh import Bvh, frame_rate, parse_bvh
+from kinedex.storage.formats.motion.bvh_parser import Bvh, frame_rate, parse_bvh
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, small, still
 from tests.oracles import bvh as oracle
 
@@ -144,7 +144,7 @@ def test_joints_of_one_name_are_told_apart_and_said(folder: Path) -> None:
 def test_a_wrong_count_of_frames_is_said_and_the_frames_are_kept(folder: Path, claimed: int) -> None:
     bvh = parse(folder, bvh_text(small(), still(small(), 3), claimed=claimed))
     assert len(bvh.channels) == 3
-    assert bvh.warnings == (f"the header says {claimed} frames, the file holds 3, which are kept",)
+    assert bvh.warnings == (f"the header states {claimed} frames, the file holds 3, which are kept",)
 
 
 def test_a_short_file_whose_last_line_has_no_end_may_be_cut_off_in_its_last_number(folder: Path) -> None:
@@ -251,7 +251,7 @@ FAULTS = {
     "a negative frame time": (lambda text: text.replace("0.0333333", "-0.03"), "Frame Time", "to 1 seconds, got -0.03"),
     "frames by the year": (lambda text: text.replace("0.0333333", "1e9"), "Frame Time", "got 1e9; write 0.0333333"),
     "a decimal comma": (lambda text: text.replace("0.0333333", "0,0333"), "Frame Time", "seconds, got '0,0333'"),
-    "no frames": (lambda text: text[: text.index("0.0333333") + 10], "Frame Time", "after its header, which says 3"),
+    "no frames": (lambda text: text[: text.index("0.0333333") + 10], "Frame Time", "after its header, which states 3"),
     "a frame cut off": (lambda text: text[:-8], "1.0 90.0 -1.0", "the file is cut off in the middle of a frame"),
     "a short line": (
         lambda text: text.replace("1.0 90.0 -2.0", "1.0 90.0", 1),

@@ -1,0 +1,12 @@
+"""The tree of the 24 named joints: the joint that each one hangs from."""
+
+from __future__ import annotations
+
+JOINT_PARENTS = {
+    "root": None, "lhip": "root", "lknee": "lhip", "lankle": "lknee", "ltoes": "lankle",
+    "rhip": "root", "rknee": "rhip", "rankle": "rknee", "rtoes": "rankle",
+    "belly": "root", "chest": "belly", "neck": "chest", "head": "neck", "headtop": "head",
+    "lclavicle": "neck", "lshoulder": "lclavicle", "lelbow": "lshoulder", "lwrist": "lelbow", "lfingers": "lwrist",
+    "rclavicle": "neck", "rshoulder": "rclavicle", "relbow": "rshoulder", "rwrist": "relbow", "rfingers": "rwrist",
+}  # fmt: skip
+"""Named joint → the joint that it hangs from; None for the root. Parents come before their children."""

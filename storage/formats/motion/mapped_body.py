@@ -1,0 +1,97 @@
+"""From mapped nodes to a body: units, plausible places and the root's orientation, the steps that readers share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.skeleton_fit import Fit
+from kinedex.catalog.skeletons.units import guess_unit
+from kinedex.ops.body import kinematics
+from kinedex.ops.errors import SourceError
+
+F64 = npt.NDArray[np.float64]
+
+FARTHEST_M = 100_000.0
+"""No body is farther from the origin: a joint beyond this is a fault of the file."""
+
+
+def virtual_joint_warnings(fit: Fit) -> list[str]:
+    """Return a warning that names the joints built from others, if there are any."""
+    named = ", ".join(f"{joint} ({mix})" for joint, mix in fit.virtual.items())
+    return [f"joints that the skeleton lacks are built from others: {named}"] if named else []
+
+
+def to_metres(
+    path: Path, positions: F64, unit_m: float | None, joints: tuple[str, ...], warnings: list[str], frame: int = 0
+) -> str:
+    """Scale positions to metres in place and return the unit in words.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    positions : float64 array (J, 3, T)
+        Joint positions in the file's unit.
+    unit_m : float or None
+        Metres of the unit; None to guess it from the size of the body.
+    joints : tuple of str
+        The names of the J joints.
+    warnings : list of str
+        A sentence is appended if the unit is guessed.
+    frame : int, optional
+        First frame in which the body is measured.
+    """
+    unit = f"{unit_m:.6g} m" if unit_m is not None else ""
+    if unit_m is None:
+        name, unit_m, height = guess_unit(path, positions[:, :, frame:], joints)
+        unit = f"{unit_m:.6g} m (guessed)"
+        warnings.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
+    positions *= unit_m
+    return unit
+
+
+def refuse_far(
+    path: Path,
+    positions: F64,
+    joints: tuple[str, ...],
+    unknown: tuple[str, ...],
+    valid: npt.NDArray[np.bool_] | None = None,
+) -> None:
+    """Raise a SourceError if a joint is so far away that a number of the file must be wrong."""
+    if positions.min() >= -FARTHEST_M and positions.max() <= FARTHEST_M:
+        return
+    far = ~(np.abs(positions) <= FARTHEST_M)  # a NaN counts, too: it results from infinities
+    far[[joints.index(joint) for joint in unknown]] = False
+    if valid is not None:
+        far &= valid | ~np.isnan(positions)
+    if far.any():
+        joint, _, frame = (int(at[0]) for at in np.nonzero(far))
+        raise SourceError(
+            path, f"joint '{joints[joint]}' is more than {FARTHEST_M / 1000:g} km away in source frame {frame}"
+        )
+
+
+def mapped_orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
+    """Return the root's quaternion in kinedex's axes: the turn between the file's basis and ours.
+
+    Parameters
+    ----------
+    fit : Fit
+        The skeleton mapping that fits the file.
+    turned : float64 array (9, T)
+        Rotations of the root in the file's axes.
+    own : float64 array (3, 3), optional
+        The root's own axes at rest, if it has some.
+
+    Returns
+    -------
+    float64 array (4, T)
+        Unit quaternions w, x, y, z; NaN where the root is unknown.
+    """
+    if "root" in fit.unknown:
+        return np.full((4, turned.shape[1]), np.nan)
+    root_axes = fit.mapping.root_axes.T
+    return kinematics.quaternions(turned, fit.mapping.axes, root_axes if own is None else own @ root_axes)

@@ -1,0 +1,214 @@
+"""The contract of readers of motion files: what a reader is asked for, and the body that it returns.
+
+A distribution adds a reader for files of its own by an entry point of the group `kinedex.readers`::
+
+    [project.entry-points."kinedex.readers"]
+    mvnx = "my_package.mvnx:MvnxReader"
+
+The entry point names a subclass of `Reader`, which is made without arguments. `storage.formats.motion.reader_table`
+holds the built-in readers in the same form.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.ops.errors import SourceError
+
+ACCLAIM_HZ = 120.0
+"""The rate of Acclaim files, which never state one; Vicon wrote them at 120 Hz."""
+
+FASTEST_HZ, SLOWEST_HZ = 10_000.0, 1.0
+"""Rates beyond these are no motion capture, and would ask for absurd numbers of frames."""
+
+MOST_POINTS = 10_000
+"""A file that claims more joints or markers than this is no body."""
+
+SHORT_GAP_S = 0.1
+"""Gaps up to this long are closed by default: nobody turns round in a tenth of a second."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The named joints of a take at its source rate.
+
+    Attributes
+    ----------
+    positions : float64 array (J, 3, T)
+        Metres, Y up; NaN for an unknown joint.
+    orientation : float64 array (4, T)
+        The root's unit quaternion w, x, y, z; NaN where the root is unknown.
+    rate_hz : float
+        Frames per second.
+    unit : str
+        The unit of the file's lengths, in words.
+    skeleton : str
+        Name of the skeleton mapping.
+    unknown : tuple of str
+        The joints that the skeleton does not have.
+    warnings : tuple of str
+        Reservations about the file.
+    valid : bool array (T,), optional
+        The frames in which all joints but the unknown ones are known; None if all are. The other frames are invalid:
+        they get no word, and their positions are NaN where they are not known.
+    """
+
+    positions: npt.NDArray[np.float64]
+    orientation: npt.NDArray[np.float64]
+    rate_hz: float
+    unit: str
+    skeleton: str
+    unknown: tuple[str, ...]
+    warnings: tuple[str, ...]
+    valid: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def frames(self) -> int:
+        """The number of source frames T."""
+        return int(self.positions.shape[2])
+
+
+@dataclass(frozen=True)
+class ReadSettings:
+    """Settings of the user for files that lack a statement, or make a wrong one.
+
+    Attributes
+    ----------
+    rate_hz : float, optional
+        Frames per second of files that do not state it; 120 for Acclaim files by default.
+    override_rate_hz : float, optional
+        Frames per second of every file, whatever it states.
+    fill_gap_frames : int, optional
+        Longest gap of a point that is closed along a straight line, a tenth of a second by default; frames in a longer
+        one are invalid.
+    body_model : str, optional
+        File of the joints that AMASS files turn, see `storage.formats.motion.amass`.
+    """
+
+    rate_hz: float | None = None
+    override_rate_hz: float | None = None
+    fill_gap_frames: int | None = None
+    body_model: str | None = None
+
+    @property
+    def acclaim_hz(self) -> float:
+        """The rate of Acclaim files, which never state it."""
+        return self.override_rate_hz or self.rate_hz or ACCLAIM_HZ
+
+    def gap_frames(self, rate_hz: float) -> int:
+        """Return the longest gap that is closed, in frames of a file of this rate."""
+        return round(SHORT_GAP_S * rate_hz) if self.fill_gap_frames is None else self.fill_gap_frames
+
+    def rate_of(self, stated_hz: float, warnings: list[str]) -> float:
+        """Return the rate of a file that states one; a warning is added if another one replaces it."""
+        rate_hz = self.override_rate_hz or stated_hz
+        if abs(rate_hz - stated_hz) > 1e-3 * stated_hz:
+            warnings.append(f"the file states {stated_hz:.6g} Hz; it is read at {rate_hz:.6g} Hz, which was given")
+        return rate_hz
+
+
+DEFAULT_SETTINGS = ReadSettings()
+"""The settings without any statement of the user."""
+
+
+@dataclass(frozen=True)
+class MotionFile:
+    """A motion file to read.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    skeleton : Path, optional
+        Its skeleton file, for formats that keep the skeleton apart (Acclaim's ASF).
+    data : bytes, optional
+        Its content, if it has been read already; only for readers with `reads_whole`.
+    """
+
+    path: Path
+    skeleton: Path | None = None
+    data: bytes | None = None
+
+
+class Reader(ABC):
+    """A reader of one format of motion files; subclasses set the attributes and define `read`.
+
+    Attributes
+    ----------
+    format : str
+        Format of the skeleton mappings that the reader looks its joints up in.
+    endings : tuple of str
+        Endings of its files in lower case, with the dot.
+    reads_whole : bool
+        True if the reader reads the whole file at once, so that it can take the bytes from its caller.
+    distribution : str
+        The distribution of a plugin and its version, set by the table of readers; empty for a built-in reader.
+    """
+
+    format: ClassVar[Format]
+    endings: ClassVar[tuple[str, ...]]
+    reads_whole: ClassVar[bool] = False
+    distribution: str = ""
+
+    def sniff(self, path: Path) -> bool:
+        """Return whether a file with one of the endings is of this format; by default every one is.
+
+        An unreadable file counts as one of the format, so that `read` reports the fault.
+        """
+        return True
+
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the settings that can change a body, as JSON values: a take is read again when they change."""
+        return astuple(settings)
+
+    @abstractmethod
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read a file as a body.
+
+        Parameters
+        ----------
+        file : MotionFile
+            The file.
+        mappings : Mappings
+            Skeleton mappings; `mappings.detect` finds the one that fits the file's nodes.
+        joints : tuple of str
+            The named joints, in the order of the result.
+        settings : ReadSettings
+            Settings of the user.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read; the error names the file and the line, key or frame of the first fault.
+        """
+
+
+def source_bytes(path: str | Path, data: bytes | None = None) -> bytes:
+    """Return the bytes of a source file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    data : bytes, optional
+        Its bytes, if they have been read already.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or is empty.
+    """
+    try:
+        data = Path(path).read_bytes() if data is None else data
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    if not data or data.isspace():
+        raise SourceError(path, "the file is empty")
+    return data

@@ -1,0 +1,100 @@
+"""The table of readers of motion files: the built-in ones and those of plugins, found by the endings of files."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from kinedex.catalog.plugins import Plugins
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, Reader, ReadSettings
+
+READERS: Plugins[type[Reader]] = Plugins(
+    "kinedex.readers",
+    "reader",
+    {
+        "acclaim": "kinedex.storage.formats.motion.acclaim:AcclaimReader",
+        "bvh": "kinedex.storage.formats.motion.bvh:BvhReader",
+        "c3d": "kinedex.storage.formats.motion.c3d:C3dReader",
+        "amass": "kinedex.storage.formats.motion.amass:AmassReader",
+        "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
+    },
+)
+"""Name → reader. Of readers that share an ending a plugin is asked first, then the built-in ones in this order."""
+
+
+def readers_by_ending() -> dict[str, tuple[Reader, ...]]:
+    """Return the readers of every ending, in the order in which they are asked; the last one needs not be asked."""
+    return dict(_readers_by_ending(tuple(READERS)))
+
+
+@lru_cache(maxsize=4)
+def _readers_by_ending(names: tuple[str, ...]) -> dict[str, tuple[Reader, ...]]:
+    found: dict[str, tuple[Reader, ...]] = {}
+    for name, kind in READERS.loadable():
+        reader = kind()
+        reader.distribution = READERS.distribution(name)
+        for ending in reader.endings:
+            others = found.get(ending, ())
+            found[ending] = (reader, *others) if reader.distribution else (*others, reader)
+    return found
+
+
+def motion_endings() -> tuple[str, ...]:
+    """Return the endings of all motion files that are read, with the dot."""
+    return tuple(readers_by_ending())
+
+
+def reader_of(path: str | Path) -> Reader:
+    """Return the reader of a motion file by its ending and, where several readers share that, by its content.
+
+    Raises
+    ------
+    SourceError
+        No reader reads files with this ending.
+    """
+    file = Path(path)
+    readers = readers_by_ending().get(file.suffix.lower(), ())
+    if not readers:
+        raise SourceError(file, f"is not read; kinedex reads {', '.join(motion_endings())}")
+    return next((reader for reader in readers[:-1] if reader.sniff(file)), readers[-1])
+
+
+def is_motion_file(path: Path) -> bool:
+    """Return whether a reader takes a file for one of its format."""
+    # the last reader of an ending is the most general one, which mostly needs not open the file
+    return any(reader.sniff(path) for reader in reversed(readers_by_ending().get(path.suffix.lower(), ())))
+
+
+def read_body(
+    path: Path,
+    skeleton: Path | None,
+    mappings: Mappings,
+    joints: tuple[str, ...],
+    settings: ReadSettings = DEFAULT_SETTINGS,
+    data: bytes | None = None,
+) -> Body:
+    """Read a motion file of any format.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    skeleton : Path, optional
+        The skeleton file of an AMC file; files of other formats have none.
+    mappings : Mappings
+        Skeleton mappings in which the file's nodes are looked up.
+    joints : tuple of str
+        The named joints, in the order of the result.
+    settings : ReadSettings, optional
+        Settings of the user.
+    data : bytes, optional
+        The file's bytes, if its reader `reads_whole` and they have been read already.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read; the error names the file and the place of the first fault.
+    """
+    return reader_of(path).read(MotionFile(path, skeleton, data), mappings, joints, settings)
