@@ -15,10 +15,14 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
-from kinedex.ops.body.features import COMPARISONS, JOINTS_OF, Rule, Term
+from kinedex.catalog.plugins import Plugins
+from kinedex.ops.body.features import COMPARISONS, JOINTS_OF, Primitive, Rule, Term
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.mirror import rearrange
 from kinedex.ops.words import MOST_FEATURES
+
+PRIMITIVES: Plugins[Primitive] = Plugins("kinedex.primitives", "primitive", dict.fromkeys(JOINTS_OF, ""))
+"""All primitives of features by name: those of `JOINTS_OF`, and those of plugins."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,18 @@ class FeatureSet:
     def mirrored_number(self, number: int) -> int:
         """Return the number of a feature's mirror image, which is the feature itself if it has no counterpart."""
         return int(self.mirror_order[number - 1]) + 1
+
+    @cached_property
+    def plugin_primitives(self) -> dict[str, Primitive]:
+        """Return the primitives of plugins that the rules use.
+
+        Raises
+        ------
+        KinedexError
+            If a plugin is not installed, or cannot be imported.
+        """
+        used = {term.primitive for rule in self.rules for term in rule.terms}
+        return {name: PRIMITIVES.load(name) for name in sorted(used - JOINTS_OF.keys())}
 
     @property
     def rules(self) -> tuple[Rule, ...]:
@@ -304,10 +320,11 @@ def _term(
 ) -> Term:
     options = {"window_ms", "without", "abs"}
     names = [name for name in part if name not in options]
-    if len(names) != 1 or names[0] not in JOINTS_OF:
-        wrong = next((name for name in names if name not in JOINTS_OF), "nothing")
-        raise located.error(f"expected one primitive, got '{wrong}'{did_you_mean(wrong, JOINTS_OF)}", *key)
+    if len(names) != 1 or (names[0] not in JOINTS_OF and names[0] not in PRIMITIVES):
+        wrong = next((name for name in names if name not in PRIMITIVES), "nothing")
+        raise located.error(f"expected one primitive, got '{wrong}'{did_you_mean(wrong, PRIMITIVES)}", *key)
     primitive = names[0]
+    plugin = None if primitive in JOINTS_OF else PRIMITIVES.load(primitive)
     for name in (primitive, "without"):
         if not isinstance(part.get(name, []), list):
             raise located.error(f"{name} must be a list of joints, got {part[name]!r}", *key)
@@ -315,7 +332,7 @@ def _term(
     if not _is_number(window_ms) or window_ms < 0:
         raise located.error(f"window_ms must be a number of milliseconds, got {window_ms!r}", *key)
     joints = tuple(_joint(located, parsed, name, *key) for name in part[primitive])
-    wanted = JOINTS_OF[primitive]
+    wanted = plugin.joints if plugin is not None else JOINTS_OF[primitive]
     if wanted is None and not joints:
         raise located.error(f"{primitive} takes at least one joint", *key)
     if wanted is not None and len(joints) != wanted:

@@ -91,6 +91,10 @@ class Plugins(Generic[Part]):
         found = self._all()[name]
         return _distribution(found) if name not in self._built_in else ""
 
+    def place(self, name: str) -> str:
+        """Return where a part is, "module:object"."""
+        return self._all()[name].value
+
     def _all(self) -> dict[str, EntryPoint]:
         return self._built_in | {
             name: found for name, found in _installed(self.group, tuple(sys.path)).items() if self._is_free(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,23 @@ JOINTS_OF = {
     "turn_rate": 1,
 }
 """The primitives by name, with the number of joints they take (None: any number, at least one)."""
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """A geometric primitive that is not one of `JOINTS_OF`.
+
+    Attributes
+    ----------
+    joints : int or None
+        The number of joints that it takes; None for any number, at least one.
+    compute : callable
+        Returns the quantity in every frame, float64 (T,), from the trajectories of the joints, float64 (n, 3, T) in
+        metres, and the frames per second. A feature is off where it is NaN.
+    """
+
+    joints: int | None
+    compute: Callable[[F64, float], F64]
 
 
 @dataclass(frozen=True)
@@ -89,6 +106,7 @@ def words(
     rate_hz: float,
     rules: Sequence[Rule],
     valid: npt.NDArray[np.bool_] | None = None,
+    primitives: Mapping[str, Primitive] | None = None,
 ) -> npt.NDArray[np.uint64]:
     """Compute the word of every frame.
 
@@ -107,6 +125,8 @@ def words(
         One per feature, the first is bit 0; at most 63.
     valid : bool array (T,)
         The valid frames; None if all are valid.
+    primitives : mapping of str to Primitive, optional
+        Primitives that rules use besides those of `JOINTS_OF`.
 
     Returns
     -------
@@ -131,7 +151,7 @@ def words(
     if len(rules) > MOST_FEATURES:
         raise ParameterError("rules", f"at most {MOST_FEATURES}", len(rules))
     if valid is None or valid.all():
-        return _stretch(positions, orientation, rate_hz, rules, positions[:, :, :1])
+        return _stretch(positions, orientation, rate_hz, rules, positions[:, :, :1], primitives or {})
     if valid.shape != (frames,):
         raise ParameterError("valid", f"of shape ({frames},)", valid.shape)
     out = np.full(frames, NO_WORD)
@@ -139,18 +159,23 @@ def words(
     edges = np.flatnonzero(np.diff(valid, prepend=False, append=False))
     for start, stop in edges.reshape(-1, 2).tolist():
         part = np.ascontiguousarray(positions[:, :, start:stop]), np.ascontiguousarray(orientation[:, start:stop])
-        out[start:stop] = _stretch(*part, rate_hz, rules, first)
+        out[start:stop] = _stretch(*part, rate_hz, rules, first, primitives or {})
     return out
 
 
 def _stretch(
-    positions: F64, orientation: F64, rate_hz: float, rules: Sequence[Rule], measured: F64
+    positions: F64,
+    orientation: F64,
+    rate_hz: float,
+    rules: Sequence[Rule],
+    measured: F64,
+    primitives: Mapping[str, Primitive],
 ) -> npt.NDArray[np.uint64]:
     """Return the words of consecutive valid frames; limb lengths are measured in one frame, (J, 3, 1)."""
     out = np.zeros(positions.shape[2], dtype=np.uint64)
     if not len(out):
         return out
-    body = _Body(positions, orientation, rate_hz, measured[:, :, 0])
+    body = _Body(positions, orientation, rate_hz, measured[:, :, 0], primitives)
     for bit, rule in enumerate(rules):
         scale = body.length(rule.length) if rule.length else 1.0
         weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
@@ -162,8 +187,16 @@ def _stretch(
 class _Body:
     """The trajectories of consecutive valid frames; quantities that several features share are computed once."""
 
-    def __init__(self, positions: F64, orientation: F64, rate_hz: float, measured: F64) -> None:
+    def __init__(
+        self,
+        positions: F64,
+        orientation: F64,
+        rate_hz: float,
+        measured: F64,
+        primitives: Mapping[str, Primitive],
+    ) -> None:
         self.positions = positions
+        self.primitives = primitives
         self.measured = measured
         self.orientation = orientation
         self.rate_hz = rate_hz
@@ -229,7 +262,12 @@ class _Body:
                 return p.widest_xz(x, np.array(j, dtype=np.int64))
             case "turn_rate":
                 return p.turn_rate(self.orientation, self.rate_hz)
-        raise ParameterError("primitive", f"one of {', '.join(JOINTS_OF)}", term.primitive)
+        if term.primitive not in self.primitives:
+            raise ParameterError("primitive", f"one of {', '.join((*JOINTS_OF, *self.primitives))}", term.primitive)
+        found = self.primitives[term.primitive].compute(x[list(j)], self.rate_hz)
+        if np.shape(found) != x.shape[2:]:
+            raise ParameterError(f"the result of '{term.primitive}'", f"of shape {x.shape[2:]}", np.shape(found))
+        return np.ascontiguousarray(found, np.float64)
 
     def _joints(self, without: tuple[int, ...] = ()) -> npt.NDArray[np.int64]:
         return np.array([i for i in range(len(self.positions)) if i not in without], dtype=np.int64)

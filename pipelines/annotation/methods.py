@@ -15,6 +15,7 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.plugins import Plugins
 from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import Decoding, confidences, explain, lay_columns
 from kinedex.ops.annotation.segment_costs import least_costs
@@ -22,7 +23,6 @@ from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
-from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
 from kinedex.ops.words import U64, TakeWords
 
@@ -190,15 +190,26 @@ class BestMethod:
         ]
 
 
-METHODS: dict[str, type[AnnotationMethod]] = {one.name: one for one in (ThesisMethod, BestMethod)}
-"""The methods of kinedex by their names."""
+METHODS: Plugins[type[AnnotationMethod]] = Plugins(
+    "kinedex.annotation_methods",
+    "annotation method",
+    {
+        "thesis": "kinedex.pipelines.annotation.methods:ThesisMethod",
+        "best": "kinedex.pipelines.annotation.methods:BestMethod",
+    },
+)
+"""All methods by name: built in, and of plugins."""
 
 
 def annotation_method(name: str) -> type[AnnotationMethod]:
-    """Return the method of a name; a KinedexError names the nearest."""
-    if name not in METHODS:
-        raise KinedexError(f"there is no annotation method '{name}'{did_you_mean(name, METHODS)}")
-    return METHODS[name]
+    """Return the method of a name.
+
+    Raises
+    ------
+    KinedexError
+        If no method has this name, or its plugin cannot be imported.
+    """
+    return METHODS.load(name)
 
 
 def whole_takes(words: TakeWords) -> I64:

@@ -14,6 +14,8 @@ import pyarrow.compute as pc
 
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import split_takes
+from kinedex.pipelines.annotation.methods import METHODS
+from kinedex.pipelines.engine.code_digest import part_digest
 from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.store.kept_results import Lasting, lasting
 from kinedex.storage.store.store import Store
@@ -34,7 +36,8 @@ def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
     code : str
         A hash of the sources that the stage runs.
     """
-    hasher = hashlib.sha256(f"{code}/{store_curves}".encode())
+    method = part_digest(METHODS, annotator.method.name)
+    hasher = hashlib.sha256(f"{code}/{store_curves}/{method}".encode())
     _feed(hasher, annotator)
     return hasher.hexdigest()[:16]
 

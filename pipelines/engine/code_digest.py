@@ -12,7 +12,7 @@ not on the classes that implement them, which only the runner names.
 Where names cannot be followed, more counts: a module that is used as a value, or by an attribute that it does not
 define, counts as a whole; so do statements of imported modules that are no plain definitions. Code that is imported by
 a computed name has to be declared: a string "package.module:name" is followed as a name is, which makes tables of
-built-in parts work without more. Plugins count where their result is used (`plugin_digest`).
+built-in parts work without more. Plugins count where they are used (`part_digest`).
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
+
+from kinedex.catalog.plugins import Plugins
 
 PACKAGE = "kinedex"
 
@@ -65,6 +67,15 @@ def code_digest(*roots: Callable[..., object] | type | str) -> str:
     return _digest(tuple(sorted(_place(root) for root in roots)))
 
 
+def part_digest(parts: Plugins[Any], name: str) -> str:
+    """Return a hash of a plugin's code, and of its distribution's name and version; empty for a built-in part.
+
+    Built-in parts count already where the table of them is used.
+    """
+    distribution = parts.distribution(name)
+    return plugin_digest(distribution, parts.place(name)) if distribution else ""
+
+
 def plugin_digest(distribution: str, root: Callable[..., object] | type | str) -> str:
     """Return a hash of the code of a plugin, and of its distribution's name and version."""
     return hashlib.sha256(f"{distribution} {code_digest(root)}".encode()).hexdigest()[:16]
@@ -73,7 +84,7 @@ def plugin_digest(distribution: str, root: Callable[..., object] | type | str) -
 def _place(root: Callable[..., object] | type | str) -> Place:
     if isinstance(root, str):
         module, _, name = root.partition(":")
-        return module, name
+        return module, name.partition(".")[0]
     return root.__module__, root.__qualname__.split(".")[0]
 
 
@@ -458,7 +469,7 @@ class Sources:
     def _path(self, name: str) -> Path | None:
         package, *rest = name.split(".")
         if package != PACKAGE:
-            with suppress(ImportError, ValueError):
+            with suppress(Exception):  # packages of others are imported to find their modules
                 spec = importlib.util.find_spec(name)
                 if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
                     return Path(spec.origin)

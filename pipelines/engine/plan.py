@@ -7,10 +7,8 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pydantic import BaseModel
-
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.pipelines.engine.code_digest import code_digest, plugin_digest
+from kinedex.pipelines.engine.code_digest import code_digest, part_digest
 from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import STAGES, TAKES, Stage
@@ -101,7 +99,7 @@ class Planner:
     def _parts(self, stage: PipelineStage, store: Store | None, reading: Reading | None) -> dict[str, str]:
         """What a stage's fingerprint is made of."""
         parts = {
-            "code": _code(stage.kind),
+            "code": _code(stage),
             "parameters": _hash(stage.params.model_dump(mode="json")),
             "files": stage.kind.external_digest(stage.params, store),
             **({"takes": _takes(store)} if reading is None else {"reading": reading.digest}),
@@ -178,9 +176,11 @@ def _gone(stage: PipelineStage, store: Store, record: StageRecord) -> str | None
     return f"{missing[0]} is gone" if missing else None
 
 
-def _code(kind: Stage[BaseModel]) -> str:
-    distribution = STAGES.distribution(kind.name)
-    return plugin_digest(distribution, type(kind)) if distribution else code_digest(type(kind))
+def _code(stage: PipelineStage) -> str:
+    """Return a hash of the code of a stage, and of the plugins that its parameters name."""
+    own = part_digest(STAGES, stage.uses) or code_digest(type(stage.kind))
+    named = [part_digest(parts, name) for parts, name in stage.kind.named_parts(stage.params)]
+    return _hash([own, *named]) if any(named) else own
 
 
 def _hash(value: object) -> str:

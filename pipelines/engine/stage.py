@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from pydantic import BaseModel
 
@@ -41,8 +41,8 @@ class Stage(ABC, Generic[Parameters]):
     """One kind of stage; subclasses have no state.
 
     A stage is skipped where the store holds a record with its fingerprint. The fingerprint consists of the code that
-    `run` reaches, the parameters, `external_digest`, the fingerprints of the inputs, and the store's takes: those of
-    `reading`, or all of them.
+    `run` reaches, the plugins of `named_parts`, the parameters, `external_digest`, the fingerprints of the inputs, and
+    the store's takes: those of `reading`, or all of them.
 
     Attributes
     ----------
@@ -91,6 +91,10 @@ class Stage(ABC, Generic[Parameters]):
     def external_digest(self, params: Parameters, store: Store | None) -> str:
         """Return a hash of all that the stage reads outside the store; `store` is None before it is made."""
         return ""
+
+    def named_parts(self, params: Parameters) -> Sequence[tuple[Plugins[Any], str]]:
+        """Return the parts that the parameters name and that can be of plugins, each with the table of its kind."""
+        return ()
 
     def is_current(self, store: Store) -> bool:
         """Return whether what the stage made is still in place, apart from results and `files`."""

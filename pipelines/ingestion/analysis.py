@@ -22,7 +22,9 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
     """
     rate = feature_rate(body.rate_hz, rate_hz)
     at_rate = resample(body.positions, body.orientation, body.rate_hz, rate, body.valid)
-    words = features.words(at_rate.positions, at_rate.orientation, rate, feature_set.rules, at_rate.valid)
+    words = features.words(
+        at_rate.positions, at_rate.orientation, rate, feature_set.rules, at_rate.valid, feature_set.plugin_primitives
+    )
     step = round(rate / rate_hz)
     return at_rate.positions[:, :, ::step], at_rate.orientation[:, ::step], words[::step]
 

@@ -12,10 +12,10 @@ from typing import Any, Literal
 
 import pyarrow as pa
 
-from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.features import PRIMITIVES, FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.pipelines.engine.code_digest import code_digest, plugin_digest
+from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugin_digest
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
@@ -120,7 +120,7 @@ def _recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings
     code = code_digest(read_body, analyse, blind)
     return {
         ending[1:]: digest(
-            [feature_set.digest, code, *(_reader_recipe(reader, mappings, settings) for reader in readers)]
+            [features_digest(feature_set), code, *(_reader_recipe(reader, mappings, settings) for reader in readers)]
         )
         for ending, readers in readers_by_ending().items()
     }
@@ -183,6 +183,12 @@ def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
         f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
         "differs; rename one, set `name: path`, or use a store of its own",
     )
+
+
+def features_digest(feature_set: FeatureSet) -> str:
+    """Return a hash of features, with the plugins whose primitives they use."""
+    plugins = [part_digest(PRIMITIVES, name) for name in feature_set.plugin_primitives]
+    return digest([feature_set.digest, *plugins]) if plugins else feature_set.digest
 
 
 def digest(parts: object) -> str:

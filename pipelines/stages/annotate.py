@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import polars as pl
 import pyarrow as pa
@@ -13,10 +13,12 @@ import pyarrow.compute as pc
 
 from kinedex.catalog.classes import OWN, Classes
 from kinedex.catalog.configs import config_path
+from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored
+from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import (
     annotation_classes,
@@ -58,6 +60,10 @@ class Annotate(Stage[AnnotationParameters]):
         if params.classes != OWN:
             files.append(config_path("classes", params.classes))
         return files_digest(files)
+
+    def named_parts(self, params: AnnotationParameters) -> Sequence[tuple[Plugins[Any], str]]:
+        """Return the annotation method."""
+        return [(METHODS, params.method)]
 
     def run(self, context: StageContext, params: AnnotationParameters) -> dict[str, object]:
         """Annotate and store the results."""

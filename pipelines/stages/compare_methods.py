@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import pyarrow as pa
 
 from kinedex.catalog.classes import OWN
 from kinedex.catalog.configs import config_path
+from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.query_files import query_file_paths
+from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
@@ -47,6 +50,10 @@ class CompareMethods(Stage[ComparisonParameters]):
         if params.classes != OWN:
             files.append(config_path("classes", params.classes))
         return files_digest(files) + ground_truth_digest(params, store)
+
+    def named_parts(self, params: ComparisonParameters) -> Sequence[tuple[Plugins[Any], str]]:
+        """Return the annotation methods."""
+        return [(METHODS, name) for name in sorted({one.method for one in params.methods})]
 
     def run(self, context: StageContext, params: ComparisonParameters) -> dict[str, object]:
         """Compare the methods, store the metrics, and write the report."""

@@ -6,12 +6,14 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.ops import textnumbers
 from kinedex.ops.body import features, kinematics
@@ -20,13 +22,13 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import WorkerDied
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest
+from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest, features_digest
 from kinedex.pipelines.ingestion.failures import Failure, failure, killer, log_table, told
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
 from kinedex.pipelines.ingestion.task_batches import run_batches
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
-from kinedex.storage.formats.motion.reader_table import motion_endings
+from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import scan
 from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.compaction import compact
@@ -117,7 +119,12 @@ class Ingest(Stage[Params]):
         feature_set = feature_set_for(store, params.features)
         mappings = load_mappings(params.skeleton, feature_set.joints)
         forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
-        return digest([scan(params.source).digest, feature_set.digest, *forms, model_digest(params.given.body_model)])
+        model = model_digest(params.given.body_model)
+        return digest([scan(params.source).digest, features_digest(feature_set), *forms, model])
+
+    def named_parts(self, params: Params) -> Sequence[tuple[Plugins[Any], str]]:
+        """Return the readers, all of which may be asked for a file."""
+        return [(READERS, name) for name in READERS]
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
         """Bring a source up to date in the store, batch by batch, each committed whole."""
@@ -271,4 +278,5 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     kinematics.forward((node,), np.zeros((2, 1)))
     textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])
     textnumbers.parse_rows(b"0\n", 0, 1, 1)
-    features.words(np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2)), 30.0, feature_set.rules)
+    body, upright = np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2))
+    features.words(body, upright, 30.0, feature_set.rules, None, feature_set.plugin_primitives)
