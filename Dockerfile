@@ -14,4 +14,4 @@ USER 1000
 WORKDIR /out
 VOLUME /out
 ENTRYPOINT ["kinedex"]
-CMD ["demo", "--store", "/out/demo-store"]
+CMD ["demo", "/out/demo-store"]

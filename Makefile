@@ -87,7 +87,7 @@ wheel: setup
 	$(PYTHON) -m venv build/tried
 	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/kinedex-*.whl
-	cd build/tried && bin/kinedex version && bin/kinedex demo --minutes 2 --store store && bin/kinedex verify store
+	cd build/tried && bin/kinedex version && bin/kinedex demo store --minutes 2 && bin/kinedex verify store
 
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements.lock

@@ -1,0 +1,59 @@
+"""Makefile, Dockerfile and workflow call commands that there are, and name files that there are."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import typer
+import yaml
+
+from kinedex.pipelines.commands.cli import app
+
+ROOT = Path(__file__).resolve().parents[1]
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def accepted(words: list[str]) -> None:
+    """Assert that `kinedex WORDS` names a command and options that it has."""
+    root: Any = typer.main.get_command(app)
+    command = root.commands[words[0]]
+    options = {option for parameter in command.params for option in parameter.opts}
+    arguments = sum(parameter.param_type_name == "argument" for parameter in command.params)
+    given = [word for word in words[1:] if word.startswith("--")]
+    assert set(given) <= options
+    values = sum(not word.startswith("--") for word in words[1:])
+    assert values <= arguments + len(given)
+    if not given:
+        assert values <= arguments
+
+
+def test_the_makefile_calls_commands_that_there_are() -> None:
+    lines = re.findall(r"kinedex (demo|verify|version)([^&;\n]*)", MAKEFILE)
+    assert {name for name, _ in lines} == {"demo", "verify", "version"}
+    for name, rest in lines:
+        text = re.sub(r"\$\(if [^)]*\(DATA\)[^)]*\)\S*|\$\(if .*?\"\)", "", rest)
+        accepted([name, *re.sub(r'"?\$\(\w+\)"?', "X", text).split()])
+
+
+def test_the_image_runs_a_command_that_there_is() -> None:
+    (command,) = re.findall(r"^CMD (.*)$", (ROOT / "Dockerfile").read_text(encoding="utf-8"), re.MULTILINE)
+    accepted(json.loads(command))
+
+
+def test_the_workflow_calls_targets_and_locks_that_there_are() -> None:
+    text = (ROOT / ".github" / "workflows" / "checks.yml").read_text(encoding="utf-8")
+    jobs = yaml.safe_load(text)["jobs"]
+    assert set(jobs) == {"lint", "test", "docs", "release"}
+    targets = set(re.findall(r"^([\w-]+):", MAKEFILE, re.MULTILINE))
+    for words in re.findall(r"run: make ([\w -]+)", text):
+        assert set(words.split()) <= targets
+    for lock in re.findall(r"requirements[\w-]*\.lock", text):
+        assert (ROOT / lock).is_file()
+
+
+def test_the_locks_name_no_host() -> None:
+    for lock in ROOT.glob("requirements*.lock"):
+        assert "://" not in lock.read_text(encoding="utf-8"), lock.name
