@@ -1,1 +1,1 @@
-"""Keyframe queries that are learned: fitness, evolution, consensus."""
+"""Learning keyframe queries from examples (thesis, Chapter 4)."""

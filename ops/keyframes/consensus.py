@@ -1,4 +1,4 @@
-"""From the best individuals of many runs to one query: the keyframes that recur most (thesis, 4.4 and Figure 4.2)."""
+"""The consensus of many runs: one query of the keyframes that recur most (thesis, Section 4.4 and Figure 4.2)."""
 
 from __future__ import annotations
 
@@ -20,17 +20,28 @@ F64 = npt.NDArray[np.float64]
 AtLeast = Literal["median", "best"]
 
 AGREEMENTS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-"""Shares of the keyframes at a place that may have to fix an entry for it to be fixed; each is tried, and the fittest
-consensus is taken. The thesis does not say how many runs have to agree."""
+"""Shares of the keyframes at a place that must fix an entry for the consensus to fix it. Each is tried, and the fittest
+consensus is taken, since the thesis does not specify how many runs must agree."""
 
 
 @dataclass(frozen=True)
 class Consensus:
-    """What the runs agree on.
+    """The query on which runs agree.
 
-    origin: "consensus", or "best run" where the consensus was less fit than the median run, or than the best. query,
-    fitness and rank: of that origin. agreement: the share of keyframes that had to agree on an entry; 0 for a run.
-    median, best: the rank of the median run and of the best one. matrix: float64 (N, f), see `agreement_matrix`.
+    Parameters
+    ----------
+    origin : {"consensus", "best run"}
+        "best run" where the consensus ranked lower than the median run, or than the best one.
+    query : Individual
+        The query of that origin.
+    fitness, rank : float
+        Its fitness and its rank.
+    agreement : float
+        The share of keyframes that had to agree on an entry; 0 for a run.
+    median, best : float
+        The rank of the median run and of the best one.
+    matrix : float64 array (N, f)
+        See `agreement_matrix`.
     """
 
     origin: Literal["consensus", "best run"]
@@ -46,10 +57,18 @@ class Consensus:
 def agreement_matrix(queries: Sequence[Individual], columns: int, features: int) -> F64:
     """Add up the keyframes of many queries at their template columns (thesis, Figure 4.2 a).
 
+    Parameters
+    ----------
+    queries : sequence of Individual
+        The best individuals of the runs.
+    columns, features : int
+        The numbers of columns N and of features f of the template.
+
     Returns
     -------
-    float64 (N, f): the mean over the queries of what they fix an entry to; a wildcard counts one half, and so does a
-    column in which a query has no keyframe.
+    float64 array (N, f)
+        The mean over the queries of the values to which they fix an entry. A wildcard counts one half, and so does a
+        column in which a query has no keyframe.
     """
     total = np.full((columns, features), 0.5 * len(queries))
     for query in queries:
@@ -59,20 +78,27 @@ def agreement_matrix(queries: Sequence[Individual], columns: int, features: int)
 
 
 def recurring_keyframes(
-    queries: Sequence[Individual], agreement: float, reach: int, features: int
+    queries: Sequence[Individual], agreement: float, tolerance: int, features: int
 ) -> Individual | None:
     """Extract the keyframes that recur most (thesis, Figure 4.2 b).
 
     Parameters
     ----------
-    queries: the best individuals of the runs.
-    agreement: the share of keyframes at a place that must fix an entry to the same value for it to be fixed.
-    reach: how many columns two keyframes may lie apart and still count as the same.
+    queries : sequence of Individual
+        The best individuals of the runs.
+    agreement : float
+        The share of keyframes at a place that must fix an entry to the same value for it to be fixed.
+    tolerance : int
+        The number of columns by which two keyframes may differ and still count as the same.
+    features : int
+        The number of features f.
 
     Returns
     -------
-    As many keyframes as the queries have in the median, or fewer where they have no more places or agree on nothing, in
-    the order of their median columns; gaps reach from none to twice the spacing. None where they agree on nothing.
+    Individual or None
+        As many keyframes as the queries have in the median, or fewer where there are no more places or no agreement, in
+        the order of their median columns; gaps range from none to twice the spacing. None where the queries agree on
+        nothing.
     """
     positions = np.concatenate([query.positions for query in queries])
     masks = np.concatenate([query.masks for query in queries])
@@ -81,9 +107,9 @@ def recurring_keyframes(
     free = np.ones(len(positions), np.bool_)
     found: list[tuple[float, int, int]] = []
     while free.any() and len(found) < wanted:
-        near = np.abs(positions[:, None] - positions[None, :]) <= reach
+        near = np.abs(positions[:, None] - positions[None, :]) <= tolerance
         votes = (near & free[None, :]).sum(axis=1) * free
-        # of equally crowded places the leftmost
+        # of equally frequent places the leftmost
         centre = min(np.flatnonzero(votes == votes.max()), key=lambda i: int(positions[i]))
         group = near[centre] & free
         free &= ~group
@@ -96,6 +122,7 @@ def recurring_keyframes(
 def _majority(
     masks: npt.NDArray[np.uint64], values: npt.NDArray[np.uint64], share: float, features: int
 ) -> tuple[int, int]:
+    """Return mask and value of the entries that a share of the keyframes fixes to the same value."""
     fixed, ones = bits(masks, features), bits(values, features)
     on = ones.sum(axis=0)
     off = (fixed - ones).sum(axis=0)
@@ -106,6 +133,7 @@ def _majority(
 
 
 def _spaced(found: Sequence[tuple[float, int, int]]) -> Individual:
+    """Return a query of keyframes (column, mask, value), with gaps up to twice the spacing of the columns."""
     ordered = sorted(found)
     positions = np.array([round(place) for place, _, _ in ordered], np.int64)
     spacing = np.diff(positions)
@@ -119,47 +147,62 @@ def _spaced(found: Sequence[tuple[float, int, int]]) -> Individual:
 
 
 def find_consensus(
-    material: TrainingTask,
+    task: TrainingTask,
     runs: Sequence[LearningRun],
-    evolution: EvolutionSettings,
-    reach: int,
+    settings: EvolutionSettings,
+    tolerance: int,
     seed: int | tuple[int, ...],
     at_least: AtLeast = "median",
     agreements: Sequence[float] = AGREEMENTS,
 ) -> Consensus:
-    """Make one query of many runs: what recurs most, with gaps tuned by the same mutations.
+    """Make one query of many runs: the keyframes that recur most, with gaps tuned by mutations.
 
     Parameters
     ----------
-    material, evolution: of the runs. runs: one or more.
-    reach: see `recurring_keyframes`. seed: of the mutations. at_least: the consensus has to rank as high as this run.
-    agreements: see `AGREEMENTS`.
+    task, settings
+        Those of the runs.
+    runs : sequence of LearningRun
+        One run or more.
+    tolerance : int
+        See `recurring_keyframes`.
+    seed : int or tuple of int
+        The seed of the mutations.
+    at_least : {"median", "best"}
+        The run that the consensus must not rank below.
+    agreements : sequence of float
+        See `AGREEMENTS`.
 
     Returns
     -------
-    The consensus, or, where it ranks lower than that, the best run; of equal ones the first. So the outcome never ranks
-    lower than the median run; its fitness alone, without costs, can be.
+    Consensus
+        The consensus, or, where it ranks below that run, the best run; of equal ones the first. So the outcome never
+        ranks below the median run, while its fitness, without costs, may be lower.
+
+    Raises
+    ------
+    ParameterError
+        If there is no run.
     """
     if not runs:
         raise ParameterError("runs", "at least one", 0)
-    features = len(material.frames.on)
+    features = len(task.frames.on)
     ranks = np.array([run.rank for run in runs])
     best = runs[int(np.argmax(ranks))]
     median = float(np.median(ranks))
-    matrix = agreement_matrix([run.query for run in runs], len(material.masks), features)
+    matrix = agreement_matrix([run.query for run in runs], len(task.masks), features)
     wanted = best.rank if at_least == "best" else median
     tuned: tuple[float, LearningRun] | None = None
     tried: set[tuple[bytes, ...]] = set()
     for agreement in agreements:
-        query = recurring_keyframes([run.query for run in runs], agreement, reach, features)
+        query = recurring_keyframes([run.query for run in runs], agreement, tolerance, features)
         if query is None or query.key() in tried:
             continue
         tried.add(query.key())
-        # what gaps can make of it at most is not enough, so they are not tuned
-        most = rank_bound(material, query, evolution) + 1e-9
+        # where no gaps could rank high enough, they are not tuned
+        most = rank_bound(task, query, settings) + 1e-9
         if most < wanted or (tuned is not None and most <= tuned[1].rank):
             continue
-        run = tune_gaps(material, query, evolution, seed)
+        run = tune_gaps(task, query, settings, seed)
         if tuned is None or run.rank > tuned[1].rank:
             tuned = agreement, run
     if tuned is None or tuned[1].rank < wanted:

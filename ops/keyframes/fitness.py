@@ -1,10 +1,11 @@
-"""The fitness of keyframe queries on training clips: which clips have a hit, on bitmaps of frames (thesis, 4.2).
+"""The fitness of individuals on training clips: the clips with a hit, found on bitmaps of frames (thesis, Section 4.2).
 
-A clip counts as retrieved if the query has one hit in it, so hits are never made: of each keyframe the frames that
-match are a bitmap, a gap [low, high] moves and smears the frames reached so far, and what is left after the last
-keyframe is not empty where the clip is retrieved. Each clip begins a machine word of its own, so a clip of up to 64
-frames is one word, and nothing moves from one clip into the next. Bitmaps of keyframes stay resident: a query that was
-changed in one keyframe costs one new bitmap.
+A clip counts as retrieved if the query has one hit in it, so hits are never made. The frames that match a keyframe are
+a bitmap; a gap [low, high] moves and widens the frames reached so far; and where bits remain after the last keyframe,
+the clip is retrieved. Each clip begins in a word of memory of its own (a lane), so a clip of up to 64 frames is one
+word, and nothing moves from one clip into the next. Bitmaps of keyframes stay in a cache: a query that was changed in
+one keyframe costs one new bitmap. A search of bit slices finds ranges, which cost more than the fitness needs
+(`docs/decisions/0002-bit-slices.md`).
 """
 
 from __future__ import annotations
@@ -18,26 +19,31 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
 
 Bool = npt.NDArray[np.bool_]
 
 _LANE = 64
-RESIDENT = 256
-"""How many bitmaps of keyframes stay in memory; more than the keyframes of any one query."""
+CACHED_BITMAPS = 256
+"""The number of bitmaps of keyframes that stay in memory; it exceeds the keyframes of any one query."""
 
 INNER = {"cache": True, "nogil": True, "no_cpython_wrapper": True}
-"""How kernels are compiled that only other kernels call: a sixth faster, as nothing of Python is taken apart."""
+"""How to compile kernels that only other kernels call: without a wrapper for Python they are a sixth faster."""
 
 
 @dataclass(frozen=True)
 class TrainingFrames:
     """The frames of T clips as bitmaps, two for each feature.
 
-    on, off: uint64 (f, W), bit j of on[i - 1, first[t] + w] says that F_i counts as on in frame 64 w + j of clip t. In
-    a clip that is judged strictly or kindly (see `training_frames`) a feature may be neither, or both.
-    valid: uint64 (W,), the frames that there are and that have a word. first: int64 (T + 1,), where each clip begins.
+    Parameters
+    ----------
+    on, off : uint64 array (f, W)
+        Bit j of on[i - 1, first[t] + w] is set where F_i counts as on in frame 64 w + j of clip t, and likewise for
+        off. In a clip that is judged strictly (see `training_frames`) a feature may be neither.
+    valid : uint64 array (W,)
+        The frames that exist and have a word.
+    first : int64 array (T + 1,)
+        The first lane of each clip.
     """
 
     on: U64
@@ -49,43 +55,35 @@ class TrainingFrames:
         return len(self.first) - 1
 
 
-@dataclass(frozen=True)
-class Score:
-    """How well a query tells positive clips from negative ones.
-
-    positives, negatives: how many of them it retrieves. precision, recall, fitness: Eq. 4.9 to 4.11; all are 0 where
-    nothing is retrieved.
-    """
-
-    positives: int
-    negatives: int
-    precision: float
-    recall: float
-    fitness: float
-
-
 def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] | None = None) -> TrainingFrames:
     """Lay clips out as bitmaps.
 
     Parameters
     ----------
-    clips: the words of each clip, uint64 (L_i,); `NO_WORD` matches no keyframe.
-    features: number of features f.
-    steady: for each clip, how strictly it is judged: n > 0, a feature is on (or off) in a frame only where it is so
-        from n frames before to n frames after; n < 0, where it is so in any of these. 0, as it is, unless given. Ends
-        of clips go on as they are. Judged so, examples that match only just do not match, and counterexamples that
-        almost match do: a query that still tells them apart does so with some room.
+    clips : sequence of uint64 arrays (L_i,)
+        The words of each clip; `NO_WORD` matches no keyframe.
+    features : int
+        The number of features f.
+    steady : sequence of int, optional
+        How strictly each clip is judged: a feature counts as on (or off) in a frame only where it is so from n frames
+        before to n frames after, and the ends of a clip continue as they are. 0 unless given. Examples that match only
+        just then do not match, so a query that still finds them does so with some room.
+
+    Returns
+    -------
+    TrainingFrames
 
     Raises
     ------
-    ParameterError: no clip, an empty one, or a number of features out of its domain.
+    ParameterError
+        If there is no clip, a clip is empty, or the number of features is out of its domain.
     """
     if not 1 <= features <= MOST_FEATURES:
         raise ParameterError("features", f"between 1 and {MOST_FEATURES}", features)
     if not clips or any(not len(clip) for clip in clips):
         raise ParameterError("clips", "one or more, each with one frame at least", [len(clip) for clip in clips])
-    if steady is not None and len(steady) != len(clips):
-        raise ParameterError("steady", f"one number for each of the {len(clips)} clips", len(steady))
+    if steady is not None and (len(steady) != len(clips) or min(steady) < 0):
+        raise ParameterError("steady", f"0 or more frames for each of the {len(clips)} clips", list(steady))
     lanes = [-(-len(clip) // _LANE) for clip in clips]
     first = np.zeros(len(clips) + 1, np.int64)
     np.cumsum(lanes, out=first[1:])
@@ -98,33 +96,46 @@ def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] |
         bits = ((clip[None, :] >> shifts) & np.uint64(1)).astype(np.bool_)
         piece = slice(begin, begin + len(clip))
         frames = 0 if steady is None else steady[index]
-        on[:, piece] = _judged(bits & known, frames) & known
-        off[:, piece] = _judged(~bits & known, frames) & known
+        on[:, piece] = _eroded(bits & known, frames) & known
+        off[:, piece] = _eroded(~bits & known, frames) & known
         valid[piece] = known
     return TrainingFrames(_packed(on), _packed(off), _packed(valid), first)
 
 
-def _judged(frames: Bool, steady: int) -> Bool:
-    """Each row eroded (steady > 0) or dilated (steady < 0) along the frames; beyond the ends they stay as there."""
+def _eroded(rows: Bool, steady: int) -> Bool:
+    """Return where each row holds from `steady` frames before to `steady` frames after; its ends continue."""
     if not steady:
-        return frames
-    reach = abs(steady)
-    padded = np.pad(frames, ((0, 0), (reach, reach)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1)
-    result: Bool = np.all(windows, axis=2) if steady > 0 else np.any(windows, axis=2)
+        return rows
+    padded = np.pad(rows, ((0, 0), (steady, steady)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * steady + 1, axis=1)
+    result: Bool = np.all(windows, axis=2)
     return result
 
 
 def _packed(frames: Bool) -> U64:
+    """Return rows of frames as lanes of 64 bits."""
     return np.packbits(frames, axis=-1, bitorder="little").view("<u8").astype(np.uint64)
 
 
 class Workspace(NamedTuple):
-    """What the kernels write to.
+    """The arrays that the kernels write to.
 
-    bitmaps: uint64 (RESIDENT, W), the frames that match a keyframe; masks, values: uint64 (RESIDENT,), which one; made:
-    int64 (1,), how many were. slots: int64 (K,), where the keyframes of one query are. lows, highs: int64 (K,), gaps.
-    reached: uint64, the frames reached in the longest clip. hit: bool (T,), which clips are retrieved.
+    Parameters
+    ----------
+    bitmaps : uint64 array (CACHED_BITMAPS, W)
+        The frames that match each cached keyframe.
+    masks, values : uint64 array (CACHED_BITMAPS,)
+        The cached keyframes.
+    made : int64 array (1,)
+        The number of bitmaps made so far.
+    slots : int64 array (K,)
+        The places of the keyframes of one query in the cache.
+    lows, highs : int64 array (K,)
+        Gaps.
+    reached : uint64 array
+        The frames reached in the longest clip.
+    hit : bool array (T,)
+        The clips that are retrieved.
     """
 
     bitmaps: U64
@@ -139,11 +150,11 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
-    """Workspace to evaluate queries of up to so many keyframes on these clips."""
+    """Return a workspace for queries of up to so many keyframes on these clips."""
     return Workspace(
-        np.zeros((RESIDENT, len(frames.valid)), np.uint64),
-        np.zeros(RESIDENT, np.uint64),
-        np.zeros(RESIDENT, np.uint64),
+        np.zeros((CACHED_BITMAPS, len(frames.valid)), np.uint64),
+        np.zeros(CACHED_BITMAPS, np.uint64),
+        np.zeros(CACHED_BITMAPS, np.uint64),
         np.zeros(1, np.int64),
         np.zeros(keyframes, np.int64),
         np.zeros(keyframes, np.int64),
@@ -153,36 +164,12 @@ def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
     )
 
 
-def retrieved(frames: TrainingFrames, query: Individual) -> Bool:
-    """Tell for each clip whether a query has a hit in it, bool (T,)."""
-    room = new_workspace(frames, len(query))
-    find_bitmaps(frames.on, frames.off, frames.valid, query.masks, query.values, len(query), room)
-    retrieve(len(query), query.lows, query.highs, query.lows, query.highs, frames.first, 0, room)
-    return room.hit
-
-
-def score(hit: Bool, positive: Bool, beta: float) -> Score:
-    """Measure what is retrieved against what should be (thesis, Eq. 4.9 to 4.11).
-
-    Parameters
-    ----------
-    hit, positive: bool (T,), which clips are retrieved, and which are of the class.
-    beta: how many times recall weighs as much as precision.
-    """
-    found = int(np.count_nonzero(hit & positive))
-    wrong = int(np.count_nonzero(hit & ~positive))
-    wanted = int(np.count_nonzero(positive))
-    precision = found / (found + wrong) if found + wrong else 0.0
-    recall = found / wanted if wanted else 0.0
-    return Score(found, wrong, precision, recall, float(fitness_of(found, wrong, wanted, beta)))
-
-
 # ---- kernels ---------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
 def fitness_of(found, wrong, wanted, beta):  # type: ignore[no-untyped-def]
-    """F_beta from counts (Eq. 4.11), without a division by nothing: 0 where nothing of the class is found."""
+    """Return F_beta from numbers of clips (thesis, Eq. 4.9 to 4.11), and 0 where nothing of the class is found."""
     if found == 0:
         return 0.0
     square = beta * beta
@@ -190,32 +177,32 @@ def fitness_of(found, wrong, wanted, beta):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def find_bitmaps(on, off, valid, masks, values, count, room):  # type: ignore[no-untyped-def]
-    """Put into room.slots[k] where the bitmap of keyframe k is, making those that are not resident."""
-    most = len(room.masks)
+def find_bitmaps(on, off, valid, masks, values, count, space):  # type: ignore[no-untyped-def]
+    """Write the place of the bitmap of keyframe k to space.slots[k]; make the bitmaps that are not cached."""
+    most = len(space.masks)
     for k in range(count):
         slot = -1
-        for s in range(min(room.made[0], most)):
-            if room.masks[s] == masks[k] and room.values[s] == values[k]:
+        for s in range(min(space.made[0], most)):
+            if space.masks[s] == masks[k] and space.values[s] == values[k]:
                 slot = s
                 break
         if slot < 0:
-            slot = _free_slot(k, room)
-            room.masks[slot] = masks[k]
-            room.values[slot] = values[k]
-            _bitmap(on, off, valid, masks[k], values[k], room.bitmaps[slot])
-        room.slots[k] = slot
+            slot = _free_slot(k, space)
+            space.masks[slot] = masks[k]
+            space.values[slot] = values[k]
+            _bitmap(on, off, valid, masks[k], values[k], space.bitmaps[slot])
+        space.slots[k] = slot
 
 
 @njit(**INNER)
-def _free_slot(k, room):  # type: ignore[no-untyped-def]
-    # The oldest gives way, unless an earlier keyframe of the same query is there.
+def _free_slot(k, space):  # type: ignore[no-untyped-def]
+    """Return the place of the oldest bitmap that no earlier keyframe of the same query uses."""
     while True:
-        slot = room.made[0] % len(room.masks)
-        room.made[0] += 1
+        slot = space.made[0] % len(space.masks)
+        space.made[0] += 1
         used = False
         for before in range(k):
-            if room.slots[before] == slot:
+            if space.slots[before] == slot:
                 used = True
         if not used:
             return slot
@@ -223,6 +210,7 @@ def _free_slot(k, room):  # type: ignore[no-untyped-def]
 
 @njit(**INNER)
 def _bitmap(on, off, valid, mask, value, out):  # type: ignore[no-untyped-def]
+    """Write the frames that match a keyframe."""
     one = np.uint64(1)
     for i in range(len(valid)):
         out[i] = valid[i]
@@ -235,8 +223,8 @@ def _bitmap(on, off, valid, mask, value, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def retrieve(count, strict_lows, strict_highs, lows, highs, first, positives, room):  # type: ignore[no-untyped-def]
-    """Set room.hit[t]: does clip t meet all keyframes in a chain of frames? Positive clips under the strict gaps."""
+def retrieve(count, strict_lows, strict_highs, lows, highs, first, positives, space):  # type: ignore[no-untyped-def]
+    """Write to space.hit[t] whether clip t has a hit; positive clips are judged under the strict gaps."""
     for t in range(len(first) - 1):
         if t < positives:
             low, high = strict_lows, strict_highs
@@ -244,13 +232,14 @@ def retrieve(count, strict_lows, strict_highs, lows, highs, first, positives, ro
             low, high = lows, highs
         begin, end = first[t], first[t + 1]
         if end - begin == 1:
-            room.hit[t] = _one_lane(room.bitmaps, room.slots, count, low, high, begin)
+            space.hit[t] = _one_lane(space.bitmaps, space.slots, count, low, high, begin)
         else:
-            room.hit[t] = _more_lanes(room.bitmaps, room.slots, count, low, high, begin, end, room.reached)
+            space.hit[t] = _more_lanes(space.bitmaps, space.slots, count, low, high, begin, end, space.reached)
 
 
 @njit(**INNER)
 def _one_lane(bitmaps, slots, count, lows, highs, lane):  # type: ignore[no-untyped-def]
+    """Return whether a clip of one lane has a hit."""
     alive = bitmaps[slots[0], lane]
     for k in range(1, count):
         if alive == np.uint64(0):
@@ -260,17 +249,18 @@ def _one_lane(bitmaps, slots, count, lows, highs, lane):  # type: ignore[no-unty
             return False
         alive <<= np.uint64(low)
         span = min(highs[k - 1], 63) - low
-        smeared = 0
-        while smeared < span:
-            step = min(smeared + 1, span - smeared)
+        widened = 0
+        while widened < span:
+            step = min(widened + 1, span - widened)
             alive |= alive << np.uint64(step)
-            smeared += step
+            widened += step
         alive &= bitmaps[slots[k], lane]
     return alive != np.uint64(0)
 
 
 @njit(**INNER)
 def _more_lanes(bitmaps, slots, count, lows, highs, begin, end, reached):  # type: ignore[no-untyped-def]
+    """Return whether a clip of several lanes has a hit."""
     lanes = end - begin
     most = lanes * 64 - 1
     some = np.uint64(0)
@@ -284,11 +274,11 @@ def _more_lanes(bitmaps, slots, count, lows, highs, begin, end, reached):  # typ
         if low > 0:
             _move(reached, lanes, low, np.uint64(0))
         span = min(highs[k - 1], most) - low
-        smeared = 0
-        while smeared < span:
-            step = min(smeared + 1, span - smeared)
+        widened = 0
+        while widened < span:
+            step = min(widened + 1, span - widened)
             _move(reached, lanes, step, ~np.uint64(0))
-            smeared += step
+            widened += step
         some = np.uint64(0)
         for i in range(lanes):
             reached[i] &= bitmaps[slots[k], begin + i]
@@ -298,7 +288,8 @@ def _more_lanes(bitmaps, slots, count, lows, highs, begin, end, reached):  # typ
 
 @njit(**INNER)
 def _move(lane, lanes, frames, keep):  # type: ignore[no-untyped-def]
-    # From the last lane to the first, so that what is read was not moved yet; keep: the bits that also stay.
+    """Move the bits of some lanes to later frames; the bits of `keep` also stay where they are."""
+    # from the last lane to the first, so that what is read has not been moved yet
     whole = frames // 64
     part = np.uint64(frames % 64)
     rest = np.uint64(64) - part

@@ -1,4 +1,4 @@
-"""One run of the genetic algorithm that learns a keyframe query from positive and negative clips (thesis, 4)."""
+"""The genetic algorithm that learns a keyframe query from positive and negative clips (thesis, Algorithm 3)."""
 
 from __future__ import annotations
 
@@ -30,91 +30,113 @@ from kinedex.ops.words import I64, U64
 F64 = npt.NDArray[np.float64]
 
 
-def evolve(material: TrainingTask, evolution: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
-    """Run the genetic algorithm once (thesis, Algorithm 3).
+def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
+    """Run the genetic algorithm once (thesis, Section 4.4, Algorithm 3).
 
     Parameters
     ----------
-    material: clips and template columns.
-    evolution: the numbers of the algorithm.
-    seed: what the random numbers follow from; the same seed gives the same run, on any machine and in any process.
+    task : TrainingTask
+        The clips and the template columns.
+    settings : EvolutionSettings
+        The settings of the algorithm.
+    seed : int or tuple of int
+        The seed of the random numbers; the same seed gives the same run, on any machine and in any process.
 
     Returns
     -------
-    The individual of the last generation that ranks highest; of equal ones the oldest. Parents are drawn by fitness,
-    and those that rank highest survive; without costs both are the same, as in the thesis.
+    LearningRun
+        The individual of the last generation that ranks highest; of equal ones the oldest. Parents are selected by
+        fitness, and those that rank highest survive; without costs both are the same, as in the thesis.
     """
-    people = new_population(evolution.population + evolution.offspring, evolution.most_keyframes)
-    history = np.zeros((evolution.generations + 1, len(HISTORY_COLUMNS)))
-    room = new_workspace(material.frames, evolution.most_keyframes)
-    sizes = (evolution.population, evolution.parents, evolution.generations)
+    population = new_population(settings.population + settings.offspring, settings.most_keyframes)
+    history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))
+    space = new_workspace(task.frames, settings.most_keyframes)
+    sizes = (settings.population, settings.parents, settings.generations)
     best, evaluated = _evolve(
-        _random(seed), people, _clips(material), _columns(material), room, history, sizes, _breeding(evolution),
-        _judging(evolution, material),
+        _random(seed), population, _clips(task), _columns(task), space, history, sizes, _operator_settings(settings),
+        _fitness_settings(settings, task),
     )  # fmt: skip
-    return _run(people, best, history, evaluated)
+    return _learning_run(population, best, history, evaluated)
 
 
-def random_search(material: TrainingTask, evolution: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
-    """Draw as many initial individuals as a run makes individuals in all, and keep the fittest (Algorithm 2 alone)."""
-    return evolve(material, replace(evolution, population=evolution.budget, generations=0), seed)
+def random_search(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
+    """Draw as many initial individuals as a run makes individuals in all, and return the fittest (Algorithm 2 alone).
+
+    Parameters
+    ----------
+    task, settings, seed
+        As in `evolve`.
+
+    Returns
+    -------
+    LearningRun
+    """
+    return evolve(task, replace(settings, population=settings.budget, generations=0), seed)
 
 
 def tune_gaps(
-    material: TrainingTask, query: Individual, evolution: EvolutionSettings, seed: int | tuple[int, ...]
+    task: TrainingTask, query: Individual, settings: EvolutionSettings, seed: int | tuple[int, ...]
 ) -> LearningRun:
-    """Improve the gaps of a query by the same mutations, one at a time, keeping what is no worse.
+    """Optimise the gaps of a query by the mutations of the genetic algorithm (thesis, Section 4.4).
 
-    As many are tried as a run makes offspring, none where there is no gap. The history has the best one after each
-    generation's worth.
+    One mutation is tried at a time, and kept unless it ranks lower. As many are tried as a run makes offspring, and
+    none where the query has no gap. The history has a row for as many trials as a generation has offspring.
+
+    Parameters
+    ----------
+    task, settings, seed
+        As in `evolve`.
+    query : Individual
+        The query; its keyframes stay as they are.
+
+    Returns
+    -------
+    LearningRun
     """
-    most = max(evolution.most_keyframes, len(query))
-    people = new_population(2, most)
-    _put(people, 0, query)
-    history = np.zeros((evolution.generations + 1, len(HISTORY_COLUMNS)))
-    room = new_workspace(material.frames, most)
-    tries = evolution.offspring if len(query) > 1 else 0
+    most = max(settings.most_keyframes, len(query))
+    population = new_population(2, most)
+    _set_row(population, 0, query)
+    history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))
+    space = new_workspace(task.frames, most)
+    tries = settings.offspring if len(query) > 1 else 0
     _tune(
-        _random(seed), people, np.arange(2), _clips(material), room, history, tries, evolution.gap_step,
-        _judging(evolution, material),
+        _random(seed), population, np.arange(2), _clips(task), space, history, tries, settings.gap_step,
+        _fitness_settings(settings, task),
     )  # fmt: skip
-    return _run(people, 0, history, 1 + tries * evolution.generations)
+    return _learning_run(population, 0, history, 1 + tries * settings.generations)
 
 
-def evaluate(
-    material: TrainingTask, query: Individual, evolution: EvolutionSettings
-) -> tuple[float, float, float, float]:
-    """The weight of positive and of negative clips that a query retrieves, its fitness and its rank, as in a run."""
-    people = new_population(1, len(query))
-    _put(people, 0, query)
-    _evaluate(people, 0, _clips(material), new_workspace(material.frames, len(query)), _judging(evolution, material))
-    found, wrong, fitness, rank = people.results[0].tolist()
+def evaluate(task: TrainingTask, query: Individual, settings: EvolutionSettings) -> tuple[float, float, float, float]:
+    """Return the numbers of positive and of negative clips that a query retrieves, its fitness, and its rank."""
+    population = new_population(1, len(query))
+    _set_row(population, 0, query)
+    space = new_workspace(task.frames, len(query))
+    _evaluate(population, 0, _clips(task), space, _fitness_settings(settings, task))
+    found, wrong, fitness, rank = population.results[0].tolist()
     return found, wrong, fitness, rank
 
 
-def rank_bound(material: TrainingTask, query: Individual, evolution: EvolutionSettings) -> float:
-    """The rank of a query that tells all clips apart with gaps of one length: no other gaps make it rank higher."""
-    outside = (int(query.positions[0]) + len(material.masks) - 1 - int(query.positions[-1])) / len(material.masks)
-    return 1.0 - evolution.parsimony * query.fixed - evolution.outside_cost * outside
+def rank_bound(task: TrainingTask, query: Individual, settings: EvolutionSettings) -> float:
+    """Return the rank of a query with perfect fitness and gaps of one length, which no other gaps can exceed."""
+    outside = (int(query.positions[0]) + len(task.masks) - 1 - int(query.positions[-1])) / len(task.masks)
+    return 1.0 - settings.parsimony * query.fixed - settings.outside_cost * outside
 
 
-# ---- between queries and arrays --------------------------------------------------------------------------
+# ---- between individuals and arrays ----------------------------------------------------------------------
 
 
 class _Clips(NamedTuple):
-    """The clips of a `TrainingTask`; wanted: the weight of the positive ones."""
+    """The clips of a `TrainingTask`, of which the first `positives` are of the class."""
 
     on: U64
     off: U64
     valid: U64
     first: I64
     positives: int
-    weights: F64
-    wanted: float
 
 
-class _Judging(NamedTuple):
-    """The numbers by which individuals are judged. columns: of the template. outside_cost: of one column."""
+class _FitnessSettings(NamedTuple):
+    """The settings of fitness and rank; `columns` is the number in the template, `outside_cost` that of one column."""
 
     beta: float
     parsimony: float
@@ -128,61 +150,62 @@ def _random(seed: int | tuple[int, ...]) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
 
 
-def _clips(material: TrainingTask) -> _Clips:
-    frames, weights = material.frames, material.weights
-    wanted = float(weights[: material.positives].sum())
-    return _Clips(frames.on, frames.off, frames.valid, frames.first, material.positives, weights, wanted)
+def _clips(task: TrainingTask) -> _Clips:
+    frames = task.frames
+    return _Clips(frames.on, frames.off, frames.valid, frames.first, task.positives)
 
 
-def _columns(material: TrainingTask) -> TemplateColumns:
-    return TemplateColumns(material.masks, material.values, material.columns, np.uint64(material.allowed))
+def _columns(task: TrainingTask) -> TemplateColumns:
+    return TemplateColumns(task.masks, task.values, task.columns, np.uint64(task.allowed))
 
 
-def _breeding(evolution: EvolutionSettings) -> OperatorSettings:
+def _operator_settings(settings: EvolutionSettings) -> OperatorSettings:
     return OperatorSettings(
-        float(evolution.keyframes_mean),
-        float(evolution.keyframes_sd),
-        evolution.least_keyframes,
-        float(evolution.gap_tolerance),
-        0.5 if evolution.initial_gaps == "printed" else 1.0,
-        float(evolution.gap_step),
-        float(evolution.open_share),
-        evolution.mutations[0] / sum(evolution.mutations),
-        evolution.mutations[1] / sum(evolution.mutations),
+        float(settings.keyframes_mean),
+        float(settings.keyframes_sd),
+        settings.least_keyframes,
+        float(settings.gap_tolerance),
+        0.5 if settings.initial_gaps == "printed" else 1.0,
+        float(settings.gap_step),
+        float(settings.open_share),
+        settings.mutations[0] / sum(settings.mutations),
+        settings.mutations[1] / sum(settings.mutations),
     )
 
 
-def _judging(evolution: EvolutionSettings, material: TrainingTask) -> _Judging:
-    columns = len(material.masks)
-    return _Judging(
-        float(evolution.beta),
-        float(evolution.parsimony),
-        float(evolution.gap_cost),
-        evolution.outside_cost / columns,
-        float(evolution.tempo),
+def _fitness_settings(settings: EvolutionSettings, task: TrainingTask) -> _FitnessSettings:
+    columns = len(task.masks)
+    return _FitnessSettings(
+        float(settings.beta),
+        float(settings.parsimony),
+        float(settings.gap_cost),
+        settings.outside_cost / columns,
+        float(settings.tempo),
         columns,
     )
 
 
-def _run(people: Population, row: int, history: F64, evaluated: int) -> LearningRun:
-    count = int(people.counts[row])
+def _learning_run(population: Population, row: int, history: F64, evaluated: int) -> LearningRun:
+    """Return the individual of a row as the outcome of a run."""
+    count = int(population.counts[row])
     query = Individual(
-        people.masks[row, :count].copy(),
-        people.values[row, :count].copy(),
-        people.positions[row, :count].copy(),
-        people.lows[row, : count - 1].copy(),
-        people.highs[row, : count - 1].copy(),
+        population.masks[row, :count].copy(),
+        population.values[row, :count].copy(),
+        population.positions[row, :count].copy(),
+        population.lows[row, : count - 1].copy(),
+        population.highs[row, : count - 1].copy(),
     )
-    fitness, rank = people.results[row, 2:].tolist()
+    fitness, rank = population.results[row, 2:].tolist()
     return LearningRun(query, fitness, rank, history, int(evaluated))
 
 
-def _put(people: Population, row: int, query: Individual) -> None:
+def _set_row(population: Population, row: int, query: Individual) -> None:
+    """Write an individual to a row."""
     count = len(query)
-    people.counts[row] = count
-    for part, given in zip(people[1:4], (query.masks, query.values, query.positions), strict=True):
+    population.counts[row] = count
+    for part, given in zip(population[1:4], (query.masks, query.values, query.positions), strict=True):
         part[row, :count] = given
-    for part, given in zip(people[4:6], (query.lows, query.highs), strict=True):
+    for part, given in zip(population[4:6], (query.lows, query.highs), strict=True):
         part[row, : count - 1] = given
 
 
@@ -190,133 +213,144 @@ def _put(people: Population, row: int, query: Individual) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _evolve(rng, people, clips, columns, room, history, sizes, breeding, judging):  # type: ignore[no-untyped-def]
-    population, parents, generations = sizes
-    rows, most = people.masks.shape
+def _evolve(rng, population, clips, columns, space, history, sizes, operators, criteria):  # type: ignore[no-untyped-def]
+    """Evolve a population; return the row of the best individual, and the number of individuals evaluated."""
+    size, parents, generations = sizes
+    rows, most = population.masks.shape
     order = np.arange(rows)
     chosen = np.zeros(parents, np.int64)
-    taken = np.zeros(max(most, len(columns.usable)), np.int64)
+    spare = np.zeros(max(most, len(columns.usable)), np.int64)
     evaluated = 0
-    for row in range(population):
-        draw_individual(rng, people, row, columns, breeding, taken)
-        evaluated += _evaluate_new(people, order, row, clips, room, judging)
-    _sort(order, people, min(1, population), population)
-    _remember(history[0], order, people, population, clips.wanted)
+    for row in range(size):
+        draw_individual(rng, population, row, columns, operators, spare)
+        evaluated += _evaluate_new(population, order, row, clips, space, criteria)
+    _sort(order, population, min(1, size), size)
+    _record(history[0], order, population, size, clips.positives)
     for generation in range(1, generations + 1):
-        select_parents(people.results[:, 2], order[:population], chosen, rng.random())
-        place = population
+        select_parents(population.results[:, 2], order[:size], chosen, rng.random())
+        place = size
         for one in range(parents):
             for other in range(one + 1, parents):
                 row = order[place]
-                crossover(rng, people, chosen[one], chosen[other], row, breeding, taken)
-                mutate(rng, people, row, columns, breeding)
-                evaluated += _evaluate_new(people, order, place, clips, room, judging)
+                crossover(rng, population, chosen[one], chosen[other], row, operators, spare)
+                mutate(rng, population, row, columns, operators)
+                evaluated += _evaluate_new(population, order, place, clips, space, criteria)
                 place += 1
-        _sort(order, people, population, rows)
-        _remember(history[generation], order, people, population, clips.wanted)
+        _sort(order, population, size, rows)
+        _record(history[generation], order, population, size, clips.positives)
     return order[0], evaluated
 
 
 @njit(cache=True, nogil=True)
-def _tune(rng, people, rows, clips, room, history, tries, gap_step, judging):  # type: ignore[no-untyped-def]
-    # Rows come in an array: with a number written into a call, numba would compile what is called once for each.
+def _tune(rng, population, rows, clips, space, history, tries, gap_step, criteria):  # type: ignore[no-untyped-def]
+    """Improve the gaps of the first row by mutations in the second."""
+    # rows come in an array: with a literal number in a call, numba would compile the called kernel once for each
     best, changed, one = rows[0], rows[1], len(rows) - 1
-    _evaluate(people, best, clips, room, judging)
+    _evaluate(population, best, clips, space, criteria)
     for generation in range(len(history)):
         if generation > 0:
             for _ in range(tries):
-                copy_individual(people, best, changed)
-                mutate_gaps(rng, people, changed, gap_step)
-                _evaluate(people, changed, clips, room, judging)
-                if people.results[changed, 3] >= people.results[best, 3]:
-                    copy_individual(people, changed, best)
-        _remember(history[generation], rows, people, one, clips.wanted)
+                copy_individual(population, best, changed)
+                mutate_gaps(rng, population, changed, gap_step)
+                _evaluate(population, changed, clips, space, criteria)
+                if population.results[changed, 3] >= population.results[best, 3]:
+                    copy_individual(population, changed, best)
+        _record(history[generation], rows, population, one, clips.positives)
 
 
 @njit(**INNER)
-def _evaluate_new(people, order, place, clips, room, judging):  # type: ignore[no-untyped-def]
-    """Evaluate the individual at this place, unless an equal one before it was; returns how many were evaluated."""
+def _evaluate_new(population, order, place, clips, space, criteria):  # type: ignore[no-untyped-def]
+    """Evaluate the individual at a place of the order, unless an equal one stands before it; return 1 if it was."""
     row = order[place]
     for before in range(place):
-        if _equal(people, order[before], row, judging.outside_cost > 0.0):
-            for i in range(people.results.shape[1]):
-                people.results[row, i] = people.results[order[before], i]
+        if _equal(population, order[before], row, criteria.outside_cost > 0.0):
+            for i in range(population.results.shape[1]):
+                population.results[row, i] = population.results[order[before], i]
             return 0
-    _evaluate(people, row, clips, room, judging)
+    _evaluate(population, row, clips, space, criteria)
     return 1
 
 
 @njit(**INNER)
-def _equal(people, one, other, placed):  # type: ignore[no-untyped-def]
-    count = people.counts[one]
-    if count != people.counts[other]:
+def _equal(population, one, other, placed):  # type: ignore[no-untyped-def]
+    """Return whether two individuals are equal, in the columns of their outer keyframes too if `placed`."""
+    count = population.counts[one]
+    if count != population.counts[other]:
         return False
     if placed:
-        # the same query from other columns leaves more or less of the template outside, so it ranks otherwise
+        # the same query from other columns leaves another part of the template outside, so it ranks differently
         last = count - 1
-        if people.positions[one, 0] != people.positions[other, 0]:
+        if population.positions[one, 0] != population.positions[other, 0]:
             return False
-        if people.positions[one, last] != people.positions[other, last]:
+        if population.positions[one, last] != population.positions[other, last]:
             return False
     for k in range(count):
-        if people.masks[one, k] != people.masks[other, k] or people.values[one, k] != people.values[other, k]:
+        if (
+            population.masks[one, k] != population.masks[other, k]
+            or population.values[one, k] != population.values[other, k]
+        ):
             return False
-        gap = people.lows[one, k] != people.lows[other, k] or people.highs[one, k] != people.highs[other, k]
+        gap = (
+            population.lows[one, k] != population.lows[other, k]
+            or population.highs[one, k] != population.highs[other, k]
+        )
         if k < count - 1 and gap:
             return False
     return True
 
 
 @njit(cache=True, nogil=True)
-def _evaluate(people, row, clips, room, judging):  # type: ignore[no-untyped-def]
-    count = people.counts[row]
-    lows, highs = people.lows[row], people.highs[row]
-    find_bitmaps(clips.on, clips.off, clips.valid, people.masks[row], people.values[row], count, room)
+def _evaluate(population, row, clips, space, criteria):  # type: ignore[no-untyped-def]
+    """Write the results of an individual: clips retrieved, fitness, and rank."""
+    count = population.counts[row]
+    lows, highs = population.lows[row], population.highs[row]
+    find_bitmaps(clips.on, clips.off, clips.valid, population.masks[row], population.values[row], count, space)
     for k in range(count - 1):
-        # a positive clip has to be retrieved even if it were slower or faster by this much
-        room.lows[k] = int(np.ceil(lows[k] * (1.0 + judging.tempo) - 1e-9))
-        room.highs[k] = int(np.floor(highs[k] / (1.0 + judging.tempo) + 1e-9))
-    retrieve(count, room.lows, room.highs, lows, highs, clips.first, clips.positives, room)
+        # a positive clip must be retrieved even if it were slower or faster by this much
+        space.lows[k] = int(np.ceil(lows[k] * (1.0 + criteria.tempo) - 1e-9))
+        space.highs[k] = int(np.floor(highs[k] / (1.0 + criteria.tempo) + 1e-9))
+    retrieve(count, space.lows, space.highs, lows, highs, clips.first, clips.positives, space)
     found = 0.0
     wrong = 0.0
-    for t in range(len(room.hit)):
-        if room.hit[t]:
+    for t in range(len(space.hit)):
+        if space.hit[t]:
             if t < clips.positives:
-                found += clips.weights[t]
+                found += 1.0
             else:
-                wrong += clips.weights[t]
-    fitness = fitness_of(found, wrong, clips.wanted, judging.beta)
-    outside = people.positions[row, 0] + judging.columns - 1 - people.positions[row, count - 1]
-    rank = fitness - judging.outside_cost * outside
+                wrong += 1.0
+    fitness = fitness_of(found, wrong, float(clips.positives), criteria.beta)
+    outside = population.positions[row, 0] + criteria.columns - 1 - population.positions[row, count - 1]
+    rank = fitness - criteria.outside_cost * outside
     for k in range(count):
-        rank -= judging.parsimony * count_bits(people.masks[row, k])
+        rank -= criteria.parsimony * count_bits(population.masks[row, k])
         if k < count - 1:
-            rank -= judging.gap_cost * (highs[k] - lows[k])
-    people.results[row, 0] = found
-    people.results[row, 1] = wrong
-    people.results[row, 2] = fitness
-    people.results[row, 3] = rank
+            rank -= criteria.gap_cost * (highs[k] - lows[k])
+    population.results[row, 0] = found
+    population.results[row, 1] = wrong
+    population.results[row, 2] = fitness
+    population.results[row, 3] = rank
 
 
 @njit(**INNER)
-def _sort(order, people, begin, end):  # type: ignore[no-untyped-def]
-    # Insertion from `begin`: what stands before it is in order, and the older goes first among equals.
+def _sort(order, population, begin, end):  # type: ignore[no-untyped-def]
+    """Sort by rank, by insertion from `begin`; the rows before it are in order, and older ones precede equal ones."""
     for place in range(begin, end):
         row = order[place]
-        rank = people.results[row, 3]
+        rank = population.results[row, 3]
         i = place
-        while i > 0 and people.results[order[i - 1], 3] < rank:
+        while i > 0 and population.results[order[i - 1], 3] < rank:
             order[i] = order[i - 1]
             i -= 1
         order[i] = row
 
 
 @njit(**INNER)
-def _remember(means, order, people, population, wanted):  # type: ignore[no-untyped-def]
-    for place in range(population):
-        found, wrong = people.results[order[place], 0], people.results[order[place], 1]
+def _record(means, order, population, size, wanted):  # type: ignore[no-untyped-def]
+    """Write a row of the history: means over the individuals, and the fitness of the best one."""
+    for place in range(size):
+        found, wrong = population.results[order[place], 0], population.results[order[place], 1]
         if found > 0.0:
-            means[0] += found / (found + wrong) / population
-            means[1] += found / wanted / population
-        means[2] += people.results[order[place], 2] / population
-    means[3] = people.results[order[0], 2]
+            means[0] += found / (found + wrong) / size
+            means[1] += found / wanted / size
+        means[2] += population.results[order[place], 2] / size
+    means[3] = population.results[order[0], 2]

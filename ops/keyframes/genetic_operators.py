@@ -1,4 +1,4 @@
-"""How individuals of the genetic algorithm come about: drawn, chosen, recombined, mutated (thesis, 4.3 and 4.4).
+"""The genetic operators on individuals: initialisation, selection, recombination, mutation (thesis, Sections 4.3, 4.4).
 
 An individual is a row of arrays. All operators work in place and allocate nothing; random numbers come from the
 generator that they are given.
@@ -18,11 +18,21 @@ from kinedex.ops.words import I64, U64
 
 
 class Population(NamedTuple):
-    """Individuals as arrays, one row each.
+    """P individuals as arrays, one row each.
 
-    counts: int64 (P,), how many keyframes (K). masks, values: uint64 (P, most). positions: int64 (P, most), template
-    columns. lows, highs: int64 (P, most), the K − 1 gaps. results: float64 (P, 4), the weight of positive and of
-    negative clips retrieved, the fitness, and the rank by which individuals are compared.
+    Parameters
+    ----------
+    counts : int64 array (P,)
+        The number of keyframes K of each individual.
+    masks, values : uint64 array (P, most)
+        The keyframes, of which the first K of a row count.
+    positions : int64 array (P, most)
+        Their template columns.
+    lows, highs : int64 array (P, most)
+        The K - 1 gaps.
+    results : float64 array (P, 4)
+        The numbers of positive and of negative clips retrieved, the fitness, and the rank by which individuals are
+        compared.
     """
 
     counts: I64
@@ -35,7 +45,17 @@ class Population(NamedTuple):
 
 
 class TemplateColumns(NamedTuple):
-    """What keyframes are made of: the template's masks and values (N,), its usable columns, the features allowed."""
+    """The columns of a class template, from which keyframes are made.
+
+    Parameters
+    ----------
+    masks, values : uint64 array (N,)
+        The columns.
+    usable : int64 array (n,)
+        The columns that fix any feature.
+    allowed : uint64
+        The features that keyframes may fix.
+    """
 
     masks: U64
     values: U64
@@ -44,7 +64,25 @@ class TemplateColumns(NamedTuple):
 
 
 class OperatorSettings(NamedTuple):
-    """The settings of the operators (see `ops.keyframes.training_task.EvolutionSettings`)."""
+    """The settings of the operators (see `ops.keyframes.training_task.EvolutionSettings`).
+
+    Parameters
+    ----------
+    mean, deviation : float
+        Of the number of keyframes of an initial individual.
+    least : int
+        The least number of keyframes.
+    tolerance : float
+        The upper end of U(0, 2) in Algorithm 2.
+    centre : float
+        The centre of initial gaps, as a share of the spacing of the columns.
+    gap_step : float
+        The largest change of an end of a gap, as a share of the spacing.
+    open_share : float
+        The largest share of a keyframe's entries that a generalisation opens at once.
+    keyframe_odds, entry_odds : float
+        The probabilities of a mutation of keyframes and of one of entries; the others change gaps.
+    """
 
     mean: float
     deviation: float
@@ -58,7 +96,7 @@ class OperatorSettings(NamedTuple):
 
 
 def new_population(rows: int, most: int) -> Population:
-    """Workspace for so many individuals of up to so many keyframes."""
+    """Return room for so many individuals of up to so many keyframes."""
     shape = (rows, most)
     bits, numbers = np.uint64, np.int64
     return Population(
@@ -68,53 +106,54 @@ def new_population(rows: int, most: int) -> Population:
 
 
 @njit(cache=True, nogil=True)
-def draw_individual(rng, people, row, columns, breeding, taken):  # type: ignore[no-untyped-def]
-    """Algorithm 2: K from a normal distribution, K different columns, gaps around their spacing."""
-    most = min(people.masks.shape[1], len(columns.usable))
-    count = max(breeding.least, int(np.round(breeding.mean + breeding.deviation * rng.standard_normal())))
+def draw_individual(rng, population, row, columns, settings, spare):  # type: ignore[no-untyped-def]
+    """Draw an initial individual: K template columns and gaps around their spacing (thesis, Algorithm 2)."""
+    most = min(population.masks.shape[1], len(columns.usable))
+    count = max(settings.least, int(np.round(settings.mean + settings.deviation * rng.standard_normal())))
     count = max(1, min(count, most))
-    _choose(rng, taken, len(columns.usable), count)
+    _choose(rng, spare, len(columns.usable), count)
     for k in range(count):
-        column = columns.usable[taken[k]]
-        people.masks[row, k] = columns.masks[column]
-        people.values[row, k] = columns.values[column]
-        people.positions[row, k] = column
-    people.counts[row] = count
+        column = columns.usable[spare[k]]
+        population.masks[row, k] = columns.masks[column]
+        population.values[row, k] = columns.values[column]
+        population.positions[row, k] = column
+    population.counts[row] = count
     for k in range(count - 1):
-        _draw_gap(rng, people, row, k, breeding)
+        _draw_gap(rng, population, row, k, settings)
 
 
 @njit(**INNER)
-def _draw_gap(rng, people, row, k, breeding):  # type: ignore[no-untyped-def]
-    spacing = people.positions[row, k + 1] - people.positions[row, k]
-    middle = spacing * breeding.centre
-    low = middle - np.round(0.5 * spacing * rng.random() * breeding.tolerance)
-    high = middle + np.round(0.5 * spacing * rng.random() * breeding.tolerance)
-    # half a spacing may lie between two frames; the range holds the frames inside
-    people.lows[row, k] = max(0, int(np.ceil(low)))
-    people.highs[row, k] = max(people.lows[row, k], int(np.floor(high)))
+def _draw_gap(rng, population, row, k, settings):  # type: ignore[no-untyped-def]
+    """Draw the gap between two keyframes around the spacing of their columns."""
+    spacing = population.positions[row, k + 1] - population.positions[row, k]
+    middle = spacing * settings.centre
+    low = middle - np.round(0.5 * spacing * rng.random() * settings.tolerance)
+    high = middle + np.round(0.5 * spacing * rng.random() * settings.tolerance)
+    # half a spacing may lie between two frames; the range holds the whole frames inside
+    population.lows[row, k] = max(0, int(np.ceil(low)))
+    population.highs[row, k] = max(population.lows[row, k], int(np.floor(high)))
 
 
 @njit(**INNER)
-def _choose(rng, taken, total, count):  # type: ignore[no-untyped-def]
-    """Put `count` different numbers below `total` into taken, ascending (Floyd's sampling)."""
+def _choose(rng, chosen, total, count):  # type: ignore[no-untyped-def]
+    """Write `count` different numbers below `total` to `chosen`, ascending (Floyd's sampling)."""
     for n in range(count):
         j = total - count + n
         fresh = int(rng.random() * (j + 1))
         for i in range(n):
-            if taken[i] == fresh:
+            if chosen[i] == fresh:
                 fresh = j
                 break
         i = n
-        while i > 0 and taken[i - 1] > fresh:
-            taken[i] = taken[i - 1]
+        while i > 0 and chosen[i - 1] > fresh:
+            chosen[i] = chosen[i - 1]
             i -= 1
-        taken[i] = fresh
+        chosen[i] = fresh
 
 
 @njit(cache=True, nogil=True)
 def select_parents(fitness, rows, chosen, offset):  # type: ignore[no-untyped-def]
-    """Stochastic universal sampling (Baker 1987): pointers at equal distances over the fitness of these rows."""
+    """Select parents by stochastic universal sampling: pointers at equal distances over the fitness (Baker 1987)."""
     total = 0.0
     for row in rows:
         total += fitness[row]
@@ -133,106 +172,114 @@ def select_parents(fitness, rows, chosen, offset):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def crossover(rng, people, one, other, row, breeding, taken):  # type: ignore[no-untyped-def]
-    """Merge some keyframes of each parent in the order of their columns; gaps as at the beginning (Figure 4.1 a)."""
-    people.counts[row] = 0
+def crossover(rng, population, one, other, row, settings, spare):  # type: ignore[no-untyped-def]
+    """Recombine two parents: merge some keyframes of each by their columns, and draw gaps (thesis, Figure 4.1 a)."""
+    population.counts[row] = 0
     for parent in (one, other):
-        part = 1 + int(rng.random() * people.counts[parent])
-        _choose(rng, taken, people.counts[parent], part)
+        part = 1 + int(rng.random() * population.counts[parent])
+        _choose(rng, spare, population.counts[parent], part)
         for i in range(part):
-            k = taken[i]
-            _insert(people, row, people.masks[parent, k], people.values[parent, k], people.positions[parent, k])
-    for k in range(people.counts[row] - 1):
-        _draw_gap(rng, people, row, k, breeding)
+            k = spare[i]
+            _insert(
+                population,
+                row,
+                population.masks[parent, k],
+                population.values[parent, k],
+                population.positions[parent, k],
+            )
+    for k in range(population.counts[row] - 1):
+        _draw_gap(rng, population, row, k, settings)
 
 
 @njit(**INNER)
-def _insert(people, row, mask, value, position):  # type: ignore[no-untyped-def]
-    """Insert a keyframe by its column and say where; −1 where it is there already, or where there is no room."""
-    count = people.counts[row]
+def _insert(population, row, mask, value, position):  # type: ignore[no-untyped-def]
+    """Insert a keyframe by its column, and return its index, or -1 where it is there already or there is no room."""
+    count = population.counts[row]
     for k in range(count):
-        same = people.masks[row, k] == mask and people.values[row, k] == value
-        if same and people.positions[row, k] == position:
+        same = population.masks[row, k] == mask and population.values[row, k] == value
+        if same and population.positions[row, k] == position:
             return -1
-    if count == people.masks.shape[1]:
+    if count == population.masks.shape[1]:
         return -1
     k = count
-    while k > 0 and people.positions[row, k - 1] > position:
-        people.masks[row, k] = people.masks[row, k - 1]
-        people.values[row, k] = people.values[row, k - 1]
-        people.positions[row, k] = people.positions[row, k - 1]
+    while k > 0 and population.positions[row, k - 1] > position:
+        population.masks[row, k] = population.masks[row, k - 1]
+        population.values[row, k] = population.values[row, k - 1]
+        population.positions[row, k] = population.positions[row, k - 1]
         k -= 1
-    people.masks[row, k] = mask
-    people.values[row, k] = value
-    people.positions[row, k] = position
-    people.counts[row] = count + 1
+    population.masks[row, k] = mask
+    population.values[row, k] = value
+    population.positions[row, k] = position
+    population.counts[row] = count + 1
     return k
 
 
 @njit(cache=True, nogil=True)
-def mutate(rng, people, row, columns, breeding):  # type: ignore[no-untyped-def]
-    """Apply one of the mutations of Figure 4.1 (b); adding and removing are as likely, so are fixing and opening."""
+def mutate(rng, population, row, columns, settings):  # type: ignore[no-untyped-def]
+    """Apply a random mutation (thesis, Figure 4.1 b); each is as likely as the one that reverses it."""
     kind = rng.random()
     first = rng.random() < 0.5
-    if kind < breeding.keyframe_odds and first:
-        _add_keyframe(rng, people, row, columns, breeding)
-    elif kind < breeding.keyframe_odds:
-        _remove_keyframe(rng, people, row, breeding.least)
-    elif kind < breeding.keyframe_odds + breeding.entry_odds:
-        _change_entries(rng, people, row, columns.allowed, first, breeding.open_share)
+    if kind < settings.keyframe_odds and first:
+        _add_keyframe(rng, population, row, columns, settings)
+    elif kind < settings.keyframe_odds:
+        _remove_keyframe(rng, population, row, settings.least)
+    elif kind < settings.keyframe_odds + settings.entry_odds:
+        _change_entries(rng, population, row, columns.allowed, first, settings.open_share)
     else:
-        mutate_gaps(rng, people, row, breeding.gap_step)
+        mutate_gaps(rng, population, row, settings.gap_step)
 
 
 @njit(**INNER)
-def _add_keyframe(rng, people, row, columns, breeding):  # type: ignore[no-untyped-def]
+def _add_keyframe(rng, population, row, columns, settings):  # type: ignore[no-untyped-def]
+    """Insert a random template column."""
     column = columns.usable[int(rng.random() * len(columns.usable))]
-    k = _insert(people, row, columns.masks[column], columns.values[column], column)
+    k = _insert(population, row, columns.masks[column], columns.values[column], column)
     if k < 0:
         return
-    # the gap that the new keyframe divides is drawn anew on both sides, the others stay
-    last = people.counts[row] - 1
+    # the gaps on both sides of the new keyframe are drawn anew, the others stay
+    last = population.counts[row] - 1
     for j in range(last - 1, k, -1):
-        people.lows[row, j] = people.lows[row, j - 1]
-        people.highs[row, j] = people.highs[row, j - 1]
+        population.lows[row, j] = population.lows[row, j - 1]
+        population.highs[row, j] = population.highs[row, j - 1]
     if k > 0:
-        _draw_gap(rng, people, row, k - 1, breeding)
+        _draw_gap(rng, population, row, k - 1, settings)
     if k < last:
-        _draw_gap(rng, people, row, k, breeding)
+        _draw_gap(rng, population, row, k, settings)
 
 
 @njit(**INNER)
-def _remove_keyframe(rng, people, row, least):  # type: ignore[no-untyped-def]
-    count = people.counts[row]
+def _remove_keyframe(rng, population, row, least):  # type: ignore[no-untyped-def]
+    """Remove a random keyframe, unless no more than the least number are left."""
+    count = population.counts[row]
     if count <= least:
         return
     k = int(rng.random() * count)
-    lows, highs = people.lows[row], people.highs[row]
+    lows, highs = population.lows[row], population.highs[row]
     if 0 < k < count - 1:
-        # what both gaps admitted together is admitted now
+        # the new gap admits what both gaps admitted together
         lows[k - 1] += lows[k]
         highs[k - 1] += highs[k]
     for j in range(k, count - 2):
         lows[j] = lows[j + 1]
         highs[j] = highs[j + 1]
     for j in range(k, count - 1):
-        people.masks[row, j] = people.masks[row, j + 1]
-        people.values[row, j] = people.values[row, j + 1]
-        people.positions[row, j] = people.positions[row, j + 1]
-    people.counts[row] = count - 1
+        population.masks[row, j] = population.masks[row, j + 1]
+        population.values[row, j] = population.values[row, j + 1]
+        population.positions[row, j] = population.positions[row, j + 1]
+    population.counts[row] = count - 1
 
 
 @njit(**INNER)
-def _change_entries(rng, people, row, allowed, specialise, share):  # type: ignore[no-untyped-def]
-    """Fix a wildcard of a keyframe, or open a fixed entry; of the latter several at once, up to a share of them."""
-    k = int(rng.random() * people.counts[row])
-    masks, values = people.masks[row], people.values[row]
+def _change_entries(rng, population, row, allowed, specialise, share):  # type: ignore[no-untyped-def]
+    """Specialise a keyframe by fixing a wildcard, or generalise it by opening entries, up to a share of them."""
+    k = int(rng.random() * population.counts[row])
+    masks, values = population.masks[row], population.values[row]
     total = count_bits(allowed & ~masks[k] if specialise else masks[k])
     times = 1
     if not specialise and share > 0.0:
         times += int(rng.random() * share * total)
     for _ in range(times):
-        # a keyframe keeps one entry at least
+        # a keyframe keeps at least one entry
         if total == 0 or (not specialise and total == 1):
             return
         bit = _bit(allowed & ~masks[k] if specialise else masks[k], int(rng.random() * total))
@@ -248,32 +295,32 @@ def _change_entries(rng, people, row, allowed, specialise, share):  # type: igno
 
 @njit(**INNER)
 def _bit(bits, number):  # type: ignore[no-untyped-def]
-    """The bit of this number, from 0, among those that are on."""
+    """Return the bit of a number, from 0, among those that are set."""
     for _ in range(number):
         bits &= bits - np.uint64(1)
     return bits & (~bits + np.uint64(1))
 
 
 @njit(cache=True, nogil=True)
-def mutate_gaps(rng, people, row, gap_step):  # type: ignore[no-untyped-def]
-    """Change both ends of every gap at random, by up to a share of the keyframes' spacing and at least a frame."""
-    for k in range(people.counts[row] - 1):
-        step = max(1.0, gap_step * (people.positions[row, k + 1] - people.positions[row, k]))
-        low = people.lows[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))
-        high = people.highs[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))
-        people.lows[row, k] = max(0, min(low, high))
-        people.highs[row, k] = max(0, low, high)
+def mutate_gaps(rng, population, row, gap_step):  # type: ignore[no-untyped-def]
+    """Change both ends of every gap at random, by up to a share of the spacing of the columns or one frame."""
+    for k in range(population.counts[row] - 1):
+        step = max(1.0, gap_step * (population.positions[row, k + 1] - population.positions[row, k]))
+        low = population.lows[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))
+        high = population.highs[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))
+        population.lows[row, k] = max(0, min(low, high))
+        population.highs[row, k] = max(0, low, high)
 
 
 @njit(**INNER)
-def copy_individual(people, source, target):  # type: ignore[no-untyped-def]
+def copy_individual(population, source, target):  # type: ignore[no-untyped-def]
     """Copy an individual and its results into another row."""
-    people.counts[target] = people.counts[source]
-    for k in range(people.counts[source]):
-        people.masks[target, k] = people.masks[source, k]
-        people.values[target, k] = people.values[source, k]
-        people.positions[target, k] = people.positions[source, k]
-        people.lows[target, k] = people.lows[source, k]
-        people.highs[target, k] = people.highs[source, k]
-    for i in range(people.results.shape[1]):
-        people.results[target, i] = people.results[source, i]
+    population.counts[target] = population.counts[source]
+    for k in range(population.counts[source]):
+        population.masks[target, k] = population.masks[source, k]
+        population.values[target, k] = population.values[source, k]
+        population.positions[target, k] = population.positions[source, k]
+        population.lows[target, k] = population.lows[source, k]
+        population.highs[target, k] = population.highs[source, k]
+    for i in range(population.results.shape[1]):
+        population.results[target, i] = population.results[source, i]

@@ -1,4 +1,4 @@
-"""A simpler learner to compare with: template columns are taken one by one, the best first, as long as it helps."""
+"""Greedy forward selection of template columns, a simpler learner to compare the genetic algorithm with."""
 
 from __future__ import annotations
 
@@ -12,78 +12,77 @@ TOLERANCES = (0.5, 1.0)
 """Shares of the spacing by which a new gap may be shorter or longer."""
 
 
-def forward_selection(material: TrainingTask, evolution: EvolutionSettings) -> LearningRun:
-    """Select template columns greedily, by the rank that the genetic algorithm goes by.
+def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> LearningRun:
+    """Select template columns greedily, by the rank that the genetic algorithm uses.
 
-    The first column is the one that ranks best alone; then always the column is added, with gaps to its neighbours of
-    one of the `TOLERANCES`, that raises the rank most, until none does or there are `most_keyframes`. Of equal ones the
-    leftmost. It is deterministic: there is nothing random in it. The history has a row for each column taken.
+    The first column is the one that ranks highest alone. Then the column that raises the rank most is added, with gaps
+    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `most_keyframes`. Of equal columns
+    the leftmost is taken. Nothing is random.
+
+    Parameters
+    ----------
+    task : TrainingTask
+        The clips and the template columns.
+    settings : EvolutionSettings
+        The settings of fitness and rank.
+
+    Returns
+    -------
+    LearningRun
+        The selected query; the history has a row for each column.
     """
-    columns = material.columns.tolist()
-    single = [Candidate([column], [], material) for column in columns]
-    best = max(single, key=lambda one: one.ranked(evolution))
+    columns = task.columns.tolist()
+    single = [_Candidate([column], [], task, settings) for column in columns]
+    best = max(single, key=lambda one: one.rank)
     evaluated = len(columns)
-    trace = [best.course(evolution)]
-    while len(best.places) < min(evolution.most_keyframes, len(columns)):
+    trace = [best.history_row()]
+    while len(best.columns) < min(settings.most_keyframes, len(columns)):
         longer = [
             best.with_column(column, tolerance)
             for column in columns
-            if column not in best.places
+            if column not in best.columns
             for tolerance in TOLERANCES
         ]
         evaluated += len(longer)
-        better = max(longer, key=lambda one: one.ranked(evolution))
-        if better.ranked(evolution) <= best.ranked(evolution):
+        better = max(longer, key=lambda one: one.rank)
+        if better.rank <= best.rank:
             break
         best = better
-        trace.append(best.course(evolution))
-    history = np.array(trace, np.float64)
-    return LearningRun(best.query, best.fitness(evolution), best.ranked(evolution), history, evaluated)
+        trace.append(best.history_row())
+    return LearningRun(best.query, best.fitness, best.rank, np.array(trace, np.float64), evaluated)
 
 
-class Candidate:
-    """Columns in order, with the tolerances of the gaps between them."""
+class _Candidate:
+    """Template columns in order, with the tolerances of the gaps between them, and their results on the clips."""
 
-    def __init__(self, places: list[int], tolerances: list[float], material: TrainingTask) -> None:
-        self.places, self.tolerances, self.material = places, tolerances, material
-        self._judged: tuple[float, float, float, float] | None = None
+    def __init__(
+        self, columns: list[int], tolerances: list[float], task: TrainingTask, settings: EvolutionSettings
+    ) -> None:
+        self.columns, self.tolerances, self.task, self.settings = columns, tolerances, task, settings
+        self.found, self.wrong, self.fitness, self.rank = evaluate(task, self.query, settings)
 
     @property
     def query(self) -> Individual:
         """The keyframe query of these columns."""
-        places = np.array(self.places, np.int64)
-        spacing = np.diff(places)
+        columns = np.array(self.columns, np.int64)
+        spacing = np.diff(columns)
         slack = np.round(spacing * np.array(self.tolerances)).astype(np.int64)
         return Individual(
-            self.material.masks[places], self.material.values[places], places,
+            self.task.masks[columns], self.task.values[columns], columns,
             np.maximum(spacing - slack, 0), spacing + slack,
         )  # fmt: skip
 
-    def with_column(self, column: int, tolerance: float) -> Candidate:
-        """The same with one more column; its gaps have this tolerance."""
-        at = sum(place < column for place in self.places)
+    def with_column(self, column: int, tolerance: float) -> _Candidate:
+        """Return a candidate with one more column, whose gaps have this tolerance."""
+        at = sum(before < column for before in self.columns)
         tolerances = list(self.tolerances)
-        if 0 < at < len(self.places):
+        if 0 < at < len(self.columns):
             tolerances[at - 1 : at] = [tolerance, tolerance]
         else:
             tolerances.insert(at, tolerance)
-        return Candidate([*self.places[:at], column, *self.places[at:]], tolerances, self.material)
+        return _Candidate([*self.columns[:at], column, *self.columns[at:]], tolerances, self.task, self.settings)
 
-    def ranked(self, evolution: EvolutionSettings) -> float:
-        """The rank by which individuals are compared."""
-        return self._results(evolution)[3]
-
-    def fitness(self, evolution: EvolutionSettings) -> float:
-        """F_beta on the clips."""
-        return self._results(evolution)[2]
-
-    def course(self, evolution: EvolutionSettings) -> tuple[float, float, float, float]:
-        """A row of a history, `HISTORY_COLUMNS`: precision, recall, and twice the fitness."""
-        found, wrong, fitness, _ = self._results(evolution)
-        wanted = float(self.material.weights[: self.material.positives].sum())
-        return found / (found + wrong) if found else 0.0, found / wanted, fitness, fitness
-
-    def _results(self, evolution: EvolutionSettings) -> tuple[float, float, float, float]:
-        if self._judged is None:
-            self._judged = evaluate(self.material, self.query, evolution)
-        return self._judged
+    def history_row(self) -> tuple[float, float, float, float]:
+        """Return a row of a history: precision, recall, and twice the fitness."""
+        precision = self.found / (self.found + self.wrong) if self.found else 0.0
+        return precision, self.found / self.task.positives, self.fitness, self.fitness

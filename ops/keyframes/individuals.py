@@ -1,4 +1,4 @@
-"""A keyframe query as it is learned: an individual of the genetic algorithm (thesis, 4.1)."""
+"""Individuals of the genetic algorithm: keyframe queries while they are learned (thesis, Section 4.1)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,21 @@ from kinedex.ops.words import I64, U64
 
 @dataclass(frozen=True)
 class Individual:
-    """A keyframe query over whole words: K keyframes at template columns, and the gaps between them (thesis, 4.1).
+    """A keyframe query over whole words: K keyframes at template columns, and the gaps between them.
 
-    masks, values: uint64 (K,), bit i - 1 is F_i. positions: int64 (K,), template columns, never falling. lows, highs:
-    int64 (K - 1,), the admissible gaps in frames, both ends included.
+    Parameters
+    ----------
+    masks, values : uint64 array (K,)
+        The keyframes; bit i - 1 is F_i.
+    positions : int64 array (K,)
+        Their template columns, never falling.
+    lows, highs : int64 array (K - 1,)
+        The admissible gaps in frames, both ends included (thesis, Eq. 4.3 and 4.4).
+
+    Raises
+    ------
+    ParameterError
+        If the lengths do not match, a gap is not a range, or a value has bits outside its mask.
     """
 
     masks: U64
@@ -40,14 +51,14 @@ class Individual:
 
     @property
     def fixed(self) -> int:
-        """How many entries its keyframes fix together."""
+        """The number of entries that the keyframes fix together."""
         return int(np.bitwise_count(self.masks).sum())
 
     @property
     def gaps(self) -> list[tuple[int, int]]:
-        """The gaps as `ops.search.keyframes.search` takes them."""
+        """The gaps as pairs (low, high), as searches expect them."""
         return list(zip(self.lows.tolist(), self.highs.tolist(), strict=True))
 
     def key(self) -> tuple[bytes, ...]:
-        """The same for queries that are the same."""
+        """Return a key that is equal for equal individuals."""
         return tuple(part.tobytes() for part in (self.masks, self.values, self.positions, self.lows, self.highs))

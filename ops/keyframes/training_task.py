@@ -1,4 +1,4 @@
-"""What a keyframe query is learned from, by which numbers, and what comes of it (thesis, Chapter 4)."""
+"""The task of learning a keyframe query, the settings of the learner, and the outcome of a run (thesis, Chapter 4)."""
 
 from __future__ import annotations
 
@@ -18,25 +18,49 @@ F64 = npt.NDArray[np.float64]
 InitialGaps = Literal["around", "printed"]
 
 HISTORY_COLUMNS = ("precision", "recall", "fitness", "best")
-"""What a run remembers of each generation: means over its individuals, and the fitness of the best one."""
+"""The columns of a history, with a row for each generation: means over its individuals, and the fitness of the best."""
 
 
 @dataclass(frozen=True)
 class EvolutionSettings:
-    """The numbers of the algorithm, with the thesis's values.
+    """The settings of the genetic algorithm, with the values of the thesis.
 
-    population, parents, generations: M, r and G. beta: of the fitness. keyframes_mean, keyframes_sd: of the number of
-    keyframes of an initial individual, which is at least `least_keyframes`; nor does a mutation remove one where there
-    are no more than these. Recombination, the consensus and the greedy learner may give fewer, as in the thesis (its
-    Algorithm 2 only has a least number). None ever has more than `most_keyframes`, which the thesis does not limit.
-    gap_tolerance: the upper end of U(0, 2) in Algorithm 2. initial_gaps: "around" the template's own spacing, or, as
-    "printed", around half of it. gap_step: a mutation changes each end of a gap by up to this share of the spacing.
-    open_share: a generalisation opens up to this share of a keyframe's entries at once; one where it is 0.
-    parsimony, gap_cost: what each fixed entry of a query, and each frame between the ends of a gap, take off its
-    fitness when individuals are compared. outside_cost: what the share of the template before the first and after the
-    last keyframe takes off likewise: it is what has to be searched around a hit. tempo: a positive clip counts as
-    retrieved only if it is so even with gaps narrowed by this much, as if it were slower or faster. mutations: the odds
-    of a mutation of keyframes, of entries, and of gaps; the thesis chooses at random.
+    Parameters
+    ----------
+    population, parents, generations : int
+        M, r and G (thesis, Section 4.4).
+    beta : float
+        The number of times that recall weighs as much as precision in the fitness (thesis, Eq. 4.11).
+    keyframes_mean, keyframes_sd : float
+        Mean and standard deviation of the number of keyframes of an initial individual (thesis, Algorithm 2).
+    least_keyframes : int
+        The least number of keyframes of an initial individual; no mutation goes below it. Recombination, the consensus
+        and the greedy learner may, as in the thesis.
+    most_keyframes : int
+        The largest number of keyframes of any individual, which the thesis does not limit.
+    gap_tolerance : float
+        The upper end of U(0, 2) in Algorithm 2.
+    initial_gaps : {"around", "printed"}
+        Initial gaps lie around the spacing of the template's columns, or around half of it, as Algorithm 2 is printed.
+    gap_step : float
+        The largest change of an end of a gap by a mutation, as a share of the spacing.
+    open_share : float
+        The largest share of a keyframe's entries that a generalisation opens at once; one entry where it is 0.
+    parsimony, gap_cost : float
+        The costs of each fixed entry, and of each frame between the ends of a gap, when individuals are compared.
+    outside_cost : float
+        The cost of the share of the template before the first and after the last keyframe, which has to be searched
+        around each hit.
+    tempo : float
+        A positive clip counts as retrieved only if it is so with gaps narrowed by this share, as if it were slower or
+        faster.
+    mutations : (float, float, float)
+        The odds of a mutation of keyframes, of entries, and of gaps; the thesis chooses at random.
+
+    Raises
+    ------
+    ParameterError
+        If a setting is out of its domain.
     """
 
     population: int = 50
@@ -90,44 +114,59 @@ class EvolutionSettings:
 
     @property
     def offspring(self) -> int:
-        """How many individuals a generation makes: r (r − 1) / 2."""
+        """The number of individuals that a generation makes, r (r - 1) / 2."""
         return self.parents * (self.parents - 1) // 2
 
     @property
     def budget(self) -> int:
-        """How many individuals a run makes in all."""
+        """The number of individuals that a run makes in all."""
         return self.population + self.generations * self.offspring
 
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """What a query is learned from.
+    """The clips and the template columns from which a query is learned.
 
-    frames: the T clips, those of the class first. positives: how many these are. weights: float64 (T,), what each clip
-    counts (1 in the thesis). masks, values: uint64 (N,), the strict template's columns, cut down to the features that
-    may be used. allowed: those features as a mask.
+    Parameters
+    ----------
+    frames : TrainingFrames
+        The T clips, those of the class first.
+    positives : int
+        The number of clips of the class.
+    masks, values : uint64 array (N,)
+        The columns of the strictly quantised template, cut down to the features that may be used.
+    allowed : int
+        These features as a mask, bit i - 1 for F_i.
     """
 
     frames: TrainingFrames
     positives: int
-    weights: F64
     masks: U64
     values: U64
     allowed: int
 
     @property
     def columns(self) -> I64:
-        """The template columns that fix anything, and so can be keyframes."""
+        """The template columns that fix a feature and so can be keyframes, int64 (n,)."""
         return np.flatnonzero(self.masks).astype(np.int64)
 
 
 @dataclass(frozen=True)
 class LearningRun:
-    """The outcome of one run.
+    """The outcome of one run of a learner.
 
-    query: its fittest individual. fitness: F_beta. rank: the same less what parsimony takes off, by which individuals
-    are compared. history: float64 (G + 1, 4), `HISTORY_COLUMNS` of each generation.
-    evaluated: how many individuals were.
+    Parameters
+    ----------
+    query : Individual
+        The individual that ranks highest.
+    fitness : float
+        Its F_beta.
+    rank : float
+        Its fitness less the costs, by which individuals are compared.
+    history : float64 array (G + 1, 4)
+        The `HISTORY_COLUMNS` of each generation.
+    evaluated : int
+        The number of individuals that were evaluated.
     """
 
     query: Individual
@@ -138,46 +177,52 @@ class LearningRun:
 
 
 def make_training_task(
-    frames: TrainingFrames,
-    positives: int,
-    template: QuantisedTemplate,
-    allowed: int,
-    weights: F64 | None = None,
+    frames: TrainingFrames, positives: int, template: QuantisedTemplate, allowed: int
 ) -> TrainingTask:
-    """Put together what a query is learned from.
+    """Combine clips and a template into a training task.
 
     Parameters
     ----------
-    frames: T clips. positives: how many of them are of the class, at least one; they come first.
-    template: the class template, quantised strictly (δ = 0 in the thesis).
-    allowed: the features that keyframes may fix, bit i − 1 for F_i.
-    weights: float64 (T,) above 0; 1 each unless given.
+    frames : TrainingFrames
+        T clips.
+    positives : int
+        The number of clips of the class, at least one; they come first.
+    template : QuantisedTemplate
+        The class template, quantised strictly (delta = 0 in the thesis, Section 4.3).
+    allowed : int
+        The features that keyframes may fix, bit i - 1 for F_i.
+
+    Returns
+    -------
+    TrainingTask
 
     Raises
     ------
-    ParameterError: shapes that do not belong together, no positive clip, or a template that fixes none of the features.
+    ParameterError
+        If there is no positive clip, or the template fixes none of the features.
     """
-    count = len(frames)
-    weights = np.ones(count) if weights is None else np.asarray(weights, np.float64)
-    if len(weights) != count:
-        raise ParameterError("weights", f"one for each of the {count} clips", len(weights))
-    if not 1 <= positives <= count:
-        raise ParameterError("positives", f"1 to {count} clips", positives)
-    if (weights <= 0).any():
-        raise ParameterError("weights", "above 0", float(weights.min()))
+    if not 1 <= positives <= len(frames):
+        raise ParameterError("positives", f"1 to {len(frames)} clips", positives)
     allowed &= (1 << len(frames.on)) - 1
     masks = template.mask & np.uint64(allowed)
     if not masks.any():
         raise ParameterError("template", "with one fixed entry at least among the features allowed", "wildcards alone")
-    return TrainingTask(frames, positives, weights, masks, template.value & masks, allowed)
+    return TrainingTask(frames, positives, masks, template.value & masks, allowed)
 
 
 def steady_entries(template: QuantisedTemplate, steady: int) -> QuantisedTemplate:
-    """Open the entries of a template that are not the same for some columns before and after.
+    """Turn the entries of a template that are not equal for some columns before and after into wildcards.
 
     Parameters
     ----------
-    steady: how many columns on either side; beyond its ends a template goes on as it is there.
+    template : QuantisedTemplate
+        A template of N columns.
+    steady : int
+        The number of columns on either side; beyond its ends a template continues as it is there.
+
+    Returns
+    -------
+    QuantisedTemplate
     """
     mask = template.mask.copy()
     columns = np.arange(len(template))

@@ -1,4 +1,4 @@
-"""Naive twins of keyframe learning: hits frame by frame, fitness from sets, and the operators in words."""
+"""Naive twins of keyframe learning: hits frame by frame, fitness from sets, and parents from a wheel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ NO_WORD = 2**64 - 1
 def has_hit(
     words: Sequence[int], masks: Sequence[int], values: Sequence[int], gaps: Sequence[tuple[int, float]]
 ) -> bool:
-    """Whether a chain of frames meets the keyframes under the gaps: every frame against every earlier one."""
+    """Return whether a chain of frames meets the keyframes under the gaps: every frame against every earlier one."""
     reached = [n for n, word in enumerate(words) if word != NO_WORD and word & masks[0] == values[0]]
     for mask, value, (low, high) in zip(masks[1:], values[1:], gaps, strict=True):
         matching = [n for n, word in enumerate(words) if word != NO_WORD and word & mask == value]
@@ -21,18 +21,13 @@ def has_hit(
 def has_judged_hit(
     words: Sequence[int], masks: Sequence[int], values: Sequence[int], gaps: Sequence[tuple[int, float]], steady: int
 ) -> bool:
-    """The same where a feature counts only if it lasts (steady > 0), or already if it nearly does (steady < 0)."""
+    """The same where a feature counts only if it holds for `steady` frames before and after."""
 
     def meets(n: int, mask: int, value: int) -> bool:
         if words[n] == NO_WORD:
             return False
-        nearby = range(max(0, n - abs(steady)), min(len(words), n + abs(steady) + 1))
-        for bit in range(mask.bit_length()):
-            if mask >> bit & 1:
-                agree = [words[m] != NO_WORD and words[m] >> bit & 1 == value >> bit & 1 for m in nearby]
-                if not (all(agree) if steady > 0 else any(agree)):
-                    return False
-        return True
+        nearby = range(max(0, n - steady), min(len(words), n + steady + 1))
+        return all(words[m] != NO_WORD and words[m] & mask == value for m in nearby)
 
     reached = [n for n in range(len(words)) if meets(n, masks[0], values[0])]
     for mask, value, (low, high) in zip(masks[1:], values[1:], gaps, strict=True):
@@ -42,7 +37,7 @@ def has_judged_hit(
 
 
 def fitness(retrieved: set[int], positive: set[int], beta: float) -> tuple[float, float, float]:
-    """Precision, recall and F_beta from sets of documents (Eq. 4.9 to 4.11); 0 where they divide by nothing."""
+    """Return precision, recall and F_beta from sets of clips (thesis, Eq. 4.9 to 4.11); 0 where they divide by zero."""
     right = len(retrieved & positive)
     precision = right / len(retrieved) if retrieved else 0.0
     recall = right / len(positive) if positive else 0.0
@@ -51,7 +46,7 @@ def fitness(retrieved: set[int], positive: set[int], beta: float) -> tuple[float
 
 
 def universal_sampling(fitness: Sequence[float], count: int, offset: float) -> list[int]:
-    """Baker's wheel: `count` pointers at equal distances, the first at `offset` (0 to 1) of a distance."""
+    """Select by Baker's wheel: `count` pointers at equal distances, the first at `offset` (0 to 1) of a distance."""
     total = sum(fitness)
     if total <= 0:
         fitness, total = [1.0] * len(fitness), float(len(fitness))

@@ -1,4 +1,4 @@
-"""The fitness kernel says what a search says: which clips have a hit."""
+"""The fitness kernels retrieve the clips in which a search finds hits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.keyframes.fitness import RESIDENT, find_bitmaps, new_workspace, retrieved, score, training_frames
+from kinedex.ops.keyframes.fitness import (
+    CACHED_BITMAPS,
+    TrainingFrames,
+    find_bitmaps,
+    fitness_of,
+    new_workspace,
+    retrieve,
+    training_frames,
+)
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.search.inverted_lists import inverted_lists
@@ -35,6 +43,14 @@ def queries(draw: st.DrawFn) -> Individual:
     highs = [low + span for low, span in zip(lows, spans, strict=True)]
     positions = np.arange(count, dtype=np.int64)
     return Individual(masks, values, positions, np.array(lows, np.int64), np.array(highs, np.int64))
+
+
+def retrieved(frames: TrainingFrames, query: Individual) -> np.ndarray:
+    """Which clips the kernels find a hit in."""
+    space = new_workspace(frames, len(query))
+    find_bitmaps(frames.on, frames.off, frames.valid, query.masks, query.values, len(query), space)
+    retrieve(len(query), query.lows, query.highs, query.lows, query.highs, frames.first, 0, space)
+    return space.hit
 
 
 def by_search(clips: list[np.ndarray], query: Individual) -> list[bool]:
@@ -70,47 +86,36 @@ def test_a_gap_may_be_as_long_as_the_clip_and_never_longer(frames: int) -> None:
         assert retrieved(clips, query).tolist() == [expected, False, expected]
 
 
-def test_fitness_is_the_f_measure_of_the_sets() -> None:
-    hit = np.array([True, True, False, True, False])
-    positive = np.array([True, False, True, True, False])
-    found = score(hit, positive, 2.0)
-    assert (found.positives, found.negatives) == (2, 1)
-    expected = naive.fitness({0, 1, 3}, {0, 2, 3}, 2.0)
-    assert (found.precision, found.recall, found.fitness) == pytest.approx(expected)
-    nothing = score(np.zeros(5, bool), positive, 2.0)
-    assert (nothing.precision, nothing.recall, nothing.fitness) == (0.0, 0.0, 0.0)
-
-
 @given(st.lists(st.booleans(), min_size=1, max_size=12), st.integers(0, 4095), st.sampled_from([0.5, 1.0, 2.0, 3.0]))
 def test_fitness_agrees_with_the_printed_equation(positive: list[bool], hits: int, beta: float) -> None:
-    hit = [bool(hits >> i & 1) for i in range(len(positive))]
-    found = score(np.array(hit), np.array(positive), beta)
-    as_sets = {i for i, one in enumerate(hit) if one}, {i for i, one in enumerate(positive) if one}
-    assert (found.precision, found.recall, found.fitness) == pytest.approx(naive.fitness(*as_sets, beta))
+    hit = {i for i in range(len(positive)) if hits >> i & 1}
+    wanted = {i for i, one in enumerate(positive) if one}
+    found = fitness_of(len(hit & wanted), len(hit - wanted), len(wanted), beta)
+    assert found == pytest.approx(naive.fitness(hit, wanted, beta)[2])
 
 
-@given(st.lists(LONG, min_size=1, max_size=3), queries(), st.integers(-3, 3))
-def test_strict_clips_match_where_features_last_and_kind_ones_where_they_nearly_do(
-    clips: list[list[int]], query: Individual, steady: int
-) -> None:
+@given(st.lists(LONG, min_size=1, max_size=3), queries(), st.integers(0, 3))
+def test_strict_clips_match_where_features_last(clips: list[list[int]], query: Individual, steady: int) -> None:
     arrays = [np.array(clip, np.uint64) for clip in clips]
     found = retrieved(training_frames(arrays, 4, [steady] * len(clips)), query).tolist()
     for clip, hit in zip(clips, found, strict=True):
         assert hit == naive.has_judged_hit(clip, query.masks.tolist(), query.values.tolist(), query.gaps, steady)
     plain = retrieved(training_frames(arrays, 4), query)
-    assert (plain <= np.array(found)).all() if steady < 0 else (plain >= np.array(found)).all()
+    assert (plain >= np.array(found)).all()
+    with pytest.raises(ParameterError, match="steady"):
+        training_frames(arrays, 4, [-1] * len(clips))
 
 
-def test_resident_bitmaps_are_right_after_more_keyframes_than_there_is_room_for() -> None:
+def test_cached_bitmaps_are_right_after_more_keyframes_than_there_is_room_for() -> None:
     words = np.arange(512, dtype=np.uint64)
     frames = training_frames([words], 9)
-    room = new_workspace(frames, 3)
-    for value in range(RESIDENT + 40):
+    space = new_workspace(frames, 3)
+    for value in range(CACHED_BITMAPS + 40):
         values = np.array([7, value, (value + 1) % 512], np.uint64)
         masks = np.full(3, 511, np.uint64)
-        find_bitmaps(frames.on, frames.off, frames.valid, masks, values, 3, room)
-        for slot, one in zip(room.slots.tolist(), values.tolist(), strict=True):
-            lanes = room.bitmaps[slot]
+        find_bitmaps(frames.on, frames.off, frames.valid, masks, values, 3, space)
+        for slot, one in zip(space.slots.tolist(), values.tolist(), strict=True):
+            lanes = space.bitmaps[slot]
             assert [int(lane).bit_count() for lane in lanes] == [int(one // 64 == i) for i in range(8)]
             assert int(lanes[one // 64]) == 1 << one % 64
 

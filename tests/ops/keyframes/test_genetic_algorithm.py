@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes import genetic_algorithm as genetics
 from kinedex.ops.keyframes.consensus import Consensus, find_consensus
-from kinedex.ops.keyframes.fitness import retrieved, score, training_frames
+from kinedex.ops.keyframes.fitness import fitness_of, training_frames
 from kinedex.ops.keyframes.genetic_algorithm import evaluate, evolve, random_search, tune_gaps
 from kinedex.ops.keyframes.genetic_operators import (
     OperatorSettings,
@@ -31,6 +31,7 @@ from kinedex.ops.keyframes.training_task import (
     steady_entries,
 )
 from kinedex.ops.templates.templates import QuantisedTemplate
+from tests.ops.keyframes.test_fitness import retrieved
 from tests.oracles import learning as naive
 
 MOST = 6
@@ -210,8 +211,8 @@ def test_the_best_never_gets_worse_and_its_fitness_is_what_a_search_says() -> No
     assert run.history.shape == (31, 4)
     assert (np.diff(run.history[:, 3]) >= 0).all()
     assert ((run.history >= 0) & (run.history <= 1 + 1e-12)).all()
-    positive = np.arange(26) < 6
-    assert run.fitness == pytest.approx(score(retrieved(given_.frames, run.query), positive, 2.0).fitness)
+    hit = retrieved(given_.frames, run.query)
+    assert run.fitness == fitness_of(float(hit[:6].sum()), float(hit[6:].sum()), 6.0, 2.0)
     assert evaluate(given_, run.query, evolution)[2:] == (run.fitness, run.rank)
     assert 50 < run.evaluated <= evolution.budget == 50 + 30 * 10
 
@@ -246,16 +247,6 @@ def test_mutations_are_as_likely_as_their_odds() -> None:
                 assert (before.masks == after.masks).all()
             if part == "masks":
                 assert before.gaps == after.gaps
-
-
-def test_weights_say_how_much_a_clip_counts() -> None:
-    given_ = material()
-    heavy = TrainingTask(given_.frames, 6, np.array([1.0] * 6 + [3.0] * 20), given_.masks, given_.values, 0xFF)
-    query = Individual(np.array([1], np.uint64), np.array([1], np.uint64), np.array([0]), *[np.empty(0, np.int64)] * 2)
-    found, wrong, fitness, _ = evaluate(heavy, query, EvolutionSettings())
-    plain = evaluate(given_, query, EvolutionSettings())
-    assert (found, wrong) == (plain[0], 3 * plain[1])
-    assert fitness < plain[2]
 
 
 def test_costs_prefer_open_entries_and_narrow_gaps_but_do_not_count_as_fitness() -> None:
