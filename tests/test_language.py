@@ -16,7 +16,8 @@ ENFORCED = (
     "ops/distances", "ops/ranking", "ops/search", "ops/synth",
     "catalog/skeletons",
     "storage/index", "storage/sql",
-    "pipelines/annotation", "pipelines/api", "pipelines/search",
+    "pipelines/annotation", "pipelines/api", "pipelines/commands", "pipelines/console", "pipelines/inspection",
+    "pipelines/report", "pipelines/search", "pipelines/synth",
     "benchmarks",
     "studies",
 )  # fmt: skip

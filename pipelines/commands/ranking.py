@@ -25,6 +25,16 @@ if TYPE_CHECKING:
     from kinedex.pipelines.ranking.ranking import Ranking
 
 
+ExampleOption = Annotated[str | None, typer.Option(help="Rank by an example: a take, or an interval of it.")]
+QueriesOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="Query file; a template is ranked within the hits of its queries, in all frames where it has none.",
+    ),
+]
+
+
 @command(SEARCH)
 def rank(
     store: StorePath,
@@ -33,7 +43,7 @@ def rank(
         typer.Argument(metavar="[TEMPLATE...]", help="Classes of learned templates, or template files (.yaml, .csv)."),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Rank by all learned templates of the store.")] = False,
-    take: Annotated[str | None, typer.Option(help="Rank by an example: a take, or an interval of it.")] = None,
+    take: ExampleOption = None,
     start: Annotated[str | None, typer.Option(help="First frame of the example (45), or seconds (1.5s).")] = None,
     stop: Annotated[str | None, typer.Option(help="Frame after its last, or seconds.")] = None,
     top: Annotated[int, typer.Option(min=1, help="Largest number of hits of a template.")] = 20,
@@ -44,13 +54,7 @@ def rank(
     ] = 0.1,
     kind: KindOption = "soft",
     stage: StageOption = None,
-    queries: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Query file; a template is ranked within the hits of its queries, in all frames where it has none.",
-        ),
-    ] = None,
+    queries: QueriesOption = None,
     where: WhereOption = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
     form: FormatOption = "table",

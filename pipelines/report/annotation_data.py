@@ -1,4 +1,4 @@
-"""Gathers report data from a store: reads what the stages stored, recomputes nothing."""
+"""The content of the annotation report, read from the results of a store."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ROLES = {
     "ground_truth": "evaluation",
     "metrics": "evaluation",
 }
-"""Which of the report stage's inputs made the results of a kind."""
+"""Kind of result → the input of the stage `report` that made it."""
 
 USUAL = {
     "templates": "learn_templates",
@@ -53,10 +53,10 @@ USUAL = {
     "evaluation": "evaluate",
     "leave_one_out": "leave_one_out",
 }
-"""The stages that usually play these roles."""
+"""Input of the stage `report` → the stage that it is by default."""
 
 BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts"}
-"""What the runner adds to what a stage says of its result."""
+"""The keys that the runner adds to the summary of a stage."""
 
 
 def read_report_data(
@@ -69,34 +69,44 @@ def read_report_data(
     own_stage: str | None = None,
     curves_take: str | None = None,
 ) -> ReportData:
-    """Read everything a report shows.
+    """Read the content of a report.
 
     Parameters
     ----------
-    store: the store.
-    pipeline: whose results to report.
-    created: the moment that the page carries.
-    title: the page's title; None makes one from the archive's name.
-    inputs: role → the stage instance whose results to report (the roles of the report stage: templates,
-        annotations, evaluation, leave_one_out); None takes the stages of these usual names.
-    own_stage: the instance name of the stage that asks; what the store recorded of its last run is left out.
-    curves_take: whose distance curves to show; None takes the median by F1.
+    store : Store
+        The store.
+    pipeline : str
+        Pipeline whose results are reported.
+    created : datetime
+        Time of the page.
+    title : str or None
+        Title of the page; None derives one from the name of the archive.
+    inputs : mapping of str to str, or None
+        Input of the stage `report` → the stage whose results are reported; the usual stages for None.
+    own_stage : str or None
+        The stage that reads; its record is omitted.
+    curves_take : str or None
+        Take whose distance curves are shown; the median by F (frames) for None.
+
+    Returns
+    -------
+    ReportData
+        The content of the page.
 
     Raises
     ------
-    KinedexError: `curves_take` was not annotated.
+    KinedexError
+        If `curves_take` was not annotated.
     """
     reader = Reader(store, pipeline, USUAL if inputs is None else inputs)
     takes = store.takes()
     own, held = _scores(reader, "evaluation"), _scores(reader, "leave_one_out")
-    main = own[0].evaluation if own else None
     pairs = reader.frame("distance_curves", ["take", "class", "subclass", "preselected"])
     annotations = reader.frame("annotations")
-    truth = reader.frame("ground_truth")
     annotate = reader.record("annotations")
     subclasses = _subclasses(pairs, annotations)
-    annotated = set(reader.frame("annotated_takes", ["take"])["take"])
-    rows = _takes(takes.filter(pl.col("name").is_in(list(annotated))))
+    annotated = reader.frame("annotated_takes", ["take"])["take"].unique().to_list()
+    rows = _takes(takes.filter(pl.col("name").is_in(annotated)))
     chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
     records = tuple(record for record in reader.records() if record.stage != own_stage)
     kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
@@ -115,13 +125,13 @@ def read_report_data(
         archive_seconds=float(takes["seconds"].sum()),
         takes=rows,
         automatic=_segments(annotations, automatic=True),
-        manual=_segments(truth, automatic=False),
+        manual=_segments(reader.frame("ground_truth"), automatic=False),
         delta=_number(annotate, "delta"),
         tau=_number(annotate, "tau"),
         method=_methods(annotations),
         searched_share=_number(annotate, "searched"),
         scores=(*own, *held),
-        evaluation=main,
+        evaluation=own[0].evaluation if own else None,
         held_out=held[0].evaluation if held else None,
         held_out_column=column,
         learned_from=_learned_from(takes, drawn, column),
@@ -133,17 +143,15 @@ def read_report_data(
         curves_choice=why,
         hits=_hits(reader),
         failures=_failures(store),
-        warnings=tuple(
-            (name, text) for name, texts in takes.select("name", "warnings").iter_rows() for text in texts or ()
-        ),
+        warnings=_warnings(takes),
         stages=records,
-        versions=(("Python", platform.python_version()), *((name, _version(name)) for name in PACKAGES)),
+        versions=_versions(),
         commands=(command(pipeline, store.path.resolve(), records),),
     )
 
 
 class Reader:
-    """The results of the stages that play the roles of a report's inputs."""
+    """A reader of the results of the stages that are inputs of a report."""
 
     def __init__(self, store: Store, pipeline: str, inputs: Mapping[str, str]) -> None:
         self._store = store
@@ -151,7 +159,7 @@ class Reader:
         self._inputs = inputs
 
     def parts(self, kind: str, role: str) -> list[ResultPart]:
-        """The parts of a kind that the stage of a role made."""
+        """Return the parts of a kind that the stage of a role made."""
         stage = f"{self._pipeline}/{self._inputs.get(role)}"
         return [part for part in self._store.manifest.results.get(kind, ()) if part.stage == stage]
 
@@ -163,7 +171,7 @@ class Reader:
         role: str | None = None,
         filters: list[tuple[str, str, Any]] | None = None,
     ) -> pa.Table:
-        """The rows of a kind (of its usual role, or of another), with the right columns where there are none."""
+        """Return the rows of a kind, of its usual role or of another; a table without rows has the columns as well."""
         schema = result_schema(kind)
         wanted = pa.schema([schema.field(name) for name in columns or schema.names])
         tables = [
@@ -173,13 +181,13 @@ class Reader:
         return pa.concat_tables([wanted.empty_table(), *(table.cast(wanted) for table in tables)])
 
     def frame(self, kind: str, columns: Sequence[str] | None = None) -> pl.DataFrame:
-        """The rows of a kind as a data frame."""
+        """Return the rows of a kind as a data frame."""
         frame = pl.from_arrow(self.table(kind, columns))
         assert isinstance(frame, pl.DataFrame)
         return frame
 
     def records(self) -> tuple[StageRow, ...]:
-        """The pipeline's stages, each after those that it builds on, otherwise in the order in which they finished."""
+        """Return the stages of the pipeline, each after its inputs, otherwise in the order in which they finished."""
         stages = self._store.manifest.stages
         own = [record for key, record in stages.items() if key.startswith(f"{self._pipeline}/")]
         waiting = sorted(own, key=lambda record: (record.finished, record.run, record.stage))
@@ -193,12 +201,12 @@ class Reader:
         return tuple(rows)
 
     def record(self, role: str) -> StageRow | None:
-        """The record of the stage of a role."""
+        """Return the record of the stage of a role."""
         return next((record for record in self.records() if record.stage == self._inputs.get(role)), None)
 
 
 def feature_names(features: FeatureSet) -> FeatureNames:
-    """Take from a feature set what a report names."""
+    """Return the names and the digest of a feature set."""
     return FeatureNames(
         name=features.name,
         version=str(features.version),
@@ -214,7 +222,7 @@ def _scores(reader: Reader, role: str) -> tuple[Score, ...]:
 
 
 def _subclasses(pairs: pl.DataFrame, annotations: pl.DataFrame) -> dict[str, tuple[str, ...]]:
-    """The subclasses that were searched for each class; those that were found, where the curves are not stored."""
+    """Return the subclasses of each class: all, or those that were found where no curves are stored."""
     columns = ["class", "subclass"]
     both = pl.concat([pairs.select(columns), annotations.select(columns)]).drop_nulls().unique().sort(columns)
     return {str(label): tuple(group["subclass"]) for (label,), group in both.group_by("class", maintain_order=True)}
@@ -226,6 +234,10 @@ def _takes(takes: pl.DataFrame) -> tuple[TakeRow, ...]:
         TakeRow(name, frames, rate_hz, actor, tuple(warnings or ()))
         for name, frames, rate_hz, actor, warnings in columns.iter_rows()
     )
+
+
+def _warnings(takes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
+    return tuple((name, text) for name, texts in takes.select("name", "warnings").iter_rows() for text in texts or ())
 
 
 def _segments(frame: pl.DataFrame, *, automatic: bool) -> tuple[Segment, ...]:
@@ -243,7 +255,7 @@ def _curves_take(
     if wanted is not None:
         if wanted not in names:
             raise KinedexError(f"curves_take: no annotated take is named '{wanted}'{did_you_mean(wanted, names)}")
-        return wanted, "as asked for"
+        return wanted, "as requested"
     f1 = {s.name: s.f1 for s in scores if s.scope == "take" and s.f1 is not None}
     median = median_take({name: value for name, value in f1.items() if name in with_curves})
     if median is not None:
@@ -331,8 +343,10 @@ def _stage_name(record: StageRecord) -> str:
 
 def _stage_row(record: StageRecord) -> StageRow:
     params = record.summary.get("params") or {}
-    said = {key: value for key, value in record.summary.items() if key not in BOOKKEEPING}
-    return StageRow(_stage_name(record), record.run, record.finished, record.seconds, record.fingerprint, params, said)
+    summary = {key: value for key, value in record.summary.items() if key not in BOOKKEEPING}
+    return StageRow(
+        _stage_name(record), record.run, record.finished, record.seconds, record.fingerprint, params, summary
+    )
 
 
 def _number(record: StageRow | None, key: str) -> float | None:
@@ -343,6 +357,10 @@ def _number(record: StageRow | None, key: str) -> float | None:
 def _title(roots: Sequence[str]) -> str:
     names = [root.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1] for root in roots]
     return f"Annotation of {' and '.join(names)}" if names else "Annotation report"
+
+
+def _versions() -> tuple[tuple[str, str], ...]:
+    return ("Python", platform.python_version()), *((name, _version(name)) for name in PACKAGES)
 
 
 def _version(package: str) -> str:

@@ -1,4 +1,4 @@
-"""From report data to one HTML page without any outside reference."""
+"""The page about the annotation of an archive, one HTML file that needs nothing else."""
 
 from __future__ import annotations
 
@@ -22,23 +22,26 @@ from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.pipelines.report.take_selection import Choice, choose_takes
 from kinedex.pipelines.report.timelines import Timeline, timeline
 
-DELTA_SHOWN = 0.05  # δ of the quantised view where the store does not say which one annotation used
+DELTA_SHOWN = 0.05
+"""The δ of the quantised view where the δ of the annotation is not stored."""
 
+ROWS = 500
+"""Largest number of rows of a table or list; the page has the number of further ones."""
 
-ROWS = 500  # the longest a table or list gets; the page says how many more there are
-CARDS = 16  # of more templates than this, the others are folded
+CARDS = 16
+"""Number of templates that are not folded."""
 
 
 @dataclass(frozen=True)
 class Gaps:
-    """Classes that one side of the evaluation does not know."""
+    """Classes that only one side of the evaluation has."""
 
     without_template: tuple[str, ...]
     without_manual: tuple[str, ...]
 
 
 def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes: int = 40) -> Choice:
-    """The takes whose timelines a report shows, in their order; parameters as in `annotation_page`."""
+    """Choose the takes whose timelines a report shows; the parameters are those of `annotation_page`."""
     f1 = {name: score.f1 for name, score in data.take_scores().items() if score.f1 is not None}
     return choose_takes([take.name for take in data.takes], f1, wanted=takes, max_takes=max_takes)
 
@@ -50,23 +53,30 @@ def annotation_page(
     max_takes: int = 40,
     motions: Motions | None = None,
 ) -> str:
-    """Render a report.
+    """Render the page.
 
     Parameters
     ----------
-    data: what to show.
-    takes: the takes whose timelines are shown; None chooses.
-    max_takes: how many timelines at most when it chooses.
-    motions: what the player plays; None: there is no player.
+    data : ReportData
+        The content.
+    takes : sequence of str or None
+        Takes whose timelines are shown; None chooses by F (frames).
+    max_takes : int
+        Largest number of timelines where they are chosen.
+    motions : Motions or None
+        Motions of the player; None for a page without player.
 
     Returns
     -------
-    A complete HTML page; the same text for the same data.
+    str
+        A complete HTML page; equal data give equal text.
 
     Raises
     ------
-    KinedexError: a take is asked for that was not annotated.
-    ParameterError: max_takes is not positive.
+    KinedexError
+        If a take was not annotated.
+    ParameterError
+        If `max_takes` is not positive.
     """
     labels = data.labels()
     slots = {label: colour_slot(i) for i, label in enumerate(labels)}
@@ -145,14 +155,14 @@ def by_take(segments: Sequence[Segment]) -> dict[str, list[Segment]]:
 
 
 def weakest(data: ReportData, count: int = 3) -> list[Score]:
-    """Return the classes with the lowest F1, the lowest first; none where all are perfect or there are few."""
+    """Return the classes with the lowest F (frames), lowest first; none where there are few or all are perfect."""
     scored = [score for score in data.scores_of(data.evaluation, "class") if score.f1 is not None]
     ranked = sorted(scored, key=lambda score: (score.f1, score.name))
     return [score for score in ranked[:count] if score.f1 != 1] if len(ranked) > count else []
 
 
 def lowest(scores: Sequence[Score], count: int) -> list[Score]:
-    """Return all scores if they are few, else those with the lowest F1, in their own order."""
+    """Return all scores if they are few, else those with the lowest F (frames), in their order."""
     if len(scores) <= count:
         return list(scores)
     ranked = sorted(scores, key=lambda score: (score.f1 is None, score.f1, score.name))[:count]
@@ -161,7 +171,7 @@ def lowest(scores: Sequence[Score], count: int) -> list[Score]:
 
 
 def unseen(data: ReportData) -> list[str]:
-    """Return the folds that no example clip belongs to: leaving them out changes nothing."""
+    """Return the folds without an example clip, whose templates are those of all clips."""
     if not data.learned_from:
         return []
     return [score.name for score in data.scores_of(data.held_out, "fold") if score.name not in data.learned_from]
@@ -201,22 +211,22 @@ def _environment() -> Environment:
 
 
 def breakable(name: str) -> Markup:
-    """Allow a long name to break where its words meet."""
+    """Mark the places between the words of a long name where a line may break."""
     return Markup("<wbr>").join(re.split(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[_./-])", name))
 
 
 def measure(value: float | None) -> str:
-    """Print a measure between 0 and 1 with two digits; a dash where it is undefined."""
+    """Format a measure with two digits; a dash where it is undefined."""
     return "–" if value is None else f"{value:.2f}"
 
 
 def share(value: float | None) -> str:
-    """Print a share as a percentage."""
+    """Format a share as a percentage."""
     return "–" if value is None else f"{value:.0%}" if value >= 0.1 or value == 0 else f"{value:.1%}"
 
 
 def span(seconds: float) -> str:
-    """Print a length of time the way it is read best."""
+    """Format a length of time in seconds, minutes or hours."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     if seconds < 3600:
@@ -225,10 +235,10 @@ def span(seconds: float) -> str:
 
 
 def thousands(value: float) -> str:
-    """Print a count with separators."""
+    """Format a count with separators."""
     return f"{value:,.0f}"
 
 
 def compact_json(value: object) -> str:
-    """Print a stage's summary in one line, keys sorted."""
+    """Format a value as one line of JSON with sorted keys."""
     return json.dumps(value, ensure_ascii=False, sort_keys=True, default=str)

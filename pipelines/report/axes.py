@@ -1,4 +1,4 @@
-"""Time axes: round steps in seconds, positions in percent of a figure's width."""
+"""Time axes with round steps in seconds; positions are in percent of the width of a figure."""
 
 from __future__ import annotations
 
@@ -9,24 +9,28 @@ STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0, 600
 
 @dataclass(frozen=True)
 class Axis:
-    """Ticks as (position in percent, text), and the distance of two of them in percent."""
+    """The ticks of an axis as (position in percent, text), and their distance in percent."""
 
     ticks: tuple[tuple[float, str], ...]
     step_percent: float
 
 
 def time_axis(seconds: float, most: int = 8, room: float = 0.97) -> Axis:
-    """Lay round ticks on a span of time.
+    """Choose round ticks for a length of time.
 
     Parameters
     ----------
-    seconds: the length of the figure; must be positive.
-    most: how many steps at most, so that the texts of a narrow screen do not touch.
-    room: the share of the width in which a text may begin, so that the last one stays inside.
+    seconds : float
+        Length of the axis; must be positive.
+    most : int
+        Largest number of steps, so that texts do not touch on a narrow screen.
+    room : float
+        Share of the width in which a text may begin, so that the last one fits.
 
     Returns
     -------
-    The ticks from 0 on; the last one carries the unit.
+    Axis
+        The ticks from 0 on; the last one has the unit.
     """
     step = next((step for step in STEPS if seconds / step <= most), seconds / most)
     decimals = 1 if step < 1 else 0
@@ -39,5 +43,5 @@ def time_axis(seconds: float, most: int = 8, room: float = 0.97) -> Axis:
 
 
 def percent(part: float, whole: float) -> float:
-    """Return a position in percent, with the digits that a screen can show."""
+    """Return a position in percent with two digits."""
     return round(100 * part / whole, 2) if whole else 0.0

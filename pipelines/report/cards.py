@@ -1,4 +1,4 @@
-"""The template of each subclass as a card: two images, a time axis, and what the template was made of."""
+"""Cards of templates: two images, a time axis, and the origin of the template."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinedex.pipelines.report.traces import Trace, trace
 
 @dataclass(frozen=True)
 class Card:
-    """One template as it is drawn."""
+    """The images and texts of one template."""
 
     template: Template
     soft: str
@@ -28,7 +28,7 @@ class Card:
 
 
 def card(template: Template, delta: float, rate_hz: float) -> Card:
-    """Draw a template quantised with δ; its columns are frames of the analysis rate."""
+    """Draw a template, as learned and quantised with δ; its columns are frames of the analysis rate."""
     frames = int(template.values.shape[0])
     seconds = frames / rate_hz
     share = wildcard_share(template.values, delta)
@@ -48,7 +48,7 @@ def card(template: Template, delta: float, rate_hz: float) -> Card:
 
 
 def origin(template: Template) -> str:
-    """Say from how many clips and in how many rounds a template was learned, or where else it comes from."""
+    """Return the number of clips and rounds that a template was learned in, or its other origin."""
     if not template.origin.startswith("learned"):
         return template.origin
     text = f"{counted(len(template.clips), 'clip')}, {counted(template.rounds, 'round')} of averaging"
@@ -60,7 +60,7 @@ def origin(template: Template) -> str:
 
 
 def rules(features: FeatureNames) -> tuple[float, ...]:
-    """Return where the sets of features meet, in percent of an image's height."""
+    """Return the borders between sets of features in percent of the height of an image."""
     return tuple(percent(first - 1, len(features.names)) for _, first, _ in features.sets if first > 1)
 
 

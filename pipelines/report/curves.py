@@ -1,4 +1,4 @@
-"""The geometry of distance curves: one panel per class, with τ, the minima below it, and the manual segments."""
+"""The geometry of distance curves: a panel for each class, with τ, the minima below it, and the segments."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.data import Curve, Segment, TakeRow
 from kinedex.pipelines.report.timelines import Bar, bar
 
-HEIGHT = 200  # units of a panel's vertical axis; costs are drawn to 1/200 of the panel
-POINTS = 1600  # a curve with more frames is drawn by the lowest and highest value of short stretches
+HEIGHT = 200  # units of the vertical axis of a panel
+POINTS = 1600  # of a longer curve the lowest and highest values of short intervals are drawn
 
 
 @dataclass(frozen=True)
@@ -66,15 +66,21 @@ def curve_figure(
 
     Parameters
     ----------
-    take: the take; every curve has one cost per frame of it.
-    curves: its curves, one per subclass.
-    automatic, manual: its segments.
-    slots: the colour of each class; its order is the order of the panels.
-    tau: the threshold of annotation; None where it is unknown, then no minima are marked.
+    take : TakeRow
+        The take; every curve has one cost for each of its frames.
+    curves : sequence of Curve
+        Its curves, one for each subclass.
+    automatic, manual : sequence of Segment
+        Its segments.
+    slots : mapping of str to int
+        Colour of each class; its order is the order of the panels.
+    tau : float or None
+        Threshold of annotation; without it no minima are marked.
 
     Returns
     -------
-    Panels of classes with a segment or a minimum below τ, and, apart, the quiet ones. All share one scale.
+    CurveFigure
+        The panels of classes with a segment or a minimum below τ, and those of the other classes; all have one scale.
     """
     finite = [curve.costs[np.isfinite(curve.costs)] for curve in curves]
     highest = max((float(costs.max()) for costs in finite if costs.size), default=1.0)
@@ -115,7 +121,7 @@ def panel(
     top: float,
     tau: float | None,
 ) -> Panel:
-    """Draw one class: the least cost over its subclasses as a line, the minima of each subclass as marks."""
+    """Lay out one class: the least cost over its subclasses as a line, the minima of each subclass as marks."""
     least = np.min(np.stack([curve.costs for curve in curves]), axis=0)
     finite = least[np.isfinite(least)]
     lowest = float(finite.min()) if finite.size else None
@@ -164,16 +170,16 @@ def _flat(part: str, frames: int) -> str:
 
 
 def thin(costs: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Keep a curve's frames if they are few, else each stretch's lowest and highest frame: no minimum is lost."""
+    """Return the frames of a curve to draw: all, or the lowest and the highest of short intervals."""
     total = costs.size
     if total <= POINTS:
         return np.arange(total, dtype=np.int64), costs
     size = -(-2 * total // POINTS)
     kept: list[int] = []
     for start in range(0, total, size):
-        stretch = costs[start : start + size]
-        low = start + int(np.argmin(stretch))
-        high = start + int(np.argmax(stretch))
+        interval = costs[start : start + size]
+        low = start + int(np.argmin(interval))
+        high = start + int(np.argmax(interval))
         kept.extend(sorted({low, high}))
     frames = np.array(kept, dtype=np.int64)
     return frames, costs[frames]

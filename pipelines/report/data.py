@@ -1,4 +1,4 @@
-"""What a report shows, as plain data: gathered once from a store, rendered without another look at it."""
+"""The content of a report as plain data, read from a store once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class FeatureNames:
-    """The feature set of a store: its identity, and the rows of every template image.
+    """The feature set of a store: its identity, and the names of the rows of template images.
 
     `sets` holds (name, number of the first feature, count) in the order of the feature numbers.
     """
@@ -36,14 +36,15 @@ class TakeRow:
 
     @property
     def seconds(self) -> float:
+        """Return the length of the take."""
         return self.frames / self.rate_hz
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch `[start, stop)` of analysis frames of a take that carries a class.
+    """An interval `[start, stop)` of analysis frames of a take with a class.
 
-    `cost` and `subclass` belong to automatic segments only.
+    Only automatic segments have `cost` and `subclass`.
     """
 
     take: str
@@ -56,9 +57,9 @@ class Segment:
 
 @dataclass(frozen=True)
 class Score:
-    """One row of an evaluation: precision, recall and F measure of frames (1) and of segments (2).
+    """One row of an evaluation: precision, recall and F-measure of frames (1) and of segments (2).
 
-    `scope` is 'pooled', 'class', 'take' or 'fold'; a measure without a value (0/0) is None.
+    `scope` is 'pooled', 'class', 'take' or 'fold'; an undefined measure (0/0) is None.
     """
 
     evaluation: str
@@ -106,7 +107,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Failure:
-    """A source that did not come in, and why."""
+    """A source file that was excluded, and the reason."""
 
     source: str
     stage: str
@@ -117,7 +118,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class StageRow:
-    """One stage as the store's manifest records it: what it was given, and what it said of its result."""
+    """The record of one stage in the manifest: its parameters and the summary of its result."""
 
     stage: str
     run: str
@@ -130,7 +131,7 @@ class StageRow:
 
 @dataclass(frozen=True)
 class HitCount:
-    """What one keyframe query found."""
+    """The number of hits of one keyframe query, with their takes and length."""
 
     query: str
     hits: int
@@ -140,7 +141,7 @@ class HitCount:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a report shows.
+    """The content of a report.
 
     `takes` are the annotated takes sorted by name; `archive_takes` and `archive_seconds` count the whole store.
     `evaluation` and `held_out` name the evaluations of `scores` that are the main one and leave one actor out (or one
@@ -197,7 +198,7 @@ class ReportData:
         return {score.name: score for score in self.scores_of(self.evaluation, "take")}
 
     def labels(self) -> tuple[str, ...]:
-        """Return every class that the report knows, sorted: the order of colours and rows all over the page."""
+        """Return all classes, sorted; colours and rows of the page have this order."""
         known = {segment.label for segment in (*self.automatic, *self.manual)}
         known.update(score.name for score in self.scores_of(self.evaluation, "class"))
         known.update(curve.label for curve in self.curves)

@@ -1,4 +1,4 @@
-"""The page about learned keyframe queries: how runs went, how stiff the gaps are, what the runs agree on."""
+"""The page about learned keyframe queries: their hits, convergence of the runs, stiffness, agreement of the runs."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ F64 = npt.NDArray[np.float64]
 WIDTH, HEIGHT = 640, 200
 BINS = 10
 PANEL, ROW, NAMES = 330, 13, 170
-"""Widths of a matrix and of its rows' names, and the height of a row, in SVG units."""
+"""Width of a matrix, height of a row, and width of the names of the rows, in SVG units."""
 LEAST_CELL = 3.0
-"""Keyframes of long templates are drawn at least this wide."""
+"""Least width of a keyframe of a long template."""
 FAINT = 0.2
-"""Features that stand out less than this share of the strongest one are left out of a matrix, unless a query asks."""
+"""Features weaker than this share of the strongest one are omitted from a matrix, unless a query requires them."""
 LINES = HISTORY_COLUMNS[:3]
 """Precision, recall and fitness, as in Figure 4.3."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """One line of the figure of generations: what it is, its path in SVG units, and its last value."""
+    """One line of the figure of generations: its name, its path in SVG units, and its last value."""
 
     name: str
     path: str
@@ -45,7 +45,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Cell:
-    """An entry of a matrix in SVG units: on or off, how strongly (0 to 1), and what it is, in words."""
+    """An entry of a matrix in SVG units: on or off, its strength (0 to 1), its query, and its tooltip."""
 
     x: float
     y: int
@@ -58,7 +58,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Keyframes over the columns of a template: rows of features, the cells of all runs, and those of the queries."""
+    """Keyframes over the columns of a template: names of rows, the cells of all runs, and those of the queries."""
 
     names: tuple[str, ...]
     runs: tuple[Cell, ...]
@@ -67,13 +67,13 @@ class Matrix:
 
     @property
     def height(self) -> int:
-        """The height of the rows."""
+        """Return the height of all rows."""
         return ROW * len(self.names)
 
 
 @dataclass(frozen=True)
 class Card:
-    """One subclass: its queries in words with their margins in seconds, what they find of the clips, and a matrix."""
+    """One subclass: its queries in words, their margins in seconds, the clips that they find, and a matrix."""
 
     outcome: Outcome
     sentences: tuple[str, ...]
@@ -86,7 +86,7 @@ class Card:
 
     @property
     def keyframes(self) -> str:
-        """How many keyframes each query has."""
+        """Return the numbers of keyframes of the queries."""
         return " · ".join(str(len(one.query)) for one in self.outcome.chosen)
 
 
@@ -103,12 +103,25 @@ def keyframes_page(
 
     Parameters
     ----------
-    outcomes: by subclass. runs: all runs of each subclass. rate_hz: the analysis rate.
-    learner: that did the runs. remarks: on clips that were cut or left out.
+    title : str
+        Title of the page.
+    outcomes : sequence of Outcome
+        The learned queries of each subclass.
+    runs : mapping of str to sequence of LearningRun
+        All runs of each subclass.
+    feature_set : FeatureSet
+        The features of the queries.
+    rate_hz : float
+        The analysis rate.
+    learner : Learner
+        The algorithm of the runs.
+    remarks : sequence of str
+        Remarks on clips that were cut or excluded.
 
     Returns
     -------
-    A complete HTML page without any outside reference; the same text for the same data.
+    str
+        A complete HTML page without outside references; equal data give equal text.
     """
     every = [run for several in runs.values() for run in several]
     stiffness = stiffnesses(outcomes, feature_set)
@@ -141,11 +154,17 @@ def keyframes_page(
 
 
 def courses(histories: Sequence[F64]) -> list[Course]:
-    """Average histories over runs and classes and draw them (thesis, Figure 4.3 a).
+    """Average histories over runs and classes and lay them out (thesis, Figure 4.3 a).
 
     Parameters
     ----------
-    histories: float64 (G_i + 1, 4); one that is shorter than the longest goes on with its last row.
+    histories : sequence of float64 array (G_i + 1, 4)
+        One for each run; a shorter one is continued with its last row.
+
+    Returns
+    -------
+    list of Course
+        The lines of `LINES`; none without histories.
     """
     if not histories:
         return []
@@ -161,7 +180,7 @@ def courses(histories: Sequence[F64]) -> list[Course]:
 
 
 def stiffnesses(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> list[float]:
-    """The stiffness of every gap of all chosen queries (thesis, Eq. 4.7), but for parts of one keyframe."""
+    """Return the stiffness of all gaps of the chosen queries (thesis, Eq. 4.7), except those within one keyframe."""
     queries = every_query(outcomes, feature_set)
     return [gap.nominal_stiffness for query in queries for gap in query.gaps if gap != SAME_FRAME]
 
@@ -174,8 +193,8 @@ def bars(stiffness: Sequence[float]) -> list[HistogramBar]:
 def matrix_of(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Matrix:
     """Lay out the keyframes of all runs (thesis, Figure 4.2 a) and those of the chosen queries (Figure 4.2 b).
 
-    Rows are features that a query asks for, and those that stand out among the runs. An entry is as strong as runs fix
-    it, by the strongest one: with many runs every entry is near one half.
+    The rows are the features of the queries and those that many runs fix. The strength of an entry is relative to the
+    strongest one, since with many runs every entry is near one half.
     """
     lean = outcome.consensus.matrix - 0.5
     strongest = max(float(np.abs(lean).max(initial=0.0)), 1e-9)

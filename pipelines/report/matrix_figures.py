@@ -1,4 +1,4 @@
-"""Matrices of features over time with named rows, as SVG or PNG: templates, and how two of them differ."""
+"""Figures of matrices of features over time with named rows, as SVG or PNG."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ENDINGS = (".svg", ".png")
 _ROW, _MOST_WIDTH, _LEAST_CELL, _MOST_CELL = 15, 620, 2, 12
 _NAMES, _NOTES, _EDGE, _HEAD, _GAP, _FOOT = 168, 96, 16, 92, 18, 44
 _TEXT, _FAINT, _RULE, _FRAME = (34, 34, 34), (110, 110, 110), (200, 80, 10), (120, 120, 120)
-_FINE = 2  # PNGs are drawn this many times larger than an SVG says
+_FINE = 2  # PNGs are this many times larger than SVGs
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One matrix: what stands above it, and a colour per entry, uint8 (features, columns, 3)."""
+    """One matrix: its caption, and a colour for each entry, uint8 (features, columns, 3)."""
 
     caption: str
     colours: U8
@@ -39,8 +39,24 @@ class Panel:
 class MatrixFigure:
     """Panels side by side over the same named rows.
 
-    notes: what stands to the right of each row, below `notes_head`. rules: before which rows (counted from 0) a thin
-    line is drawn. legend: colours and what they mean.
+    Attributes
+    ----------
+    title, note : str
+        The lines at the top.
+    rows : sequence of str
+        Names of the rows.
+    panels : sequence of Panel
+        The matrices.
+    notes_head : str
+        Heading of the notes.
+    notes : sequence of str
+        Text to the right of each row.
+    rules : sequence of int
+        Rows, counted from 0, with a thin line above.
+    legend : sequence of (Colour, str)
+        Colours and their meaning.
+    rate_hz : float
+        Columns per second.
     """
 
     title: str
@@ -55,27 +71,30 @@ class MatrixFigure:
 
 
 class Canvas(Protocol):
-    """Something that rectangles and texts are drawn on; lengths are those of an SVG."""
+    """A canvas for rectangles and texts; lengths are in SVG units."""
 
     def rectangle(self, x: float, y: float, width: float, height: float, colour: Colour) -> None:
         """Fill a rectangle."""
         ...
 
     def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
-        """Write a line on the base line y; anchor: start, middle or end."""
+        """Write a line on the base line y; the anchor at x is start, middle or end."""
         ...
 
     def content(self) -> bytes:
-        """The picture as a file."""
+        """Return the content of the file."""
         ...
 
 
 def write_figure(figure: MatrixFigure, path: Path) -> None:
-    """Write a figure as its path's ending says, .svg or .png.
+    """Write a figure in the format of the ending of its path, .svg or .png.
 
     Raises
     ------
-    KinedexError: another ending. OSError: it cannot be written.
+    KinedexError
+        If the path has another ending.
+    OSError
+        If the file cannot be written.
     """
     if path.suffix.lower() not in ENDINGS:
         raise KinedexError(f"{path}: expected an ending of {' or '.join(ENDINGS)}, got '{path.suffix}'")
@@ -161,12 +180,12 @@ class Svg:
         self._texts.append(f"<text {place}{end}>{escape(text)}</text>")
 
     def content(self) -> bytes:
-        """The picture as a file."""
+        """Return the content of the file."""
         return "\n".join([*self._parts, "</g>", *self._texts, "</svg>", ""]).encode()
 
 
 class Png:
-    """A canvas whose content is PNG, with Pillow's own font, so that pictures are alike everywhere."""
+    """A canvas whose content is PNG, with Pillow's own font, which is the same on all systems."""
 
     def __init__(self, width: float, height: float) -> None:
         self._image = Image.new("RGB", (round(width * _FINE), round(height * _FINE)), (255, 255, 255))
@@ -185,7 +204,7 @@ class Png:
         self._pen.text((x * _FINE, y * _FINE), text, font=font, fill=colour, anchor=at)
 
     def content(self) -> bytes:
-        """The picture as a file."""
+        """Return the content of the file."""
         out = io.BytesIO()
         self._image.save(out, "PNG", optimize=True)
         return out.getvalue()

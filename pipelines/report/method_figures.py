@@ -1,4 +1,4 @@
-"""Figures of a comparison of methods: the τ sweep, timelines of methods side by side, confusion, boundary errors."""
+"""Figures of a comparison of methods: the τ sweep, timelines side by side, confusion, boundary errors."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.plots import HistogramBar, histogram, line_path
 
 WIDTH, HEIGHT = 320.0, 150.0
-"""Of a small plot, in units of its own."""
+"""Size of a small plot in SVG units."""
 
 BINS, FURTHEST = 20, 1.0
-"""Of the histogram of boundary errors: bars, and seconds at its ends."""
+"""Number of bars of the histogram of boundary errors, and the seconds at its ends."""
 
 ROOMS = (250, 300, 350, 420, 500, 600, 700, 800, 1000, 1300)
-"""Widths of a strip, in pixels, at which more blocks have room for their class's number."""
+"""Widths of a strip in pixels from which on more blocks have room for the number of their class."""
 
-_DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and around a number
+_DIGIT, _ROUND = 7.0, 6.0  # pixels of a digit, and of the space around a number
 
 
 @dataclass(frozen=True)
 class Line:
-    """One curve of a plot: what it is, and its path; a point where it has one value alone."""
+    """One curve of a plot: its name and path, or a point where it has a single value."""
 
     name: str
     path: str
@@ -40,7 +40,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves over τ of one level. ticks: (x, text). description: what a reader who sees no figure is told."""
+    """The curves of one level over τ, with ticks as (x, text) and a description for screen readers."""
 
     title: str
     lines: tuple[Line, ...]
@@ -50,7 +50,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Sweep:
-    """The curves of one kind of method, of frames and of segments, and its points as a table."""
+    """The curves of one kind of method, for frames and for segments, and their points."""
 
     method: str
     plots: tuple[Plot, Plot]
@@ -59,11 +59,24 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Block:
-    """A segment on a strip: its place in percent, its class by number, whether it is wrong, what a pointer is told,
-    its frames, and what the player calls it.
+    """A segment on a strip.
 
-    middle: of the longest part that no later block covers, in percent, where the number stands. room: how wide a strip
-    must be, in pixels, so that the number has room there; one of `ROOMS`, None: no strip is.
+    Attributes
+    ----------
+    left, width : float
+        Place in percent.
+    number : int
+        Number of the class.
+    middle : float
+        Place of the number in percent: the middle of the longest part that no later block covers.
+    room : int or None
+        Width of a strip in pixels, one of `ROOMS`, from which on the number has room; None where it never has.
+    wrong : bool
+        True where the other side has no segment of the class on these frames.
+    tip, called : str
+        Tooltip, and title in the player.
+    start, stop : int
+        Analysis frames.
     """
 
     left: float
@@ -89,7 +102,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Strips:
-    """A take with what every method labels. title: its name among the takes of all splits."""
+    """A take with the segments of every method; `title` is unique among the takes of all splits."""
 
     title: str
     what: str
@@ -101,7 +114,7 @@ class Strips:
 
 @dataclass(frozen=True)
 class Shade:
-    """One entry of a confusion: frames, their share of the row, and how dark it is drawn, in percent."""
+    """One entry of a confusion matrix: frames, their share of the row, and the darkness of the cell in percent."""
 
     frames: float
     share: float
@@ -111,7 +124,7 @@ class Shade:
 
 @dataclass(frozen=True)
 class ConfusionRow:
-    """One row of a confusion: what it is, with its number (empty where it is no class), its frames, and its entries."""
+    """One row of a confusion matrix: label, number (empty where it is no class), frames and entries."""
 
     label: str
     number: str
@@ -121,7 +134,7 @@ class ConfusionRow:
 
 @dataclass(frozen=True)
 class ConfusionTable:
-    """A confusion as it is drawn. heads: of the columns, as (what they say, what a pointer is told)."""
+    """A confusion matrix with the heads of its columns as (text, tooltip)."""
 
     heads: tuple[tuple[str, str], ...]
     rows: tuple[ConfusionRow, ...]
@@ -139,20 +152,20 @@ def sweeps(points: Sequence[Threshold]) -> list[Sweep]:
 def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
     low, high = points[0].tau, points[-1].tau
     across = [WIDTH * (point.tau - low) / (high - low) if high > low else WIDTH / 2 for point in points]
-    lines, said = [], []
+    lines, texts = [], []
     for letter, name in (("p", "precision"), ("r", "recall"), ("f", "F-measure")):
         values = [float(getattr(point.counts, f"{letter}{level}")) for point in points]
         known = [(x, value) for x, value in zip(across, values, strict=True) if not math.isnan(value)]
         path = line_path((x, HEIGHT * (1 - value)) for x, value in known) if len(known) > 1 else ""
         lines.append(Line(name, path, (known[0][0], HEIGHT * (1 - known[0][1])) if len(known) == 1 else None))
         if path:
-            said.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
+            texts.append(f"{name} from {known[0][1]:.2f} to {known[-1][1]:.2f}")
         elif known:
-            said.append(f"{name} {known[0][1]:.2f}")
+            texts.append(f"{name} {known[0][1]:.2f}")
     places = {0, len(points) // 2, len(points) - 1}
     ticks = tuple((across[i], f"{points[i].tau:g}") for i in sorted(places))
     span = f"τ from {low:g} to {high:g}" if high > low else f"τ = {low:g}"
-    return Plot(title, tuple(lines), ticks, f"{title}, {span}: {', '.join(said)}")
+    return Plot(title, tuple(lines), ticks, f"{title}, {span}: {', '.join(texts)}")
 
 
 def strips(
@@ -164,10 +177,10 @@ def strips(
     rate_hz: float,
     scores: Mapping[str, Counts],
 ) -> Strips:
-    """Lay out a take: what a person labelled on top, below it each method.
+    """Lay out a take: the manual segments on top, the segments of each method below.
 
-    A block is wrong where the other side has none of its class on any of its frames: of a person, where the method
-    that leads (the first in `outcomes`) has none.
+    A block is wrong where the other side has no segment of its class on any of its frames; the other side of manual
+    segments is the first method in `outcomes`.
     """
     manual = sorted((start, stop, label) for label, start, stop in exam.truth)
     leading = next(iter(outcomes.values()))[exam.name]
@@ -190,8 +203,8 @@ def _strip(
     blocks, words = [], []
     for place, (start, stop, label) in enumerate(segments):
         wrong = not any(label == other and start < end and begin < stop for begin, end, other in others)
-        said = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
-        tip = f"{name}: {said}" + ("; " + ("not found" if name == "manual" else "not so by hand") if wrong else "")
+        text = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
+        tip = f"{name}: {text}" + ("; " + ("not found" if name == "manual" else "no manual segment") if wrong else "")
         left, right = bare_part((start, stop), [(begin, end) for begin, end, _ in segments[place + 1 :]])
         blocks.append(
             Block(
@@ -207,13 +220,12 @@ def _strip(
                 called=f"{name}: {label}",
             )
         )
-        words.append(said)
+        words.append(text)
     return Strip(name, tuple(blocks), f"{name}: {'; '.join(words) or 'nothing'}")
 
 
 def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """The longest part of a block that no later one covers, the first of equal ones; (start, start) where none is
-    left."""
+    """Return the longest part of a block that no later one covers, the first of equal ones; (start, start) for none."""
     at, stop = block
     best = (at, at)
     for begin, end in [*sorted(one for one in later if one[0] < stop), (stop, stop)]:
@@ -224,13 +236,13 @@ def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple
 
 
 def room_for(number: int, share: float) -> int | None:
-    """How wide a strip must be, in pixels, so that a number has room in this share of it."""
+    """Return the width of a strip in pixels from which on a number has room in this share of it."""
     wanted = _DIGIT * len(str(number)) + _ROUND
     return next((width for width in ROOMS if width * share >= wanted), None)
 
 
 def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> ConfusionTable:
-    """Lay a confusion out; rows without a frame, and the column of labels too few without one, are left out."""
+    """Lay out a confusion matrix without empty rows, and without the column of labels too few where it is empty."""
     given = [str(numbers[label]) for label in confusion.classes]
     few = confusion.frames[:, -1].any()
     heads = [*zip([*given, "–", "+"], confusion.columns, strict=True)][: None if few else -1]

@@ -1,4 +1,4 @@
-"""The page on which methods of annotation are compared: what a busy person wants to know first, details below."""
+"""The page that compares methods of annotation."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.pipelines.report.plots import HistogramBar
 
 MOST_ROWS = 300
-"""The longest a list of takes or segments gets; the page says how many more there are."""
+"""Largest number of rows of a list of takes or segments; the page has the number of further ones."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """One split as it is drawn. labels: the classes of its tables."""
+    """The figures and tables of one split; `labels` are the classes of its tables."""
 
     result: SplitResult
     labels: tuple[str, ...]
@@ -61,11 +61,15 @@ def methods_page(study: Study, motions: Motions | None = None) -> str:
 
     Parameters
     ----------
-    motions: what the player plays, by the titles of takes; None: there is no player.
+    study : Study
+        The comparison.
+    motions : Motions or None
+        Motions of the player by the titles of takes; None for a page without player.
 
     Returns
     -------
-    A complete HTML page without any outside reference; the same text for the same study.
+    str
+        A complete HTML page without outside references; equal studies give equal text.
     """
     labels = _labels(study)
     light, dark = colour_rules(len(labels))
@@ -96,7 +100,7 @@ def methods_page(study: Study, motions: Motions | None = None) -> str:
 
 
 def _labels(study: Study) -> list[str]:
-    """All labels of all splits, the classes first."""
+    """Return the labels of all splits, the classes first."""
     found = list(study.classes)
     for result in study.splits:
         for judgement in result.judgements.values():

@@ -1,5 +1,4 @@
-"""Motions that a report carries, so that a click on a segment shows it: joint positions, packed to a few bytes a
-frame."""
+"""Motions inside of a page, for its player: joint positions, packed to a few bytes per frame."""
 
 from __future__ import annotations
 
@@ -21,12 +20,12 @@ from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
 MOST_BYTES = 12_000_000
-"""What a report carries of its own accord; with everything else it stays below 20 MB."""
+"""Largest size of the motions of a page unless more are requested; the page then has less than 20 MB."""
 
 UNSEEN = -32_768
-"""Stands for a coordinate that is not known."""
+"""The number that stands for an unknown coordinate."""
 
-_STEP = 2  # every second frame: 15 a second, and the player goes between them
+_STEP = 2  # every second frame: 15 per second; the player interpolates
 _MOST = 32_000
 
 Embed = Literal["auto", "all", "none"] | list[str]
@@ -34,11 +33,23 @@ Embed = Literal["auto", "all", "none"] | list[str]
 
 @dataclass(frozen=True)
 class Motion:
-    """One take as the player reads it.
+    """One take in the form that the player reads.
 
-    frames: of the take, at the analysis rate. step: one of so many frames is kept. rate_hz: of those. unit_m: metres a
-    unit. data: base64 of zlib-compressed little-endian int16 (3 J, T'): x, y and z of every joint in units, each row as
-    differences in time.
+    Attributes
+    ----------
+    take : str
+        Name of the take.
+    frames : int
+        Frames of the take at the analysis rate.
+    step : int
+        Every step-th frame is stored.
+    rate_hz : float
+        Stored frames per second.
+    unit_m : float
+        Metres per unit of the coordinates.
+    data : str
+        Base64 of zlib-compressed little-endian int16 (3 J, T'): x, y and z of every joint in units, each row as
+        differences over time.
     """
 
     take: str
@@ -51,8 +62,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Motions:
-    """What a report carries: the motions, the joints in their order, the parent of each (−1: none), and a word on
-    it."""
+    """The motions of a page, the joints in their order, the parent of each (−1 for none), and a remark."""
 
     motions: tuple[Motion, ...]
     joints: tuple[str, ...]
@@ -61,7 +71,7 @@ class Motions:
 
     @property
     def takes(self) -> frozenset[str]:
-        """The names of the takes whose motion is carried."""
+        """Return the names of the takes."""
         return frozenset(motion.take for motion in self.motions)
 
 
@@ -75,19 +85,32 @@ def embed(
 
     Parameters
     ----------
-    takes: those with a timeline, in their order on the page; or by name the takes of the store that one is laid out of,
-        end to end. wanted: "auto": as many of them, from the first, as fit into `MOST_BYTES`; "all" of them, "none", or
-        these by name. stage: whose parameter `wanted` is.
+    store : Store
+        The store of the takes.
+    takes : sequence of str, or mapping of str to sequence of str
+        The takes with a timeline, in the order of the page; a mapping gives the takes of the store that each one joins.
+    wanted : {"auto", "all", "none"} or list of str
+        "auto" packs as many takes, from the first, as fit into `MOST_BYTES`; a list packs these.
+    stage : str
+        Stage whose parameter `wanted` is, for the remark.
+
+    Returns
+    -------
+    Motions
+        The packed motions.
 
     Raises
     ------
-    KinedexError: a take is asked for that has no timeline.
+    KinedexError
+        If a take of the list has no timeline.
     """
     parts = takes if isinstance(takes, Mapping) else {name: (name,) for name in takes}
     if isinstance(wanted, list):
         unknown = [name for name in wanted if name not in takes]
         if unknown:
-            raise KinedexError(f"embed: no timeline is of a take '{unknown[0]}'{did_you_mean(unknown[0], takes)}")
+            raise KinedexError(
+                f"embed: no take with a timeline is named '{unknown[0]}'{did_you_mean(unknown[0], takes)}"
+            )
     chosen = [] if wanted == "none" else list(wanted) if isinstance(wanted, list) else list(takes)
     joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
     parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
@@ -104,20 +127,20 @@ def embed(
 
 
 def pack(take: str, positions: npt.NDArray[np.floating], rate_hz: float) -> Motion:
-    """Pack the positions of one take, (J, 3, T) in metres; NaN is not known."""
+    """Pack the positions of one take, (J, 3, T) in metres; NaN stands for unknown ones."""
     kept = np.asarray(positions, np.float64)[:, :, ::_STEP]
     known = np.isfinite(kept)
-    reach = float(np.abs(kept[known]).max()) if known.any() else 0.0
-    unit_m = max(0.001, reach / _MOST)
+    largest = float(np.abs(kept[known]).max()) if known.any() else 0.0
+    unit_m = max(0.001, largest / _MOST)
     whole = np.where(known, np.round(np.where(known, kept, 0.0) / unit_m), UNSEEN).astype(np.int16)
     rows = whole.reshape(-1, whole.shape[2])
-    steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, and the player's does as well
+    steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, as that of the player does
     data = base64.b64encode(zlib.compress(steps.astype("<i2").tobytes(), 9)).decode("ascii")
     return Motion(take, positions.shape[2], _STEP, rate_hz / _STEP, unit_m, data)
 
 
 def motions_json(motions: Motions | None) -> Markup:
-    """The motions as JSON that may stand inside a script element: no tag can begin in it."""
+    """Return the motions as JSON for a script element, in which no tag can begin."""
     if motions is None:
         return Markup("")
     text = json.dumps(asdict(motions), ensure_ascii=False, separators=(",", ":"))
@@ -130,9 +153,9 @@ def _remark(carried: Sequence[Motion], shown: int, wanted: Embed, size: int, key
     megabytes = f"{size / 1e6:.1f} MB"
     if len(carried) == shown:
         return f"Click a segment to see the motion. It is embedded for every take with a timeline ({megabytes})."
-    why = "as asked for" if wanted != "auto" else "the first ones, as many as fit into the page"
+    why = "as requested" if wanted != "auto" else "the first ones, as many as fit into the page"
     return (
         f"Click a segment to see the motion. It is embedded for {len(carried)} of the {shown} takes with a timeline "
-        f"({few([one.take for one in carried])}), {why} ({megabytes}); `--set {key}=all`, or a list of names, changes "
-        "that."
+        f"({few([one.take for one in carried])}), {why} ({megabytes}); set `--set {key}=all` or a list of names for "
+        "others."
     )

@@ -1,4 +1,4 @@
-"""Puts a report where it belongs: whole, or not at all."""
+"""Files of pages, which are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -10,19 +10,28 @@ from kinedex.ops.errors import KinedexError
 
 
 def write_page(page: str, path: Path) -> int:
-    """Write a page under a temporary name, then rename it into place.
+    """Write a page under a temporary name and rename it.
+
+    Parameters
+    ----------
+    page : str
+        Content of the file.
+    path : Path
+        The file; its folder must exist.
 
     Returns
     -------
-    Its size in bytes.
+    int
+        Size in bytes.
 
     Raises
     ------
-    KinedexError: the folder is not there.
+    KinedexError
+        If the folder does not exist.
     """
     if not path.parent.is_dir():
         raise KinedexError(
-            f"{path}: there is no folder {path.parent}; make it (mkdir -p {path.parent}) or name another"
+            f"{path}: the folder {path.parent} does not exist; create it (mkdir -p {path.parent}) or name another"
         )
     content = page.encode("utf-8")
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)

@@ -1,9 +1,9 @@
-"""The colours of classes: told apart with any colour vision, in light and in dark, and never the only sign."""
+"""The colours of classes, distinguishable with any colour vision, on light and on dark backgrounds."""
 
 from __future__ import annotations
 
-# Each pair is (on white, on near black), at least 3:1 against its background. More classes than pairs start
-# over: rows are always labelled, so a colour only helps the eye along.
+# Each pair is (on white, on near black), with a contrast of at least 3:1. More classes than pairs repeat colours:
+# rows have names, so that a colour is never the only sign.
 CLASS_COLOURS: tuple[tuple[str, str], ...] = (
     ("#0072b2", "#4fb0ea"),
     ("#c8500a", "#f28a43"),
@@ -21,12 +21,12 @@ CLASS_COLOURS: tuple[tuple[str, str], ...] = (
 
 
 def colour_slot(index: int) -> int:
-    """Return which of the palette's pairs the class at `index` has."""
+    """Return the number of the pair of colours of the class at `index`."""
     return index % len(CLASS_COLOURS)
 
 
 def colour_rules(slots: int) -> tuple[str, str]:
-    """Return the CSS rules that set the variable --k of the classes k0, k1, …: for light, and for dark."""
+    """Return the CSS rules of the variable --k in the classes k0, k1, …, for light and for dark pages."""
     used = CLASS_COLOURS[: min(slots, len(CLASS_COLOURS))]
     light = "".join(f".k{i}{{--k:{pair[0]}}}" for i, pair in enumerate(used))
     dark = "".join(f".k{i}{{--k:{pair[1]}}}" for i, pair in enumerate(used))

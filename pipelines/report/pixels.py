@@ -1,4 +1,4 @@
-"""Template images: a square of pixels per entry, as an indexed PNG inside a data URI."""
+"""Images of templates as indexed PNGs in data URIs, with a square of pixels for each entry."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WILDCARD: Colour = (151, 176, 204)
 # Purple to yellow: rises in lightness from black to white, and stays readable with any colour vision.
 VARYING: tuple[Colour, ...] = ((66, 10, 145), (126, 3, 168), (204, 71, 120), (248, 149, 64), (252, 206, 37))
 TOLERANCE = 1e-9
-SCALE = 4  # pixels per entry each way: printers smooth images, and entries must stay apart
+SCALE = 4  # pixels per entry in each direction; printers smooth images, and entries must stay distinct
 
 
 def ramp(position: float) -> Colour:
@@ -31,15 +31,17 @@ def ramp(position: float) -> Colour:
 
 
 def soft_image(values: npt.NDArray[np.float64]) -> str:
-    """Draw a template: black is 0, white is 1, the ramp of colours what lies between.
+    """Draw a template: 0 is black, 1 is white, values between have the colours of the ramp.
 
     Parameters
     ----------
-    values: (columns, features), in [0, 1].
+    values : float64 array (columns, features)
+        Entries in [0, 1].
 
     Returns
     -------
-    A data URI of a PNG with SCALE rows per feature and SCALE columns per column.
+    str
+        Data URI of a PNG with SCALE rows per feature and SCALE columns per column.
     """
     palette = [BLACK, *(ramp(i / 253) for i in range(254)), WHITE]
     indices = np.clip(1 + np.round(values * 253), 1, 254).astype(np.uint8)
@@ -49,7 +51,7 @@ def soft_image(values: npt.NDArray[np.float64]) -> str:
 
 
 def quantised_image(values: npt.NDArray[np.float64], delta: float) -> str:
-    """Draw what annotation compares: values up to δ black, from 1 − δ white, the wildcards grey blue."""
+    """Draw a quantised template: values up to δ are black, from 1 − δ white, wildcards grey blue."""
     indices = np.full(values.shape, 2, dtype=np.uint8)
     indices[values <= delta + TOLERANCE] = 0
     indices[values >= 1 - delta - TOLERANCE] = 1

@@ -1,4 +1,4 @@
-"""The command that makes the results of a pipeline again."""
+"""The command that reproduces the results of a pipeline."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from kinedex.pipelines.report.data import StageRow
 
 
 def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
-    """Return the command that runs a shipped pipeline with the parameters that the store recorded.
+    """Return the command that runs a shipped pipeline with the parameters recorded in the store.
 
-    Every parameter that differs from the pipeline file's own is set. For a pipeline that is not shipped under its
-    name the file is unknown: the command says so, and sets nothing.
+    The command sets every parameter that differs from the file of the pipeline. The file of a pipeline that is not
+    shipped is unknown; the command then has a comment instead of settings.
     """
     words = ["kinedex", "run", pipeline, "--store", str(store_path)]
     recorded = {record.stage: record.params for record in records}
@@ -43,5 +43,5 @@ def _differing(stage: str, own: Mapping[str, object], recorded: Mapping[str, obj
 
 
 def _text(value: object) -> str:
-    """A value as `--set` takes it: a text as it is, anything else as JSON, which is YAML."""
+    """Return a value as `--set` reads it: a text unchanged, anything else as JSON, which is YAML."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""The page about ranking: both stages per class, precision and recall along the rankings, the stiffness experiment."""
+"""The page about retrieval: search and ranking of each class, precision and recall, and the stiffness of queries."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.plots import line_path, share_ticks
 
 SIZE = 150
-"""Side of a diagram in SVG units; both axes go from 0 to 1."""
+"""Side of a diagram in SVG units; both axes are from 0 to 1."""
 
 WIDE, HIGH = 560, 170
 RIGID = 1.0
-"""The stiffness that is drawn class by class, as in Figure 3.14."""
+"""The stiffness that is drawn for each class, as in Figure 3.14."""
 
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Line:
-    """One ranking in a diagram: which, as a CSS class and in words, its path, and a dot where it is one point."""
+    """One ranking in a diagram: its CSS class, its name, its path, and the dot at its end."""
 
     name: str
     words: str
@@ -33,7 +33,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Diagram:
-    """The rankings of one class, and what the figure says in words."""
+    """The rankings of one class, with a caption and a description for screen readers."""
 
     label: str
     lines: tuple[Line, ...]
@@ -43,7 +43,7 @@ class Diagram:
 
 @dataclass(frozen=True)
 class Search:
-    """The keyframe search of one class; times in milliseconds. kept: the share of the frames."""
+    """The keyframe search of one class; times are in milliseconds, `kept` is a share of the frames."""
 
     keyframes: int
     stiffness: float | None
@@ -55,9 +55,9 @@ class Search:
 
 @dataclass(frozen=True)
 class TwoStages:
-    """One row of the table of both stages (thesis, Table 3.2); search is None without queries.
+    """One row of the table of search and ranking (thesis, Table 3.2).
 
-    reading, ranking: in ms. skipped is None where no bound was tried.
+    `search` is None without queries; `reading` and `ranking` are in milliseconds; `skipped` is None without a bound.
     """
 
     label: str
@@ -72,7 +72,7 @@ class TwoStages:
 
 @dataclass(frozen=True)
 class Quality:
-    """One row of the table of precision: a class in the takes, and among clips that were left out."""
+    """One row of the table of average precision: a class in the takes, and among held-out clips."""
 
     label: str
     takes: tuple[int, float | None, float | None] | None
@@ -95,7 +95,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Course:
-    """One measure over the stiffness: its name, path in SVG units, and its points."""
+    """One measure over the stiffness: its names, its path in SVG units, and its points."""
 
     name: str
     words: str
@@ -110,12 +110,17 @@ def retrieval_page(
 
     Parameters
     ----------
-    rank_summary: what the stage `rank` left in its record. hits, quality, trials: rows of the kinds `ranked_hits`,
-        `retrieval` and `precision_recall`.
+    title : str
+        Title of the page.
+    rank_summary : mapping
+        Summary of the stage `rank`.
+    hits, quality, trials : sequence of mapping
+        Rows of the result kinds `ranked_hits`, `retrieval` and `precision_recall`.
 
     Returns
     -------
-    A complete HTML page without any outside reference; the same text for the same data.
+    str
+        A complete HTML page without outside references; equal data give equal text.
     """
     rows = two_stages(rank_summary, hits)
     found = variants(trials)
@@ -143,7 +148,7 @@ def retrieval_page(
 
 
 def two_stages(summary: Mapping[str, Any], hits: Sequence[Row]) -> list[TwoStages]:
-    """The table of both stages, a row for each template in the order they were ranked in."""
+    """Return the rows of the table of search and ranking, in the order of the rankings."""
     found = []
     for label, columns in summary["columns"].items():
         own = [row["cost"] for row in hits if row["template"] == label]
@@ -162,7 +167,7 @@ def _search(lists: Mapping[str, Any], kept: float) -> Search:
 
 
 def qualities(rows: Sequence[Row]) -> list[Quality]:
-    """Average precision and recall of every class; folds are pooled: the mean precision, and all that was found."""
+    """Return average precision and recall of every class, over all folds."""
     found = []
     for label in sorted({row["class"] for row in rows}):
         both = [_pooled([row for row in rows if (row["class"], row["evaluation"]) == (label, kind)])
@@ -187,7 +192,7 @@ def _pooled(rows: Sequence[Row]) -> tuple[int, float | None, float | None] | Non
 
 
 def mean_of(rows: Sequence[Row], kind: str) -> tuple[float, float] | None:
-    """Mean average precision over classes, and recall over all there was to find, of one kind of evaluation."""
+    """Return mean average precision over classes and recall over all relevant segments, of one evaluation."""
     own = qualities([row for row in rows if row["evaluation"] == kind])
     pairs = [pair for pair in ((one.takes if kind == "takes" else one.clips) for one in own) if pair is not None]
     averages = [average for _, average, _ in pairs if average is not None]
@@ -198,10 +203,10 @@ def mean_of(rows: Sequence[Row], kind: str) -> tuple[float, float] | None:
 
 
 def diagrams(trials: Sequence[Row], names: tuple[str, str]) -> list[Diagram]:
-    """Precision over recall of each class (thesis, Figures 3.13 and 3.14), of two variants, the first one dashed."""
+    """Lay out precision over recall of each class for two variants (thesis, Figures 3.13 and 3.14)."""
     found = []
     for label in sorted({row["class"] for row in trials if row["relevant"]}):
-        lines, said = [], []
+        lines, texts = [], []
         for place, name in enumerate(names):
             row = next((row for row in trials if (row["class"], row["variant"]) == (label, name)), None)
             if row is None:
@@ -209,17 +214,17 @@ def diagrams(trials: Sequence[Row], names: tuple[str, str]) -> list[Diagram]:
             words = name if name in (EVERYWHERE, WRITTEN) else f"σ ≡ {name}"
             lines.append(_line("second" if place == 0 else "first", words, row))
             average = row["average_precision"]
-            said.append(
+            texts.append(
                 f"{words}: AP {average:.2f}, {row['ranked']} of {row['relevant']} found, {row['kept']:.0%} kept"
             )
         if lines:
-            text = f"precision and recall of {label}: " + "; ".join(said)
-            found.append(Diagram(label, tuple(lines), "; ".join(said), text))
+            text = f"precision and recall of {label}: " + "; ".join(texts)
+            found.append(Diagram(label, tuple(lines), "; ".join(texts), text))
     return found
 
 
 def _line(name: str, words: str, row: Row) -> Line:
-    """The points after each rank up to the last right one; what comes after it only falls."""
+    """Lay out the points after each rank up to the last relevant hit."""
     points = list(zip(row["recall"], row["precision"], strict=True))
     best = max(row["recall"], default=0.0)
     last = next((place for place, (recall, _) in enumerate(points) if recall == best), -1) if best else -1
@@ -228,7 +233,7 @@ def _line(name: str, words: str, row: Row) -> Line:
 
 
 def variants(trials: Sequence[Row]) -> list[Variant]:
-    """The rows of the stiffness experiment: all frames, as written, then by stiffness; classes with queries only."""
+    """Return the rows of the stiffness experiment, over the classes that have queries."""
     asked = {row["class"] for row in trials if row["variant"] == WRITTEN and row["relevant"]}
     found = []
     for name in dict.fromkeys(row["variant"] for row in trials):
@@ -247,7 +252,7 @@ def variants(trials: Sequence[Row]) -> list[Variant]:
 
 
 def courses(found: Sequence[Variant]) -> list[Course]:
-    """Recall, mean average precision and the share kept over the stiffness, drawn from loose to rigid."""
+    """Lay out recall, mean average precision and the share of frames kept over the stiffness."""
     swept = sorted((one for one in found if one.stiffness is not None), key=lambda one: one.stiffness or 0.0)
     measures = (
         ("recall", "found at any rank", [one.recall for one in swept]),

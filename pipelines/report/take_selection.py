@@ -1,4 +1,4 @@
-"""Which takes a report shows when it cannot show all: the worst, those in the middle, the best."""
+"""The choice of takes for a report that cannot show all: the worst, those around the median, the best."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from dataclasses import dataclass, replace
 
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 
-OPEN_ALL = 10  # up to so many timelines are all open; of more, OPEN of them lead and the others are folded
-OPEN = 6
+OPEN_ALL, OPEN = 10, 6
+"""Up to `OPEN_ALL` timelines are all open; of more, `OPEN` come first and the others are folded."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The takes shown, in the order in which they are shown, and those left out, by name.
-
-    The last `folded` of those shown are there, but folded away.
-    """
+    """The takes that a page shows, in its order, and those that it does not, by name; the last `folded` are folded."""
 
     shown: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -31,20 +28,27 @@ def choose_takes(
 
     Parameters
     ----------
-    names: all annotated takes.
-    f1: F1 of the takes that have one.
-    wanted: exactly these takes, in this order; None chooses.
-    max_takes: how many at most when it chooses: a third each the worst, the middle and the best by F1.
+    names : sequence of str
+        All annotated takes.
+    f1 : mapping of str to float
+        F (frames) of the takes that have ground truth.
+    wanted : sequence of str or None
+        Exactly these takes, in this order; None chooses.
+    max_takes : int
+        Largest number of takes where they are chosen: a third each from the worst, the middle and the best.
 
     Returns
     -------
-    The choice. Takes with an F1 come first, the worst leading; takes without ground truth follow by name. Of many, a
-    few from the start, the middle and the end of this order lead, and the others are folded.
+    Choice
+        Takes with ground truth come first, the worst leading; the others follow by name. Of many takes, a few from the
+        start, the middle and the end of this order come first, and the others are folded.
 
     Raises
     ------
-    ParameterError: max_takes is not positive.
-    KinedexError: a wanted take was not annotated.
+    ParameterError
+        If `max_takes` is not positive.
+    KinedexError
+        If a wanted take was not annotated.
     """
     if max_takes < 1:
         raise ParameterError("max_takes", "at least 1", max_takes)
@@ -52,7 +56,7 @@ def choose_takes(
         for name in wanted:
             if name not in names:
                 raise KinedexError(f"takes: no annotated take is named '{name}'{did_you_mean(name, names)}")
-        return Choice(tuple(wanted), tuple(sorted(set(names) - set(wanted))), "as asked for")
+        return Choice(tuple(wanted), tuple(sorted(set(names) - set(wanted))), "as requested")
     choice = _ranked(names, f1, max_takes)
     if len(choice.shown) <= OPEN_ALL:
         return choice
@@ -77,7 +81,7 @@ def _ranked(names: Sequence[str], f1: Mapping[str, float], max_takes: int) -> Ch
 
 
 def worst_middle_best(ranked: Sequence[str], count: int) -> list[str]:
-    """Take `count` of a ranked list: its start, the surroundings of its median, its end."""
+    """Return `count` names of a ranked list: from its start, around its median, and from its end."""
     if len(ranked) <= count:
         return list(ranked)
     worst = (count + 2) // 3
@@ -89,6 +93,6 @@ def worst_middle_best(ranked: Sequence[str], count: int) -> list[str]:
 
 
 def median_take(f1: Mapping[str, float]) -> str | None:
-    """Return the take in the middle by F1 (the lower one of two), None where no take has one."""
+    """Return the median take by F (frames), the lower one of two; None where no take has ground truth."""
     ranked = sorted(f1, key=lambda name: (f1[name], name))
     return ranked[(len(ranked) - 1) // 2] if ranked else None

@@ -1,4 +1,4 @@
-"""Templates as figures: a template with its quantised form, and two templates side by side."""
+"""Figures of a template with its quantised form, and of two templates side by side."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AGREED: Colour = (205, 205, 205)
 def template_figure(
     template: Template, title: str, note: str, delta: float, features: FeatureSet, rate_hz: float
 ) -> MatrixFigure:
-    """A template, what annotation compares of it at δ, and how consistent each feature is."""
+    """Lay out a template, its quantised form at δ, and the consistency of each feature."""
     quantised = quantise(template, delta)
     agreement = consistency(template)
     return MatrixFigure(
@@ -32,11 +32,11 @@ def template_figure(
         rows=row_names(features),
         panels=(
             Panel("average of the aligned clips", soft_colours(template.values)),
-            Panel(f"what counts: within {delta:g} of off or on", quantised_colours(quantised, len(features.features))),
+            Panel(f"quantised: within {delta:g} of off or on", quantised_colours(quantised, len(features.features))),
         ),
         notes_head="consistency",
         notes=[
-            f"{share:.0%}" + ("  (does not count)" if silent else "")
+            f"{share:.0%}" + ("  (no weight)" if silent else "")
             for share, silent in zip(agreement, _silent(template), strict=True)
         ],
         rules=set_rules(features),
@@ -62,7 +62,7 @@ def contrast_figure(
     features: FeatureSet,
     rate_hz: float,
 ) -> MatrixFigure:
-    """Two templates laid along each other, and where they contradict each other at δ."""
+    """Lay out two aligned templates, and the entries that contradict each other at δ."""
     count = len(features.features)
     one, other = (quantised_colours(quantise(template, delta), count) for template in (first, second))
     against = np.full((count, len(found.path), 3), AGREED, np.uint8)
@@ -96,17 +96,17 @@ def contrast_figure(
 
 
 def row_names(features: FeatureSet) -> list[str]:
-    """The rows' names: number and name of each feature."""
+    """Return the name and number of each feature."""
     return [f"{feature.name} {feature.number}" for feature in features.features]
 
 
 def set_rules(features: FeatureSet) -> list[int]:
-    """Before which rows a new set of features begins."""
+    """Return the first row of each set of features but the first."""
     return [word_set.first - 1 for word_set in features.sets.values() if word_set.first > 1]
 
 
 def soft_colours(values: F64) -> U8:
-    """Black where 0, white where 1, a ramp of colours between; uint8 (features, columns, 3)."""
+    """Return the colours of a template, uint8 (features, columns, 3): 0 is black, 1 is white, a ramp between."""
     palette = np.array([ramp(i / 255) for i in range(256)], np.uint8)
     colours = palette[np.clip(np.round(values * 255), 0, 255).astype(np.int64)]
     colours[values <= TOLERANCE] = BLACK
@@ -116,7 +116,7 @@ def soft_colours(values: F64) -> U8:
 
 
 def quantised_colours(template: QuantisedTemplate, features: int) -> U8:
-    """Black where off, white where on, grey blue for wildcards; uint8 (features, columns, 3)."""
+    """Return the colours of a quantised template, uint8 (features, columns, 3): off is black, on white, * grey blue."""
     palette = np.array([BLACK, WILDCARD, WHITE], np.uint8)
     turned: U8 = np.ascontiguousarray(palette[(2 * template.values(features)).astype(np.int64)].transpose(1, 0, 2))
     return turned

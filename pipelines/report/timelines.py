@@ -12,9 +12,9 @@ from kinedex.pipelines.report.data import Score, Segment, TakeRow
 
 @dataclass(frozen=True)
 class Bar:
-    """One segment: where it lies in percent, whether the other side agrees, and what a pointer is told.
+    """One segment: its place in percent, whether the other side agrees, its tooltip, and its analysis frames.
 
-    `agrees` is None where the take has no ground truth. start, stop: its analysis frames.
+    `agrees` is None where the take has no ground truth.
     """
 
     left: float
@@ -38,7 +38,7 @@ class Lane:
 
 @dataclass(frozen=True)
 class Timeline:
-    """One take as it is drawn."""
+    """The lanes and the time axis of one take."""
 
     take: TakeRow
     score: Score | None
@@ -56,19 +56,25 @@ def timeline(
 ) -> Timeline:
     """Lay out one take.
 
+    Two segments agree as in the measure of segments (thesis, 5.4): they have the same class and a common frame.
+
     Parameters
     ----------
-    take: the take; every segment must lie in it.
-    automatic, manual: its segments.
-    slots: the colour of each class; its order is the order of the lanes.
-    score: its row of the evaluation.
+    take : TakeRow
+        The take; every segment must lie in it.
+    automatic, manual : sequence of Segment
+        Its segments.
+    slots : mapping of str to int
+        Colour of each class; its order is the order of the lanes.
+    score : Score or None
+        Row of the take in the evaluation.
 
     Returns
     -------
-    The lanes of the classes that occur in the take. Whether two segments agree is the segment measure's own
-    reading (thesis, 5.4): the same class, and at least one frame in common.
+    Timeline
+        The lanes of the classes that occur in the take.
     """
-    judged = bool(manual) or score is not None  # a person may have found nothing in it
+    judged = bool(manual) or score is not None  # ground truth may be empty
     occurring = {segment.label for segment in (*automatic, *manual)}
     lanes = []
     for label in (label for label in slots if label in occurring):
@@ -88,7 +94,7 @@ def timeline(
 
 
 def bar(segment: Segment, take: TakeRow, origin: str, others: Sequence[Segment] | None) -> Bar:
-    """Place one segment and say in words what it is."""
+    """Place one segment, and describe it in its tooltip."""
     agrees = None if others is None else any(overlap(segment, other) for other in others)
     return Bar(
         left=percent(segment.start, take.frames),
@@ -101,7 +107,7 @@ def bar(segment: Segment, take: TakeRow, origin: str, others: Sequence[Segment] 
 
 
 def overlap(one: Segment, other: Segment) -> bool:
-    """Tell whether two segments of one take have a frame in common."""
+    """Return whether two segments of one take have a common frame."""
     return one.start < other.stop and other.start < one.stop
 
 

@@ -1,4 +1,4 @@
-"""How learning settled: the largest cost between two clips, round by round, as a small plot on a logarithmic scale."""
+"""The convergence of template learning as a small plot: the largest cost between two clips after each round."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from kinedex.ops.templates.templates import CONVERGED
 
 WIDTH, HEIGHT = 132, 36
-_LEAST, _MOST = 1e-3, 1.0  # the ends of the scale; costs below the one are drawn on it
+_LEAST, _MOST = 1e-3, 1.0  # the ends of the logarithmic scale; lower costs are drawn at the lower end
 _LEFT, _RIGHT, _TOP, _BOTTOM = 4, 128, 4, 32
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One plot: the line's path, a dot per round (x, y, what it says), and the height of the threshold."""
+    """The geometry of one plot: the path, a dot (x, y, text) per round, and the height of the threshold."""
 
     path: str
     dots: tuple[tuple[float, float, str], ...]
@@ -31,12 +31,12 @@ def trace(costs: Sequence[float]) -> Trace | None:
     points = [(round(_LEFT + i * step, 1), _height(cost)) for i, cost in enumerate(costs)]
     tips = ["before the first round", *(f"after round {i}" for i in range(1, len(costs)))]
     dots = tuple((x, y, f"{tip}: {cost:.4f}") for (x, y), tip, cost in zip(points, tips, costs, strict=True))
-    settled = "settled" if costs[-1] < CONVERGED else "not settled"
+    outcome = "converged" if costs[-1] < CONVERGED else "not converged"
     return Trace(
         "M" + "L".join(f"{x:g} {y:g}" for x, y in points),
         dots,
         _height(CONVERGED),
-        f"Largest cost between two clips from {costs[0]:.3f} to {costs[-1]:.4f} in {len(costs) - 1} rounds: {settled}",
+        f"Largest cost between two clips from {costs[0]:.3f} to {costs[-1]:.4f} in {len(costs) - 1} rounds: {outcome}",
     )
 
 

@@ -46,7 +46,7 @@ def test_the_convergence_of_learning_and_remarks_on_clips_are_shown() -> None:
     assert text.count("clips far from all others: c2 (cost 0.3)") == 2  # beside the template, and among the remarks
     assert "from kick.yaml" in text
     assert page.count('class="soft trace"') == 1
-    assert "Largest cost between two clips from 0.100 to 0.0040 in 1 rounds: settled" in page
+    assert "Largest cost between two clips from 0.100 to 0.0040 in 1 rounds: converged" in page
 
 
 def test_a_page_needs_nothing_but_itself() -> None:

@@ -82,7 +82,7 @@ def test_takes_laid_end_to_end_move_one_after_the_other(store: Store) -> None:
 
 
 def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
-    with pytest.raises(KinedexError, match="embed: no timeline is of a take 'nobody'"):
+    with pytest.raises(KinedexError, match="embed: no take with a timeline is named 'nobody'"):
         embed(store, ["somebody"], ["nobody"])
 
 

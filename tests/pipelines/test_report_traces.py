@@ -1,4 +1,4 @@
-"""The plot of how learning settled."""
+"""The plot of the convergence of template learning."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def test_a_trace_falls_from_left_to_right_and_ends_below_the_threshold():
     assert list(ys) == sorted(ys)  # down the screen
     assert ys[1] < found.threshold < ys[2]
     assert tips[0] == "before the first round: 0.1000"
-    assert found.description.endswith("in 2 rounds: settled")
+    assert found.description.endswith("in 2 rounds: converged")
 
 
 @pytest.mark.parametrize("costs", [(5.0, 0.0), (0.5, 0.5, 0.5), (1e-9, 0.0)])

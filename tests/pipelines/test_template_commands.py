@@ -120,7 +120,7 @@ def test_a_store_without_templates_says_so(tmp_path: Path):
 
 def test_a_folder_that_is_not_there_is_named_and_no_other_file(store: Path, tmp_path: Path):
     said = run("from-clip", store, "ann_kick_002", "-o", tmp_path / "nodir" / "ann_kick_002.csv", code=1)
-    assert "there is no folder" in said
+    assert "does not exist; create it" in said
     assert "mkdir -p" in said
     assert ".ann_kick_002" not in said
 
