@@ -46,6 +46,7 @@ FIELD_TERMS = {
     "timing": "a noun",
     "training": "the clips that are learned from",
     "warping": "dynamic time warping",
+    "wording": "a noun: counts and names in words",
     "annotating": "what the benchmark times: labels for takes",
 }
 """Names ending in -ing that are terms of the field, each with its reason."""
