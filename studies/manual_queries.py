@@ -20,7 +20,6 @@ import numpy as np
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
-from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.words import TakeWords, cut
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.store.store import Store, open_store
@@ -56,16 +55,16 @@ JOINED: dict[str, tuple[tuple[str, ...], float]] = {
 WITHIN = "2 s"
 
 
-def joined(queries: Sequence[KeyframeQuery], feature_set: FeatureSet) -> list[KeyframeQuery]:
-    """Return the queries of Table 3.3 whose parts are all there."""
+def joined(file: Path, queries: Sequence[KeyframeQuery]) -> str:
+    """Return a query file with the queries of Table 3.3 whose parts are all in another file."""
     known = {query.name for query in queries}
-    lines = []
+    lines = [f"# Table 3.3 of the thesis: queries of {file} joined, at most {WITHIN} apart."]
     for name, (parts, _) in JOINED.items():
         if known.issuperset(parts):
-            steps = ", ".join([parts[0], *(f"{{then: {part}, within: {WITHIN}}}" for part in parts[1:])])
-            lines.append(f"{name}: {{sequence: [{steps}]}}")
-    text = write_queries(queries, feature_set) + "\n".join(lines) + "\n"
-    return [query for query in parse_queries(text, feature_set, "Table 3.3") if query.name in JOINED]
+            first, *others = [f"{{file: '{file.resolve()}', query: {part}}}" for part in parts]
+            steps = [first, *(f"{{then: {one}, within: {WITHIN}}}" for one in others)]
+            lines += [f"{name}:", "  sequence:", *(f"    - {step}" for step in steps)]
+    return "\n".join(lines) + "\n"
 
 
 def list_lengths(query: KeyframeQuery, words: TakeWords, feature_set: FeatureSet) -> int:
@@ -103,16 +102,17 @@ def main() -> None:
     """Print both tables as Markdown."""
     parser = argparse.ArgumentParser(prog="python -m studies.manual_queries", description=__doc__)
     parser.add_argument("store", type=Path, help="a store whose index is built")
-    parser.add_argument("queries", help="a file of keyframe queries")
+    parser.add_argument("queries", type=Path, help="a file of keyframe queries")
     parser.add_argument("--all", action="store_true", help="all queries, not only those of the eleven classes")
     parser.add_argument("--output", type=Path, help="write the joined queries into this file")
     given = parser.parse_args()
     store = open_store(given.store)
     queries = read_queries(given.queries, store.feature_set)
     words = store.words()
-    combined = joined(queries, store.feature_set)
+    text = joined(given.queries, queries)
     if given.output:
-        given.output.write_text(write_queries(combined, store.feature_set), encoding="utf-8")
+        given.output.write_text(text, encoding="utf-8")
+    combined = parse_queries(text, store.feature_set, "Table 3.3")
     print(f"{len(words)} takes, {len(words.words) / 1800:.1f} minutes\n")
     for title, chosen in (("Table 3.2", queries), ("Table 3.3", combined)):
         print(f"| {title} | K | average σ | Σ l_v | ms | frames kept | printed (all of HDM05) |\n|---|" + "--:|" * 6)

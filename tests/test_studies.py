@@ -9,9 +9,12 @@ import polars as pl
 import pytest
 import yaml
 
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
+from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline
-from studies import few_clips
+from studies import few_clips, manual_queries, stiffness
 from studies.bandai import NONE, confusions, draw, summary, winner
 from studies.cross_studio import begin_of, contributions
 from studies.long_archive import METHODS, stages
@@ -107,3 +110,21 @@ def test_few_clips_are_of_two_people_where_the_class_has_two(count: int) -> None
         assert few_clips.draw(clips, count, seed) == names
     assert sorted(few_clips.draw(clips, None, 0)) == sorted(clips["name"])
     assert len(few_clips.draw(clips, 1, 0)) == 3
+
+
+def test_the_queries_of_table_3_3_are_joined_from_another_file(tmp_path: Path) -> None:
+    features = load_feature_set()
+    parts = sorted({part for names, _ in manual_queries.JOINED.values() for part in names})
+    file = tmp_path / "parts.yaml"
+    file.write_text("".join(f"{part}: {{keyframes: [{{on: [rknee_bent]}}]}}\n" for part in parts), encoding="utf-8")
+    text = manual_queries.joined(file, read_queries(file, features))
+    found = {query.name: len(query.keyframes) for query in parse_queries(text, features)}
+    assert found == {name: len(names) for name, (names, _) in manual_queries.JOINED.items()}
+
+
+def test_the_histogram_of_stiffness_counts_parts_of_one_keyframe_apart() -> None:
+    gaps = (SAME_FRAME, Gap.of_distance(8, 0.5))
+    query = KeyframeQuery("q", "q", tuple(Keyframe("lower", 1, 1) for _ in range(3)), gaps)
+    assert stiffness.stiffness_values([query]) == [1.0, 0.5]
+    assert stiffness.stiffness_values([query], same_frame=False) == [0.5]
+    assert "| 0.5 | 1 | 50.0% |" in stiffness.histogram([1.0, 0.5])
