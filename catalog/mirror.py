@@ -1,4 +1,4 @@
-"""Left and right: which features change places when a body is seen in a mirror, and queries of the other side.
+"""Mirrored queries: the same motion of the other side of the body.
 
 The pairs are those of the feature set (`mirror` of its file). For the 40 features of body40 a mirrored query finds
 exactly the mirrored motion on a body that is symmetric in frame 0 (some thresholds are multiples of a right limb for
@@ -15,16 +15,23 @@ from kinedex.ops.errors import KinedexError
 
 
 def mirrored(query: KeyframeQuery, feature_set: FeatureSet) -> KeyframeQuery:
-    """The query for the same motion of the other side; mirrored twice, it is the query again.
+    """Return the query for the same motion of the other side; mirrored twice, it is the query again.
+
+    Parameters
+    ----------
+    query : KeyframeQuery
+        A query over the feature set.
+    feature_set : FeatureSet
+        The features, with their pairs of left and right.
 
     Raises
     ------
-    KinedexError: the feature set names no pairs of left and right, or a feature and its twin lie in different sets, so
-        that a word has no mirror image.
+    KinedexError
+        If the feature set names no pairs of left and right, or a feature and its mirror image lie in different sets.
     """
     if not feature_set.mirror:
         raise KinedexError(
-            f"feature set '{feature_set.name}' does not say which features are left and right, so a query "
+            f"feature set '{feature_set.name}' does not define which features are left and right, so a query "
             "cannot be mirrored; add `mirror: [[1, 2], …]`, pairs of feature numbers, to its file"
         )
     keyframes = tuple(_mirrored(keyframe, feature_set) for keyframe in query.keyframes)
@@ -33,15 +40,16 @@ def mirrored(query: KeyframeQuery, feature_set: FeatureSet) -> KeyframeQuery:
 
 
 def _mirrored(keyframe: Keyframe, feature_set: FeatureSet) -> Keyframe:
-    home = feature_set.word_set(keyframe.set)
+    """Return a keyframe in which left and right have changed places."""
+    word_set = feature_set.word_set(keyframe.set)
     mask = value = 0
-    for number in home.numbers:
-        bit = 1 << (number - home.first)
+    for number in word_set.numbers:
+        bit = 1 << (number - word_set.first)
         if keyframe.mask & bit:
             other = feature_set.mirrored_number(number)
-            if other not in home.numbers:
+            if other not in word_set.numbers:
                 raise KinedexError(f"F{number} and its mirror image F{other} lie in different feature sets")
-            twin = 1 << (other - home.first)
-            mask |= twin
-            value |= twin * bool(keyframe.value & bit)
+            image = 1 << (other - word_set.first)
+            mask |= image
+            value |= image * bool(keyframe.value & bit)
     return replace(keyframe, mask=mask, value=value)

@@ -1,4 +1,4 @@
-"""How gaps between keyframes are written: as short texts ("within 2 s") or as mappings, in frames or seconds."""
+"""Gaps between keyframes as query files write them: short texts ("within 2 s") or mappings, in frames or seconds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FORMS = (
     '"within 2 s", "0.5 s to 2 s", "5 to 12 frames", "at least 1 s", "exactly 3 frames", "0.5 s ± 0.2 s", '
     '"0.5 s, stiffness 0.6", "any time", "same frame"'
 )
-"""The texts that are understood, by example."""
+"""Examples of the texts that are understood."""
 
 UNITS = "ms, s, min, h or frames, also written out"
 """The units of time in these texts."""
@@ -60,12 +60,19 @@ def read_gap(located: Located, written: Any, rate_hz: float, *key: str | int) ->
 
     Parameters
     ----------
-    located: the file, for errors. written: what stands there, a text or a mapping. rate_hz: frames a second.
-    key: where it stands.
+    located : Located
+        The file, for errors.
+    written : str or dict
+        The gap as the file writes it.
+    rate_hz : float
+        Frames per second.
+    *key : str or int
+        The key of the gap in the file.
 
     Raises
     ------
-    ConfigError: it is no gap, or one that holds no whole number of frames.
+    ConfigError
+        If it is no gap, or holds no whole number of frames.
     """
     if isinstance(written, str):
         return _from_text(located, written, rate_hz, *key)
@@ -75,6 +82,7 @@ def read_gap(located: Located, written: Any, rate_hz: float, *key: str | int) ->
 
 
 def _from_text(located: Located, text: str, rate_hz: float, *key: str | int) -> Gap:
+    """Read a gap written as a text."""
     words = " ".join(text.lower().split())
     found = ((kind, match) for kind, form in _TEXTS.items() if (match := form.fullmatch(words)))
     kind, match = next(found, (None, None))
@@ -105,11 +113,12 @@ def _from_text(located: Located, text: str, rate_hz: float, *key: str | int) -> 
 
 
 def _frames_in(unit: str, rate_hz: float) -> float:
-    """The frames of one unit of time."""
+    """Return the number of frames of a unit of time."""
     return next((seconds * rate_hz for form, seconds in _SECONDS.items() if re.fullmatch(form, unit)), 1.0)
 
 
 def _from_mapping(located: Located, entry: GapEntry, rate_hz: float, *key: str | int) -> Gap:
+    """Read a gap written as a mapping."""
     kinds = [kind for kind in ("frames", "seconds", "range", "seconds_range") if getattr(entry, kind) is not None]
     if len(kinds) != 1:
         got = " and ".join(kinds) or "none of them"
@@ -131,6 +140,7 @@ def _from_mapping(located: Located, entry: GapEntry, rate_hz: float, *key: str |
 
 
 def _from_distance(located: Located, entry: GapEntry, rate_hz: float, *key: str | int) -> Gap:
+    """Read a gap written as a distance with a stiffness or a tolerance."""
     unit = 1.0 if entry.frames is not None else rate_hz
     middle = float(entry.frames) if entry.frames is not None else (entry.seconds or 0.0) * rate_hz
     if (entry.stiffness is None) == (entry.tolerance is None):
@@ -149,10 +159,9 @@ def _from_distance(located: Located, entry: GapEntry, rate_hz: float, *key: str 
 
 
 def _range(located: Located, low: float, high: float, written: str, *key: str | int) -> Gap:
+    """Return the gap of the whole frames in a range."""
     if low > high:
-        raise located.error(
-            f"must have low <= high: the first time must not be more than the second, got {written}", *key
-        )
+        raise located.error(f"must have low <= high: the first time must not exceed the second, got {written}", *key)
     least = math.ceil(low)
     most = UNBOUNDED if high >= UNBOUNDED else math.floor(high)
     if not 0 <= least <= most or least > UNBOUNDED:

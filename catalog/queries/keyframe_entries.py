@@ -1,4 +1,4 @@
-"""A chain of keyframes as a query file writes it: poses by feature names or patterns, and the gaps between them."""
+"""Chains of keyframes as query files write them: poses by feature names or patterns, and the gaps between them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,22 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.search.gaps import UNBOUNDED
 
 _SHORTER_PATTERNS = {"mix": 13}
-"""Sets whose patterns may end before the last feature, as the papers' do: F40 came to mix later."""
+"""Sets whose patterns may be shorter, and their length in the papers: F40 was added to mix later."""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Keyframes, the gaps between them, and their template columns where the file gives them."""
+    """A chain of keyframes of a query file.
+
+    Parameters
+    ----------
+    keyframes : tuple of Keyframe
+        The keyframes.
+    gaps : tuple of Gap
+        The gaps between them.
+    positions : tuple of int or None
+        Their template columns, where the file gives them.
+    """
 
     keyframes: tuple[Keyframe, ...]
     gaps: tuple[Gap, ...]
@@ -54,7 +64,7 @@ class _KeyframeEntry(BaseModel):
 
 
 class ChainEntry(BaseModel):
-    """The part of a query's entry that says its keyframes."""
+    """The part of a query's entry that describes its keyframes."""
 
     model_config = ConfigDict(extra="forbid")
     keyframes: list[_KeyframeEntry] | None = Field(default=None, min_length=1)
@@ -65,7 +75,7 @@ class ChainEntry(BaseModel):
 
 
 def refuse_unknown_keys(located: Located, body: dict[Any, Any], model: type[BaseModel], *key: str | int) -> None:
-    """A misspelt key is told as such, before the key that it was meant to be is missed."""
+    """Raise an error for a misspelt key, before the key that was meant is reported as missing."""
     parts: list[tuple[Any, type[BaseModel], tuple[str | int, ...]]] = [(body, model, key)]
     inner: dict[str, type[BaseModel]] = {"keyframes": _KeyframeEntry, "gaps": GapEntry}
     for name, of in inner.items():
@@ -83,12 +93,21 @@ def read_chain(located: Located, entry: ChainEntry, feature_set: FeatureSet, rat
 
     Parameters
     ----------
-    located: the file, for errors. entry: what stands at `key`. feature_set: the features that it speaks of.
-    rate_hz: the analysis rate, by which seconds become frames.
+    located : Located
+        The file, for errors.
+    entry : ChainEntry
+        The entry of the query.
+    feature_set : FeatureSet
+        The features of the keyframes.
+    rate_hz : float
+        The analysis rate, by which seconds become frames.
+    *key : str or int
+        The key of the entry in the file.
 
     Raises
     ------
-    ConfigError: the first fault, with its line, what was expected, and the nearest valid name.
+    ConfigError
+        At the first fault, with its line, what was expected, and the nearest valid name.
     """
     written = entry.keyframes or []
     gaps = _gaps(located, entry, rate_hz, *key)
@@ -119,18 +138,19 @@ def read_chain(located: Located, entry: ChainEntry, feature_set: FeatureSet, rat
 
 
 def _gaps(located: Located, entry: ChainEntry, rate_hz: float, *key: str | int) -> list[Gap]:
+    """Read the gaps of a query, in any of the ways to write them."""
     frames = entry.keyframes or []
-    told = [i for i, frame in enumerate(frames) if frame.after is not None]
-    if told:
+    with_gap = [i for i, frame in enumerate(frames) if frame.after is not None]
+    if with_gap:
         apart = next((name for name in ("gaps", "distances", "stiffness") if getattr(entry, name) is not None), None)
         if apart is not None:
-            raise located.error("the keyframes say their gaps themselves, by `after`", *key, apart)
-        if told[0] == 0:
+            raise located.error("the keyframes have gaps of their own, as `after`", *key, apart)
+        if with_gap[0] == 0:
             raise located.error("no keyframe comes before the first", *key, "keyframes", 0, "after")
-        lacking = next((i for i in range(1, len(frames)) if i not in told), None)
+        lacking = next((i for i in range(1, len(frames)) if i not in with_gap), None)
         if lacking is not None:
-            raise located.error("say `after` which gap this keyframe follows, as others do", *key, "keyframes", lacking)
-        return [read_gap(located, frames[i].after, rate_hz, *key, "keyframes", i, "after") for i in told]
+            raise located.error("needs a gap as `after`, since other keyframes have one", *key, "keyframes", lacking)
+        return [read_gap(located, frames[i].after, rate_hz, *key, "keyframes", i, "after") for i in with_gap]
     if entry.gaps is not None:
         if entry.distances is not None or entry.stiffness is not None:
             raise located.error("give either `gaps` or `distances` with `stiffness`", *key, "gaps")
@@ -144,15 +164,16 @@ def _gaps(located: Located, entry: ChainEntry, rate_hz: float, *key: str | int) 
 
 
 def _keyframe(located: Located, entry: _KeyframeEntry, feature_set: FeatureSet, *key: str | int) -> list[Keyframe]:
+    """Read a keyframe; features of several sets make several keyframes, which share a frame."""
     if entry.set is not None and entry.feature_set is not None:
-        raise located.error("give either `set` or `feature_set`, they mean the same", *key)
+        raise located.error("give either `set` or `feature_set`; they mean the same", *key)
     set_key = "set" if entry.set is not None else "feature_set"
     set_name = entry.set if entry.set is not None else entry.feature_set
     if entry.pattern is not None:
         if entry.on is not None or entry.off is not None:
             raise located.error("give either a pattern or features that are `on` and `off`", *key)
         if set_name is None:
-            raise located.error("a pattern needs the `set` whose features it is about", *key)
+            raise located.error("a pattern needs the `set` of its features", *key)
         if set_name not in feature_set.sets:
             raise located.error(f"no such feature set{did_you_mean(set_name, feature_set.sets)}", *key, set_key)
         return [_from_pattern(located, entry.pattern, feature_set.sets[set_name], *key, "pattern")]
@@ -162,6 +183,7 @@ def _keyframe(located: Located, entry: _KeyframeEntry, feature_set: FeatureSet, 
 
 
 def _from_pattern(located: Located, pattern: str, word_set: WordSet, *key: str | int) -> Keyframe:
+    """Read a keyframe written as a pattern."""
     lengths = {word_set.count, _SHORTER_PATTERNS.get(word_set.name, word_set.count)}
     if len(pattern) not in lengths:
         expected = " or ".join(str(length) for length in sorted(lengths))
@@ -178,6 +200,7 @@ def _from_pattern(located: Located, pattern: str, word_set: WordSet, *key: str |
 
 
 def _from_names(located: Located, entry: _KeyframeEntry, feature_set: FeatureSet, *key: str | int) -> list[Keyframe]:
+    """Read a keyframe written with the names of features."""
     masks = dict.fromkeys(feature_set.sets, 0)
     values = dict.fromkeys(feature_set.sets, 0)
     for switch, names in (("on", entry.on or []), ("off", entry.off or [])):
@@ -189,7 +212,7 @@ def _from_names(located: Located, entry: _KeyframeEntry, feature_set: FeatureSet
             word_set = feature_set.set_of(feature.number)
             bit = 1 << (feature.number - word_set.first)
             if masks[word_set.name] & bit:
-                raise located.error(f"the feature '{feature.name}' stands twice in this keyframe", *key, switch, i)
+                raise located.error(f"the feature '{feature.name}' occurs twice in this keyframe", *key, switch, i)
             masks[word_set.name] |= bit
             values[word_set.name] |= bit * (switch == "on")
     found = [Keyframe(name, mask, values[name]) for name, mask in masks.items() if mask]

@@ -12,7 +12,17 @@ from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A pose in one feature set: every word of the set with `word & mask == value`; its name is for people alone."""
+    """A pose in one feature set, which stands for every word of the set with ``word & mask == value``.
+
+    Parameters
+    ----------
+    set : str
+        The name of the feature set.
+    mask, value : int
+        Bits of the set, the lowest feature first; bits outside the mask are wildcards.
+    name : str
+        A name for people, which does not count in comparisons.
+    """
 
     set: str
     mask: int
@@ -26,9 +36,16 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class Gap:
-    """How many frames may lie between two keyframes, both ends included (thesis, Eq. 4.4).
+    """The admissible number of frames between two keyframes (thesis, Eq. 4.3 and 4.4).
 
-    distance and stiffness are what the gap was written as, or None where it was written as a range.
+    Parameters
+    ----------
+    low, high : int
+        The range, both ends included; `UNBOUNDED` is no upper bound.
+    distance : int or None
+        The distance that the gap was written as, or None where it was written as a range.
+    stiffness : float or None
+        The stiffness that it was written as.
     """
 
     low: int
@@ -42,28 +59,45 @@ class Gap:
 
     @classmethod
     def of_distance(cls, distance: int, stiffness: float) -> Gap:
-        """The gap of a distance in frames and a stiffness (Eq. 4.5 and 4.6)."""
+        """Return the gap of a distance in frames and a stiffness (thesis, Eq. 4.5 and 4.6)."""
         return cls(*gap_bounds(distance, stiffness), distance, float(stiffness))
 
     @property
     def nominal_stiffness(self) -> float:
-        """The stiffness as written, else the one that the range stands for (Eq. 4.7)."""
+        """The stiffness as written, else that of the range (thesis, Eq. 4.7)."""
         return nominal_gap(self.low, self.high)[1] if self.stiffness is None else self.stiffness
 
 
 SAME_FRAME = Gap.of_distance(0, 1.0)
-"""The gap between the parts of a keyframe whose features lie in several sets: no frame at all, so nothing is lost."""
+"""The gap between the parts of a keyframe whose features lie in several sets: they share a frame."""
 
 
 @dataclass(frozen=True)
 class KeyframeQuery:
-    """K keyframes and K − 1 gaps; `target` is the class or subclass whose motions it preselects.
+    """A keyframe query in bits and frames (thesis, Section 3.4): K keyframes and K - 1 gaps, and alternatives.
 
-    positions: for each keyframe the template column it stands for, or None where that is left to the template.
-    margins: how many frames before and after a hit the motion may reach, or None where positions and template say it.
-    takes: a SQL filter over the takes that are searched, or None for all. alternatives: further chains of keyframes,
-    without alternatives of their own, whose hits are hits of this query as well. takes_at: the file and line where
-    `takes` stands, for errors alone.
+    Parameters
+    ----------
+    name : str
+        The name of the query.
+    target : str
+        The class or subclass whose motions the query preselects.
+    keyframes : tuple of Keyframe
+        The K keyframes of the first chain.
+    gaps : tuple of Gap
+        The K - 1 gaps between them.
+    positions : tuple of int or None
+        The template column of each keyframe, or None where those that fit the template best are taken.
+    description : str
+        A text for people.
+    takes : str or None
+        A SQL filter over the takes that are searched, or None for all takes.
+    margins : (int, int) or None
+        The frames before and after a hit that the motion may reach, or None where they follow from the template.
+    alternatives : tuple of KeyframeQuery
+        Further chains of keyframes, without alternatives of their own, whose hits are hits of this query as well.
+    takes_at : str
+        The file and line of `takes`, for errors alone.
     """
 
     name: str
@@ -91,26 +125,34 @@ class KeyframeQuery:
 
     @property
     def chains(self) -> tuple[KeyframeQuery, ...]:
-        """The query without its alternatives, and these: what is searched one by one, and united."""
+        """The query without its alternatives, followed by these; each is searched alone, and the hits are united."""
         return (replace(self, alternatives=()), *self.alternatives) if self.alternatives else (self,)
 
     @property
     def bounds(self) -> list[tuple[int, int]]:
-        """The gaps as the search takes them."""
+        """The gaps as pairs (low, high), as searches expect them."""
         return [(gap.low, gap.high) for gap in self.gaps]
 
     @property
     def least_stiffness(self) -> float:
-        """The smallest stiffness of all gaps; 0 where all share a frame, which says nothing of the tempo."""
+        """The smallest stiffness of all gaps; 0 where all keyframes share a frame, so that the tempo is unknown."""
         return min((gap.nominal_stiffness for gap in self.gaps if gap != SAME_FRAME), default=0.0)
 
 
 def choose_queries(queries: Sequence[KeyframeQuery], names: Sequence[str]) -> tuple[KeyframeQuery, ...]:
-    """Pick queries by name, in the order asked for; all of them where no name is given.
+    """Choose queries by name.
+
+    Parameters
+    ----------
+    queries : sequence of KeyframeQuery
+        The queries to choose from.
+    names : sequence of str
+        The names, in the order of the result; all queries are returned where there are none.
 
     Raises
     ------
-    KinedexError: no query of that name; the message names the nearest.
+    KinedexError
+        If no query has one of the names; the message gives the nearest.
     """
     by_name = {query.name: query for query in queries}
     for name in names:
@@ -121,7 +163,15 @@ def choose_queries(queries: Sequence[KeyframeQuery], names: Sequence[str]) -> tu
 
 @dataclass(frozen=True)
 class WordPattern:
-    """One chain of keyframes in bits of whole words: `masks`, `values`, and the gaps (low, high) between them."""
+    """One chain of keyframes in bits of whole words.
+
+    Parameters
+    ----------
+    masks, values : tuple of int
+        K keyframes.
+    gaps : tuple of (int, int)
+        The K - 1 gaps (low, high) between them, in frames.
+    """
 
     masks: tuple[int, ...]
     values: tuple[int, ...]
@@ -129,11 +179,19 @@ class WordPattern:
 
 
 def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
-    """Write a chain in bits of whole words; keyframes of several sets on the same frame become one.
+    """Return a chain in bits of whole words; keyframes of several sets on the same frame become one.
+
+    Parameters
+    ----------
+    chain : KeyframeQuery
+        A query, whose alternatives are ignored.
+    feature_set : FeatureSet
+        The features of the words.
 
     Raises
     ------
-    KinedexError: a set that the feature set does not have; the message names the nearest.
+    KinedexError
+        If a keyframe is over a set that the feature set does not have; the message gives the nearest.
     """
     masks: list[int] = []
     values: list[int] = []
@@ -143,7 +201,7 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
         mask, value = keyframe.mask << shift, keyframe.value << shift
         if number:
             gap = chain.gaps[number - 1]
-            # where both ask for a feature, they may ask for different things, which no frame meets
+            # where both fix a feature, they may fix it to different values, which no frame meets
             if gap.high == 0 and not masks[-1] & mask:
                 masks[-1] |= mask
                 values[-1] |= value
@@ -155,7 +213,7 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
 
 
 def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str], list[str]]:
-    """The names of the features that a keyframe wants on, and of those it wants off."""
+    """Return the names of the features that a keyframe asks to be on, and of those that it asks to be off."""
     on: list[str] = []
     off: list[str] = []
     for number in feature_set.word_set(keyframe.set).numbers:
@@ -166,13 +224,13 @@ def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str],
 
 
 def words_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
-    """The keyframe in words: the features that it wants on, by name, and those that it wants off after a "not"."""
+    """Return a keyframe in words: the names of the features that it asks to be on, and of the others after a "not"."""
     on, off = features_of(keyframe, feature_set)
     return ", ".join([*on, *(f"not {name}" for name in off)])
 
 
 def pattern_of(keyframe: Keyframe, feature_set: FeatureSet) -> str:
-    """The keyframe as the papers write it: 0, 1 or * for each feature of its set, the lowest first."""
+    """Return a keyframe as the papers write it: 0, 1 or * for each feature of its set, the lowest first."""
     count = feature_set.word_set(keyframe.set).count
     letters = ("*" if not keyframe.mask >> i & 1 else str(keyframe.value >> i & 1) for i in range(count))
     return "".join(letters)

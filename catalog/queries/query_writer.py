@@ -19,17 +19,21 @@ def write_queries(queries: Iterable[KeyframeQuery], feature_set: FeatureSet) -> 
 
     Parameters
     ----------
-    queries: queries over the sets of `feature_set`, of different names.
-    feature_set: the features whose names are written.
+    queries : iterable of KeyframeQuery
+        Queries over the sets of the feature set, of different names.
+    feature_set : FeatureSet
+        The features whose names are written.
 
     Returns
     -------
-    The text of a query file.
+    str
+        The text of a query file.
     """
     return "\n".join(_written(query, feature_set) for query in queries) or "{}\n"
 
 
 def _written(query: KeyframeQuery, feature_set: FeatureSet) -> str:
+    """Return the entry of one query."""
     lines = [f"{scalar(query.name)}:"]
     if query.description:
         lines.append(f"  description: {scalar(query.description)}")
@@ -50,7 +54,8 @@ def _written(query: KeyframeQuery, feature_set: FeatureSet) -> str:
 
 
 def _chain(query: KeyframeQuery, feature_set: FeatureSet) -> list[str]:
-    groups = frames_shared(query, feature_set)
+    """Return the lines of the keyframes, gaps and positions of a query without its alternatives."""
+    groups = pose_groups(query, feature_set)
     lines = ["keyframes:"]
     lines += [f"  - {_keyframe_text([query.keyframes[i] for i in group], feature_set)}" for group in groups]
     if len(groups) > 1:
@@ -61,8 +66,8 @@ def _chain(query: KeyframeQuery, feature_set: FeatureSet) -> list[str]:
     return lines
 
 
-def frames_shared(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[int]]:
-    """Return the places of the keyframes pose by pose; features of several sets are several keyframes of one pose."""
+def pose_groups(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[int]]:
+    """Return the indices of the keyframes of each pose; a pose over several feature sets has several keyframes."""
     order = list(feature_set.sets)
     groups = [[0]]
     for i, (before, here) in enumerate(zip(query.keyframes, query.keyframes[1:], strict=False), start=1):
@@ -81,6 +86,7 @@ def frames_shared(query: KeyframeQuery, feature_set: FeatureSet) -> list[list[in
 
 
 def _keyframe_text(parts: list[Keyframe], feature_set: FeatureSet) -> str:
+    """Return one pose, whose features may lie in several sets."""
     named = f"name: {scalar(parts[0].name)}, " if parts[0].name else ""
     if not parts[0].mask:
         return f'{{{named}set: {scalar(parts[0].set)}, pattern: "{pattern_of(parts[0], feature_set)}"}}'
@@ -100,6 +106,6 @@ def _gap_text(gap: Gap) -> str:
 
 
 def scalar(text: str) -> str:
-    """A text as YAML: plain where it reads back as itself, else in quotes."""
+    """Return a text as YAML: plain where it reads back as itself, else in quotes."""
     plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
     return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

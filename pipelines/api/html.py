@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, features_of
-from kinedex.catalog.queries.query_writer import frames_shared
+from kinedex.catalog.queries.query_writer import pose_groups
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack
@@ -101,7 +101,7 @@ def query_html(query: KeyframeQuery, feature_set: FeatureSet) -> str:
     """Return a query as HTML: of every pose the time since the one before, and its features."""
     rows: list[tuple[str, str, str, str]] = []
     for number, chain in enumerate(query.chains):
-        for group in frames_shared(chain, feature_set):
+        for group in pose_groups(chain, feature_set):
             parts = [chain.keyframes[place] for place in group]
             named = [features_of(part, feature_set) for part in parts]
             on, off = ([name for both in named for name in both[side]] for side in (0, 1))

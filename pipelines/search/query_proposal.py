@@ -1,4 +1,4 @@
-"""A keyframe query proposed from an example: YAML with comments that a person edits."""
+"""Keyframe queries proposed from an example, as YAML with comments for people to edit."""
 
 from __future__ import annotations
 
@@ -18,22 +18,32 @@ from kinedex.storage.store.store import Store
 
 
 def propose_query(store: Store, take: str, start: int, stop: int, *, name: str = "proposed", keyframes: int = 3) -> str:
-    """Propose a query that finds what is like an example, from the poses that are rare in the archive.
+    """Propose a query for motions like an example, from the poses by which it stands out from the archive.
 
     Parameters
     ----------
-    store: a store whose index is built; its vocabulary says how rare a pose is.
-    take, start, stop: the example, frames [start, stop) of the take.
-    name: the query's name. keyframes: at most so many.
+    store : Store
+        A store whose index is built; its vocabulary gives the share of frames of a pose.
+    take : str
+        The name of the take that holds the example.
+    start, stop : int
+        The frames [start, stop) of the example.
+    name : str
+        The name of the query.
+    keyframes : int
+        The largest number of keyframes.
 
     Returns
     -------
-    The text of a query file with one query, which finds the example itself.
+    str
+        The text of a query file with one query, which finds the example itself.
 
     Raises
     ------
-    StoreError: no take of that name, or no index. KinedexError: a range that is not inside the take, or without a
-    valid frame.
+    StoreError
+        If there is no take of that name, or no index.
+    KinedexError
+        If the range is not inside the take, or has no valid frame.
     """
     store.index_path()
     words: TakeWords = store.words([store.take_id(take)])
@@ -50,8 +60,10 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     body = [f"{scalar(name)}:", f"  description: {scalar(f'like {take}, frames {start} to {stop}')}", "  keyframes:"]
     for number, pose in enumerate(poses):
         at = start + pose.frame
-        body.append(f"    # frame {at} of the take ({at / rate_hz:.2f} s); about {pose.share:.2%} of the archive is so")
-        gap = _gap(pose.frame - poses[number - 1].frame, rate_hz) if number else ""
+        body.append(
+            f"    # frame {at} of the take ({at / rate_hz:.2f} s); matches about {pose.share:.2%} of the archive"
+        )
+        gap = _gap(pose.frame - poses[number - 1].frame) if number else ""
         body.append(f"    - {{{gap}{_switches(pose, feature_set)}}}")
     query = parse_queries("\n".join(body), feature_set, "the proposal", rate_hz)
     hits = search_store(store, query)
@@ -59,10 +71,10 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     total = int(store.takes()["frames"].sum())
     head = [
         f"# Proposed from {stop - start} frames of {_comment(take)}, [{start}, {stop}).",
-        "# Each keyframe fixes the features that set its pose apart from the rest of this archive; whatever it does",
-        "# not name may be on or off. Take features out to find more, add some to find less; `after` is the time since",
-        "# the keyframe before, from half to twice that of the example.",
-        f"# As it stands it finds {counted(hits.num_rows, 'range')} in "
+        "# Each keyframe fixes the features that set its pose apart from the rest of this archive; all others may be",
+        "# on or off. Remove features to find more, add some to find less; `after` is the time since the keyframe",
+        "# before, from half to twice that of the example.",
+        f"# This query finds {counted(hits.num_rows, 'range')} in "
         f"{counted(len(set(hits.column('take').to_pylist())), 'take')}, "
         f"{frames / max(total, 1):.2%} of all frames.",
     ]
@@ -70,33 +82,36 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
 
 
 def _counts(store: Store) -> list[SetCounts]:
-    found = []
+    """Return the frames of each word of each feature set of a store."""
+    counts = []
     for word_set in store.feature_set.sets.values():
         table = store.sql("SELECT word, frames FROM vocabulary WHERE feature_set = ?", [word_set.name])
         frames: I64 = table.column("frames").to_numpy().astype(np.int64)
         words = table.column("word").to_numpy().astype(np.uint64)
-        found.append(SetCounts(word_set.first, word_set.count, words, frames))
-    return found
+        counts.append(SetCounts(word_set.first, word_set.count, words, frames))
+    return counts
 
 
-def _gap(frames: int, rate_hz: float) -> str:
+def _gap(frames: int) -> str:
+    """Return the gap from half to twice a distance."""
     low, high = math.ceil(frames / 2), 2 * frames
     return f"after: {low} to {high} frames, "
 
 
 def _switches(pose: Pose, feature_set: FeatureSet) -> str:
+    """Return the features that a pose fixes, as a query file writes them."""
     names: dict[str, list[str]] = {"on": [], "off": []}
     for feature in feature_set.features:
         bit = 1 << (feature.number - 1)
         if pose.mask & bit:
             names["on" if pose.value & bit else "off"].append(feature.name)
-    told = [f"{word}: [{', '.join(those)}]" for word, those in names.items() if those]
-    if told:
-        return ", ".join(told)
+    switches = [f"{word}: [{', '.join(those)}]" for word, those in names.items() if those]
+    if switches:
+        return ", ".join(switches)
     anything = next(iter(feature_set.sets.values()))
     return f'set: {anything.name}, pattern: "{"*" * anything.count}"'
 
 
 def _comment(text: str) -> str:
-    """A text that cannot end the line of a comment."""
+    """Return a text without characters that would end the line of a comment."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)

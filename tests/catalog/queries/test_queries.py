@@ -1,4 +1,4 @@
-"""Query files: what people may write, what it means, and what they are told when it is wrong."""
+"""Query files: the words that people may write, their meaning, and the errors."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def test_a_filter_over_takes_stays_with_the_query() -> None:
     assert {chain.takes for chain in query.chains} == {"actor = 'bk'"}
 
 
-WRONG_BUILDINGS = [
+WRONG_COMBINATIONS = [
     ("q: {any_of: [kik]}", "no query is named 'kik'; did you mean 'kick'"),
     ("q: {any_of: [q]}", "'q' is made of itself: q → q"),
     ("a: {any_of: [b]}\nb: {sequence: [a]}", "made of itself: a → b → a"),
@@ -219,15 +219,15 @@ WRONG_BUILDINGS = [
     ("q: {sequence: [kick, {then: down, withn: 2 s}]}", "did you mean 'within'"),
     ("f: {takes: x, any_of: [kick]}\nq: {any_of: [f]}", "'f' has a filter `takes`"),
     ("q: {keyframes: [{after: any time, on: [1]}]}", "no keyframe comes before the first"),
-    ("q: {keyframes: [{on: [1]}, {on: [2]}, {after: any time, on: [1]}]}", "say `after`"),
-    ("q: {keyframes: [{on: [1]}, {after: any time, on: [1]}], gaps: [any time]}", "say their gaps themselves"),
+    ("q: {keyframes: [{on: [1]}, {on: [2]}, {after: any time, on: [1]}]}", "needs a gap as `after`"),
+    ("q: {keyframes: [{on: [1]}, {after: any time, on: [1]}], gaps: [any time]}", "have gaps of their own"),
     ("q: {keyframes: [{on: [1]}, {after: soon, on: [1]}]}", "'soon' is no gap"),
     ("q: {keyframes: [{on: [1]}, {after: within 1 day, on: [1]}]}", "; units are ms, s, min, h or frames"),
     (
         "q: {keyframes: [{on: [1]}, {after: 5 to 2 s, on: [1]}]}",
-        "first time must not be more than the second, got '5 to 2 s'",
+        "first time must not exceed the second, got '5 to 2 s'",
     ),
-    ("q: {keyframes: [{on: [1]}, {on: [1]}], gaps: [{seconds_range: [5, 2]}]}", "first time must not be more than"),
+    ("q: {keyframes: [{on: [1]}, {on: [1]}], gaps: [{seconds_range: [5, 2]}]}", "first time must not exceed"),
     ("q: {keyframes: [{on: [1]}, {after: 0.01 to 0.02 s, on: [1]}]}", "whole number of frames"),
     ("q: {keyframes: [{on: [1]}, {after: {seconds: 1, stiffness: 1, tolerance: 1}, on: [1]}]}", "or else its"),
     (
@@ -237,8 +237,8 @@ WRONG_BUILDINGS = [
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), WRONG_BUILDINGS)
-def test_what_is_wrong_with_a_building_is_told_with_its_line(text: str, message: str) -> None:
+@pytest.mark.parametrize(("text", "message"), WRONG_COMBINATIONS)
+def test_a_fault_in_a_combined_query_is_reported_with_its_line(text: str, message: str) -> None:
     with pytest.raises(ConfigError) as fault:
         parse(PARTS + text)
     assert message in str(fault.value)
@@ -380,7 +380,7 @@ def test_the_papers_notation_is_read_as_a_list_and_as_a_mapping() -> None:
 WRONG = [
     ("a:\n  keyframes:\n    - {on: [rkne_bent]}", 3, "did you mean 'rknee_bent'"),
     ("a:\n  keyframes:\n    - {on: [41]}", 3, "F1 to F40"),
-    ("a:\n  keyframes:\n    - {on: [rknee_bent], off: [F20]}", 3, "stands twice"),
+    ("a:\n  keyframes:\n    - {on: [rknee_bent], off: [F20]}", 3, "occurs twice"),
     ("a:\n  keyframes:\n    - {on: []}", 3, "needs a pattern, or features"),
     ("a:\n  keyframes:\n    - {set: lwer, pattern: '1'}", 3, "did you mean 'lower'"),
     ("a:\n  keyframes:\n    - {set: lower, pattern: '1*'}", 3, "12 characters, got 2"),
@@ -423,7 +423,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("text", "line", "message"), WRONG)
-def test_a_wrong_query_is_told_with_its_line_and_the_way_out(text: str, line: int, message: str) -> None:
+def test_a_wrong_query_is_reported_with_its_line_and_the_way_out(text: str, line: int, message: str) -> None:
     with pytest.raises(ConfigError) as fault:
         parse(text)
     assert message in str(fault.value)
