@@ -24,7 +24,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -494,24 +494,25 @@ class Sources:
         """
         head, *rest = chain.split(".")
         if head in local:
-            return self._at(local[head], rest)
+            return self.at(local[head], rest)
         if head in module.definitions:
             return module.name, head
-        return self._at(module.imports[head], rest) if head in module.imports else None
+        return self.at(module.imports[head], rest) if head in module.imports else None
 
-    def _at(self, place: Place, rest: list[str], depth: int = 0) -> Place | None:
+    def at(self, place: Place, rest: Sequence[str] = (), depth: int = 0) -> Place | None:
+        """Return the definition at a place, or at attributes of it; that of another module where it is imported."""
         base, name = place
         module = self.module(base)
         if module is None or depth > 20:
             return None
         if not name:
-            return self._at((base, rest[0]), rest[1:], depth + 1) if rest else (base, "")
+            return self.at((base, rest[0]), rest[1:], depth + 1) if rest else (base, "")
         if name in module.definitions:
             return base, name
         if name in module.imports and module.imports[name] != place:
-            return self._at(module.imports[name], rest, depth + 1)
+            return self.at(module.imports[name], rest, depth + 1)
         inner = f"{base}.{name}"
-        return (base, "") if self.module(inner) is None else self._at((inner, ""), rest, depth + 1)
+        return (base, "") if self.module(inner) is None else self.at((inner, ""), rest, depth + 1)
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -535,8 +536,7 @@ class _Reach:
         self._unused: dict[str, list[Place]] = {}
         self._imported: set[str] = set()
         for place in roots:
-            self._reach(place)
-            self._keep_methods(place, inherited=True)
+            self._reach_whole(place)
         while self._queue:
             self._follow(*self._queue.pop())
 
@@ -563,6 +563,13 @@ class _Reach:
                     self._reach((name, f"{definition}.{method}"))
                 else:
                     self._unused.setdefault(method, []).append((name, f"{definition}.{method}"))
+
+    def _reach_whole(self, place: Place) -> None:
+        """Reach what a place holds, of a class all methods: it is called from where no name can be followed."""
+        found = self._sources.at(place)
+        if found is not None:
+            self._reach(found)
+            self._keep_methods(found, inherited=True)
 
     def _keep_methods(self, place: Place, *, inherited: bool = False) -> None:
         """Reach all methods of a class, and those of its bases if asked for."""
@@ -599,9 +606,7 @@ class _Reach:
             if found is not None:
                 self._reach(found)
         for place in code.declared:
-            if self._sources.module(place[0]) is not None:
-                self._reach(place)
-                self._keep_methods(place, inherited=True)
+            self._reach_whole(place)
         for attribute in code.attributes - self._used:
             self._used.add(attribute)
             for place in self._unused.pop(attribute, ()):
