@@ -2,4 +2,5 @@
 
 from kinedex.pipelines.commands.cli import main
 
-main()
+if __name__ == "__main__":  # worker processes import this module where the system cannot fork
+    main()

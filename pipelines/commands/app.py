@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import inspect
 import json
@@ -182,11 +183,11 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             message = "stopped; the same command continues where it was"
             print_error(message, "KeyboardInterrupt", INTERRUPTED, as_json)
             raise typer.Exit(INTERRUPTED) from None
-        except BrokenPipeError:
-            # The reader of the pipe is gone: nothing can be written to it, not even at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(0) from None
         except OSError as fault:
+            if _is_closed_pipe(fault):
+                # The reader of the pipe is gone: nothing can be written to it, not even at exit.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                raise typer.Exit(0) from None
             message = f"{fault.filename}: {fault.strerror}" if fault.filename else str(fault)
             print_error(message, type(fault).__name__, FAILED, as_json)
         except MemoryError:
@@ -206,6 +207,13 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         **{one.name: one.annotation for one in common},
     }
     return guarded
+
+
+def _is_closed_pipe(fault: OSError) -> bool:
+    """Return whether an error is that of a pipe without a reader, which Windows reports as an invalid argument."""
+    return isinstance(fault, BrokenPipeError) or (
+        os.name == "nt" and fault.errno == errno.EINVAL and fault.filename is None
+    )
 
 
 def print_error(message: str, kind: str, code: int, as_json: bool) -> None:

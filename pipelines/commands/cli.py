@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from io import TextIOWrapper
+
 # Importing a module registers its commands, in the order of the help. They import what they need when they run.
 from kinedex.pipelines.commands import (  # noqa: F401
     keyframes,
@@ -20,7 +23,10 @@ __all__ = ["app", "main"]
 
 
 def main() -> None:
-    """Run the console command `kinedex`."""
+    """Run the console command `kinedex`; its output is UTF-8, on Windows too."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper) and stream.encoding.lower() not in ("utf-8", "utf8"):
+            stream.reconfigure(encoding="utf-8")
     app(prog_name="kinedex")  # whichever file started it
 
 
