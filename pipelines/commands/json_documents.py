@@ -10,6 +10,7 @@ _RUN = {
     "skipped": "names of the stages that were up to date",
     "report": "path of the report, or null",
     "excluded_files": "number of source files that the ingest excluded (exit code 3 where there are any)",
+    "metrics": "rows of the view `metrics` with the scope `pooled`, one for each evaluation",
 }
 
 DOCUMENTS: dict[str, dict[str, str]] = {

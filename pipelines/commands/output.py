@@ -78,6 +78,13 @@ def _form_of(output: Path) -> str:
     return form
 
 
+def _pooled_metrics(outcome: Outcome) -> list[dict[str, object]]:
+    from kinedex.storage.store.store import open_store
+
+    rows = open_store(outcome.store_path).result("metrics", pipeline=outcome.pipeline.name).to_pylist()
+    return [row for row in rows if row["scope"] == "pooled"]
+
+
 def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
     """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` where source files were excluded.
 
@@ -101,6 +108,7 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
                 "skipped": outcome.skipped,
                 "report": outcome.report,
                 "excluded_files": outcome.left_out,
+                "metrics": _pooled_metrics(outcome),
             }
         )
     console = make_console()

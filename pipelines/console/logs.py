@@ -17,6 +17,11 @@ _STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
 """The attributes that every record has; all others are fields that the code which logged has added."""
 
 
+def _is_not_an_event(record: logging.LogRecord) -> bool:
+    """Return whether a record is shown nowhere else: the terminal shows the events of a run, failures included."""
+    return not hasattr(record, "event")
+
+
 class JsonLines(logging.Formatter):
     """Format a record as one line of JSON: time, level, logger, message, and the fields added with `extra=`."""
 
@@ -57,6 +62,8 @@ def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: P
         handler.close()
     shown = logging.StreamHandler(sys.stderr)
     shown.setLevel(logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING)
+    if not verbose:
+        shown.addFilter(_is_not_an_event)
     shown.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s" if verbose else "kinedex: %(message)s"))
     handlers: list[logging.Handler] = [shown]
     if log_file is not None:

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
@@ -157,6 +156,8 @@ def encode(table: pa.Table, form: str) -> bytes:
         If the format is unknown, or Python cannot represent a value.
     """
     if form == "parquet":
+        import pyarrow.parquet as pq
+
         sink = io.BytesIO()
         pq.write_table(table.rename_columns(_distinct(table.column_names)), sink)
         return sink.getvalue()
