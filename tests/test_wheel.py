@@ -1,11 +1,15 @@
-"""A wheel built from the checkout works outside it, with its configuration files."""
+"""A wheel built from the source distribution works outside the checkout, beside modules of the user's own."""
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
+import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,50 +17,167 @@ import pytest
 from tests.pipelines.archives import write_archive
 
 ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("ops", "catalog", "storage", "pipelines", "configs")
+STAND_IN = "WHOSE = 'the ops of PyPI'\n"
+
+pytestmark = pytest.mark.slow
 
 
-@pytest.mark.slow
-def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(tmp_path: Path) -> None:
+@dataclass(frozen=True)
+class Installed:
+    """A folder of packages: kinedex from a wheel, and a stand-in for the distribution `ops` of PyPI."""
+
+    target: Path
+    sdist: Path
+    wheel: Path
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The libraries come from this environment, kinedex itself from the wheel alone.
+
+        Kernels are not compiled: in a new place that would take most of a minute.
+        """
+        path = os.pathsep.join([str(self.target), sysconfig.get_paths()["purelib"]])
+        return os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"}
+
+
+def execute(command: list[str], folder: Path, env: dict[str, str] | None = None) -> str:
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    folder = tmp_path_factory.mktemp("wheel")
+    execute([sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(folder)], ROOT)
+    (sdist,) = folder.glob("kinedex-*.tar.gz")
     pip = [sys.executable, "-m", "pip", "-q"]
-    build = [*pip, "wheel", str(ROOT), "--no-deps", "--no-build-isolation", "-w", str(tmp_path)]
-    subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("kinedex-*.whl")
-    target = tmp_path / "installed"
-    install = [*pip, "install", "--no-deps", "--no-index", "--target", str(target), str(wheel)]
-    subprocess.run(install, check=True, capture_output=True)
-    # The libraries come from this environment, kinedex itself from the wheel alone: a PYTHONPATH entry does not
-    # follow the link that an editable install leaves in its folder.
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(target), sysconfig.get_paths()["purelib"]])}
-    # Compiled again in a new place, the same kernels would take most of a minute; one of them stands for all below.
-    plain = environment | {"NUMBA_DISABLE_JIT": "1"}
+    ops = folder / "stand-in"
+    (ops / "ops").mkdir(parents=True)
+    (ops / "ops" / "__init__.py").write_text(STAND_IN)
+    (ops / "pyproject.toml").write_text(
+        '[build-system]\nrequires = ["hatchling"]\nbuild-backend = "hatchling.build"\n'
+        '[project]\nname = "ops"\nversion = "1.0"\n'
+    )
+    for source in (sdist, ops):
+        execute([*pip, "wheel", str(source), "--no-deps", "--no-build-isolation", "-w", str(folder)], folder)
+    wheels = sorted(folder.glob("*.whl"))
+    target = folder / "installed"
+    execute([*pip, "install", "--no-deps", "--no-index", "--target", str(target), *map(str, wheels)], folder)
+    return Installed(target, sdist, wheels[0])
+
+
+@pytest.fixture
+def beside_own_modules(tmp_path: Path) -> Path:
+    """A user's folder, whose modules have the names of the rooms."""
+    for name in ("ops", "pipelines"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("WHOSE = 'mine'\n")
+    for name in ("storage", "catalog", "configs"):
+        (tmp_path / f"{name}.py").write_text("WHOSE = 'mine'\n")
+    return tmp_path
+
+
+def test_sdist_and_wheel_hold_plain_folders_with_every_file(installed: Installed) -> None:
+    shipped = {
+        f"kinedex/{path.relative_to(ROOT)}"
+        for room in ROOMS
+        for path in (ROOT / room).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    } | {"kinedex/__init__.py", "kinedex/__main__.py", "kinedex/py.typed"}
+    with tarfile.open(installed.sdist) as packed:
+        members = packed.getmembers()
+    assert not [member.name for member in members if member.issym() or member.islnk()]
+    assert shipped - {member.name.split("/", 1)[1] for member in members} == set()
+    with zipfile.ZipFile(installed.wheel) as packed_wheel:
+        names = {name for name in packed_wheel.namelist() if ".dist-info/" not in name}
+    assert names == shipped, "the wheel holds what the checkout has, and nothing beside kinedex"
+
+
+def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(installed: Installed, tmp_path: Path) -> None:
     source = write_archive(tmp_path / "source", {"x_aa_1.amc": 40})
 
-    def run(*words: str, env: dict[str, str] = plain) -> str:
-        command = [sys.executable, "-S", *words]
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+    def run(*words: str, env: dict[str, str] = installed.environment) -> str:
+        return execute([sys.executable, "-S", *words], tmp_path, env)
 
     where = run(
         "-c",
         "import kinedex.catalog.configs as c, kinedex.pipelines as p; print(c.shipped_configs()); print(p.__file__)",
     )
-    assert all(line.startswith(str(target)) for line in where.splitlines())
+    assert all(line.startswith(str(installed.target)) for line in where.splitlines())
     assert "everything" not in run("-m", "kinedex", "ingest", "store", str(source), "--executor", "serial")
     assert run("-m", "kinedex", "sql", "store", "SELECT name FROM takes", "--format", "csv") == "name\nx_aa_1\n"
     settings = ["--set", f"source={source}", "--set", "evaluate.ground_truth=none"]
     assert "learn_templates" in run("-m", "kinedex", "plan", "annotate", "--store", "store", *settings)
     assert "squat" in run("-m", "kinedex", "search", "store", "example", "--explain")
     kernel = "import numpy as np; from kinedex.ops.bits import count_bits; print(count_bits(np.uint64(7)))"
-    assert run("-c", kernel, env=environment) == "3\n"
-    assert list((target / "kinedex" / "ops" / "__pycache__").glob("bits.count_bits*.nbi")), (
+    compiling = {name: value for name, value in installed.environment.items() if name != "NUMBA_DISABLE_JIT"}
+    assert run("-c", kernel, env=compiling) == "3\n"
+    assert list((installed.target / "kinedex" / "ops" / "__pycache__").glob("bits.count_bits*.nbi")), (
         "compiled code is kept where it lies"
     )
-    for room in ("ops", "catalog", "storage", "pipelines", "configs"):
-        shipped = {
-            p.relative_to(ROOT) for p in (ROOT / room).rglob("*") if p.is_file() and "__pycache__" not in p.parts
-        }
-        assert {p for p in shipped if not (target / "kinedex" / p).is_file()} == set()
-    assert (target / "kinedex" / "py.typed").is_file()
-    ours = {path.name for path in target.iterdir() if not path.name.endswith(".dist-info")}
-    assert ours <= {"kinedex", "bin"}, "nothing but kinedex stands in site-packages"
+
+
+def test_the_distribution_ops_of_others_stays_whole(installed: Installed, tmp_path: Path) -> None:
+    assert (installed.target / "ops" / "__init__.py").read_text() == STAND_IN
+    ours = {path.name for path in installed.target.iterdir() if not path.name.endswith(".dist-info")}
+    assert ours <= {"kinedex", "bin", "ops"}, "nothing but kinedex stands in site-packages"
+    code = "import kinedex, ops, kinedex.ops.words as words; print(ops.WHOSE); print(words.__file__)"
+    whose, file = execute([sys.executable, "-c", code], tmp_path, installed.environment).splitlines()
+    assert whose == "the ops of PyPI"
+    assert file.startswith(str(installed.target / "kinedex"))
+
+
+SCRIPT = """
+import shutil
+import sys
+from pathlib import Path
+
+import kinedex
+import storage, catalog, ops, pipelines, configs
+
+if __name__ == "__main__":
+    assert {one.WHOSE for one in (storage, catalog, ops, pipelines, configs)} == {"mine"}
+    from kinedex.pipelines.synth.archive import write_archive
+
+    write_archive("archive", minutes=1, actors=2, jobs=1, clip_minutes=0.8)
+    for folder in Path("archive/clips").iterdir():
+        if folder.is_dir() and folder.name not in ("squat1Reps", "kickLeft1Reps"):
+            shutil.rmtree(folder)  # kernels are not compiled here
+    own = {name: sys.modules.pop(name) for name in ("storage", "catalog", "ops", "pipelines", "configs")}
+    settings = {"source": "archive", "evaluate.unknown_labels": "miss"}
+    kinedex.run_pipeline("annotate", "store", settings, executor="processes", workers=2)
+    assert not own.keys() & sys.modules.keys(), "a room was imported by its bare name"
+    print(len(kinedex.open_store("store")), kinedex.__file__)
+"""
+
+
+def test_a_script_runs_the_demo_beside_modules_named_like_the_rooms(
+    installed: Installed, beside_own_modules: Path
+) -> None:
+    (beside_own_modules / "script.py").write_text(SCRIPT)
+    takes, file = execute([sys.executable, "script.py"], beside_own_modules, installed.environment).split()
+    assert int(takes) > 2
+    assert file.startswith(str(installed.target))
+
+
+def test_a_notebook_runs_beside_modules_named_like_the_rooms(installed: Installed, beside_own_modules: Path) -> None:
+    code = (
+        "import kinedex, storage\n"
+        "print(storage.WHOSE, kinedex.load_feature_set().name, kinedex.Query([{'on': ['rknee_bent']}]))"
+    )
+    cell = {"cell_type": "code", "id": "one", "metadata": {}, "execution_count": None, "outputs": [], "source": code}
+    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    notebook = {"cells": [cell], "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}
+    (beside_own_modules / "cell.ipynb").write_text(json.dumps(notebook))
+    convert = ["-m", "jupyter", "nbconvert", "--to", "markdown", "--stdout", "--execute", "cell.ipynb"]
+    page = execute([sys.executable, *convert], beside_own_modules, installed.environment)
+    assert "mine body40 <Query 'query' of 1 keyframes>" in page
+
+
+def test_the_command_runs_beside_modules_named_like_the_rooms(installed: Installed, beside_own_modules: Path) -> None:
+    command = installed.target / "bin" / ("kinedex.exe" if os.name == "nt" else "kinedex")
+    assert "takes" in execute([str(command), "--help"], beside_own_modules, installed.environment)
+    version = execute([str(command), "version"], beside_own_modules, installed.environment)
+    assert str(installed.target / "kinedex") in version

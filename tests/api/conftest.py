@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,6 +16,13 @@ import kinedex
 from kinedex.pipelines.synth.archive import write_archive
 
 PATIENCE_S = 600
+
+
+def public_members(one: type) -> dict[str, Any]:
+    """The public methods and properties of a class and of its bases in kinedex, and `__getitem__`."""
+    bases = [base for base in reversed(one.__mro__) if base.__module__.startswith("kinedex")]
+    found = {name: value for base in bases for name, value in vars(base).items()}
+    return {name: value for name, value in found.items() if not name.startswith("_") or name == "__getitem__"}
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,6 @@ import pytest
 from numpydoc.validate import validate
 
 import kinedex
-from tests.api.test_doctests import members
 
 IGNORED = {
     "GL01": "summaries stand on the first line, behind the quotes, in the whole project",
@@ -33,7 +32,7 @@ def documented() -> list[str]:
     for name, one in PUBLIC.items():
         found.append(f"kinedex.{name}")
         if inspect.isclass(one) and one.__module__.startswith("kinedex.pipelines.api"):
-            found += [f"kinedex.{name}.{member}" for member in members(one) if not member.startswith("_")]
+            found += [f"kinedex.{name}.{member}" for member in public_members(one)]
     return found
 
 

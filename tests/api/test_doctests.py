@@ -13,6 +13,7 @@ import inspect
 import pytest
 
 import kinedex
+from tests.api.conftest import public_members
 
 PUBLIC = {name: getattr(kinedex, name) for name in kinedex.__all__ if name != "__version__"}
 FINDER = doctest.DocTestFinder(recurse=False)
@@ -29,10 +30,9 @@ def examples() -> list[doctest.DocTest]:
     found = FINDER.find(kinedex, "kinedex", globs={})
     for name, one in PUBLIC.items():
         found += FINDER.find(one, f"kinedex.{name}", globs={})
-        for member, function in members(one).items() if inspect.isclass(one) else ():
+        for member, function in public_members(one).items() if inspect.isclass(one) else ():
             called = function.__func__ if isinstance(function, classmethod) else function
-            if not member.startswith("_") or member in ("__getitem__",):
-                found += FINDER.find(called, f"kinedex.{name}.{member}", globs={})
+            found += FINDER.find(called, f"kinedex.{name}.{member}", globs={})
     return [test for test in found if test.examples]
 
 
