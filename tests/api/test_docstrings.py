@@ -8,6 +8,7 @@ import pytest
 from numpydoc.validate import validate
 
 import kinedex
+from tests.api.conftest import public_members
 
 IGNORED = {
     "GL01": "summaries stand on the first line, behind the quotes, in the whole project",
