@@ -14,7 +14,7 @@ _ONES = np.uint64(0x0101_0101_0101_0101)
 
 @nb.njit(cache=True, nogil=True)
 def count_bits(bits: np.uint64) -> np.int64:
-    """Count the bits that are set, 0 to 64; in the arithmetic that compilers know, and turn into one instruction."""
+    """Count the bits that are set, 0 to 64, in arithmetic that compilers recognise as one instruction."""
     bits = bits - ((bits >> _1) & _ODD)
     bits = (bits & _PAIRS) + ((bits >> _2) & _PAIRS)
     bits = (bits + (bits >> _4)) & _NIBBLES

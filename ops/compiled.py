@@ -1,8 +1,8 @@
-"""Compiled kernels on disk, kept true to the source.
+"""Compiled kernels on disk, kept consistent with the source.
 
 numba keeps compiled kernels beside their files, and compiles one again where its own file has changed. Where another
-file has changed whose kernels it calls, numba does not notice: the old one would go on computing, after an update, say.
-So what was compiled of a file is forgotten when that file, or one that it imports, is not what it was then.
+file has changed whose kernels it calls, numba does not notice, and the old one would go on computing after an update.
+So the compiled kernels of a file are removed when that file, or one that it imports, has changed since.
 """
 
 from __future__ import annotations
@@ -30,12 +30,17 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
 
     Parameters
     ----------
-    package: folder of a package whose modules hold the kernels. name: what its modules are imported by, as in
-        `import name.module`. environment: may say where numba keeps them.
+    package : Path
+        The folder of a package whose modules hold the kernels.
+    name : str
+        The name that its modules are imported by, as in `import name.module`.
+    environment : mapping of str to str
+        Environment variables, which may set where numba keeps kernels.
 
     Returns
     -------
-    The files concerned, relative to the folder. A place that cannot be written is left as it is: nothing is kept there.
+    list of str
+        The files concerned, relative to the folder; none where the place cannot be written: no kernels are kept there.
     """
     place = _place(package, environment)
     if place is None:
@@ -61,7 +66,7 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
 
 
 def _place(package: Path, environment: Mapping[str, str]) -> Callable[[Path], Path] | None:
-    """Where numba keeps what it compiles of a folder's files: as told, beside them, or with the user's things."""
+    """Return where numba keeps the kernels of a folder: as configured, beside the files, or in the user's cache."""
     if environment.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return None
     if given := environment.get("NUMBA_CACHE_DIR"):
@@ -80,7 +85,7 @@ def _below(root: Path, folder: Path) -> Path:
 
 
 def _state(package: Path, former: State) -> State:
-    """The sources as they are; contents are read only where size or time have changed."""
+    """Return the state of the sources; contents are read only where size or time have changed."""
     found: State = {}
     for folder, folders, names in os.walk(package):
         folders[:] = [name for name in folders if name != "__pycache__"]
@@ -94,7 +99,7 @@ def _state(package: Path, former: State) -> State:
 
 
 def _importing(package: Path, name: str, files: Iterable[str], changed: set[str]) -> set[str]:
-    """The changed files, and those that import one of them, also by way of others."""
+    """Return the changed files and those that import one of them, directly or not."""
     imports = {file: _imports(package, name, file) for file in files}
     found, fresh = set(changed), set(changed)
     while fresh:

@@ -1,4 +1,4 @@
-"""The project's errors: one small tree, each saying where, what was expected, and the way out."""
+"""The project's errors: a small tree; each message names the place, what was expected, and the way out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ _LONGEST_MESSAGE = 1500
 class KinedexError(Exception):
     """Anything kinedex refuses to do, with a message that a user can act on.
 
-    way_out: a parameter of the stage that raised it, with a value that lets the same command go on, if there is one.
+    Attributes
+    ----------
+    way_out : (str, str) or None
+        A parameter of the stage that raised it, with a value that lets the same command continue, if there is one.
     """
 
     way_out: tuple[str, str] | None = None
@@ -33,9 +36,16 @@ class ParameterError(KinedexError, ValueError):
 
 
 class SourceError(KinedexError):
-    """A source file cannot be read as what it claims to be.
+    """A source file cannot be read as the format that its name or content announces.
 
-    `line` counts from 1 and is None where the fault has no line (an empty or a missing file).
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    message : str
+        What was found and expected.
+    line : int, optional
+        The line, from 1; None where the fault has no line (an empty or a missing file).
     """
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None) -> None:
@@ -55,7 +65,7 @@ def _source_error(path: str, reason: str, line: int | None) -> SourceError:
 
 
 class ConfigError(KinedexError):
-    """A configuration file is wrong: file, line, key, what was expected, the nearest valid name."""
+    """A configuration file is wrong: the message has file, line, key, what was expected and the nearest name."""
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None) -> None:
         message = _readable(message)
@@ -80,11 +90,11 @@ class StoreError(KinedexError):
 
 
 class NewStoreError(StoreError):
-    """A store is sound, but what is asked for belongs into another one: to ask again does not help."""
+    """A store is sound, but what is asked for needs another one: to ask again does not help."""
 
 
 def _readable(message: str) -> str:
-    """A message that quotes a file, for people: words and lists of any length are cut, and it says so."""
+    """Return a message that quotes a file in a readable form: very long words and messages are cut and marked."""
     message = _LONG_WORD.sub(lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", message)
     if len(message) > _LONGEST_MESSAGE:
         more = len(message) - 2 * (_LONGEST_MESSAGE // 3)
@@ -97,13 +107,17 @@ def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
 
     Parameters
     ----------
-    name: what the user wrote.
-    known: the valid names.
-    alike: from 0 to 1, how alike the nearest must be to be named (difflib's ratio).
+    name : str
+        The name that the user wrote.
+    known : iterable of str
+        The valid names.
+    alike : float
+        The similarity from 0 to 1 that the nearest name must have to be suggested (difflib's ratio).
 
     Returns
     -------
-    A clause to append to an error message; empty where nothing is known.
+    str
+        A clause to append to an error message; empty where no name is known.
     """
     names = sorted(set(known))
     near = difflib.get_close_matches(name, names, n=1, cutoff=alike)

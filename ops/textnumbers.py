@@ -29,7 +29,17 @@ _PLUS, _MINUS, _DOT, _ZERO, _NINE = 43, 45, 46, 48, 57
 
 @dataclass(frozen=True)
 class Fault:
-    """The first thing wrong in a text: its code, the line (from 1), and the bytes or the index it is about."""
+    """The first fault of a text.
+
+    Parameters
+    ----------
+    code : int
+        One of BAD_NUMBER … NO_FRAME.
+    line : int
+        The line, from 1.
+    start, stop : int
+        The bytes or the index that it concerns, depending on the code.
+    """
 
     code: int
     line: int
@@ -39,7 +49,16 @@ class Fault:
 
 @njit(cache=True, nogil=True)
 def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
-    """Read a number at pos: (value, position after it, 0 good | 1 no number | 2 good, but needs exact conversion)."""
+    """Read a number at pos.
+
+    Returns
+    -------
+    value : float
+    pos : int
+        The position after the number.
+    status : int
+        0 for a number, 1 for none, 2 for a number that needs exact conversion.
+    """
     begin = pos
     negative = False
     if pos < end and (data[_at(pos)] == _MINUS or data[_at(pos)] == _PLUS):
@@ -81,7 +100,7 @@ def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
 
 @njit(cache=True, nogil=True)
 def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
-    """Read "e-05" at pos, up to the end of the token: (power, position after it), position −1 where it is none."""
+    """Read "e-05" at pos, up to the end of the token; return the power and the position behind it, or −1."""
     if data[_at(pos)] != 101 and data[_at(pos)] != 69:
         return 0, -1
     pos += 1
@@ -101,7 +120,7 @@ def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _next_line(data: U8, pos: int, end: int) -> int:
-    """The position after the end of the line that pos is in; "\\n", "\\r\\n" and "\\r" all end one."""
+    r"""Return the position after the end of the line that pos is in; "\n", "\r\n" and "\r" all end one."""
     while pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
         pos += 1
     if pos < end and data[_at(pos)] == _RETURN and pos + 1 < end and data[_at(pos + 1)] == _NEWLINE:
@@ -116,9 +135,24 @@ def _token_end(data: U8, pos: int, end: int) -> int:
     return pos
 
 
+@njit(inline="always")
+def _skip_blanks(data, pos, end):  # type: ignore[no-untyped-def]
+    while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
+        pos += 1
+    return pos
+
+
+@njit(inline="always")
+def _note_slow(slow, slows, row, column, pos, line):  # type: ignore[no-untyped-def]
+    # Note a number that needs exact conversion, where there is room; return how many there are then.
+    if slows < len(slow):
+        slow[slows, 0], slow[slows, 1], slow[slows, 2], slow[slows, 3] = row, column, pos, line
+    return slows + 1
+
+
 @njit(cache=True, nogil=True)
 def _find_name(data: U8, pos: int, stop: int, names: U8, offsets: I64, guess: int) -> int:
-    """The index of the name that stands at [pos, stop), tried at `guess` first; −1 where it is none of them."""
+    """Return the index of the name at [pos, stop), compared with `guess` first; −1 where it is none of them."""
     count = len(offsets) - 1
     for k in range(-1, count):
         i = guess if k < 0 else k
@@ -146,20 +180,17 @@ def _first_absent(seen: I64, frame: int) -> int:
 def _parse_frames(
     data: U8, pos: int, line: int, names: U8, offsets: I64, columns: I64, out: F64, slow: I64
 ) -> tuple[int, int, int, int, int, int, int]:
-    """Returns (code, line, fault start, fault stop, frames, first number, numbers that need exact conversion)."""
-    end = len(data)
-    count = len(offsets) - 1
+    """Return (code, line, fault start, fault stop, frames, first number, numbers that need exact conversion)."""
+    end, count = len(data), len(offsets) - 1
     seen = np.full(count, -1, np.int64)
     frame, first, number, present, guess, slows = -1, 0, 0, 0, 0, 0
     while pos < end:
-        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-            pos += 1
+        pos = _skip_blanks(data, pos, end)
         if pos >= end:
             break
         byte = data[_at(pos)]
         if byte in (_NEWLINE, _RETURN, _HASH):
-            pos = _next_line(data, pos, end)
-            line += 1
+            pos, line = _next_line(data, pos, end), line + 1
             continue
         stop = _token_end(data, pos, end)
         if _ZERO <= byte <= _NINE:
@@ -170,15 +201,12 @@ def _parse_frames(
                 return MISSING, line, _first_absent(seen, frame), 0, frame, first, slows
             if frame >= 0 and int(value) != number + 1:
                 return NOT_NEXT, line, number, int(value), frame, first, slows
-            number = int(value)
-            frame += 1
+            number, frame = int(value), frame + 1
             if frame == len(out):
                 return MISSING, line, 0, 0, frame, first, slows
             if frame == 0:
                 first = number
-            present = 0
-            guess = 0
-            pos = after
+            present, guess, pos = 0, 0, after
         else:
             if frame < 0:
                 return NO_FRAME, line, pos, stop, 0, first, slows
@@ -192,26 +220,20 @@ def _parse_frames(
             guess = name + 1 if name + 1 < count else 0
             pos = stop
             for column in range(columns[_at(name)], columns[name + 1]):
-                while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-                    pos += 1
+                pos = _skip_blanks(data, pos, end)
                 if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
                     return TOO_FEW, line, name, column - columns[_at(name)], frame, first, slows
                 value, after, status = _number(data, pos, end)
                 if status == 1:
                     return BAD_NUMBER, line, pos, _token_end(data, pos, end), frame, first, slows
                 if status == 2:
-                    if slows < len(slow):
-                        slow[slows, 0], slow[slows, 1] = frame, column
-                        slow[slows, 2], slow[slows, 3] = pos, line
-                    slows += 1
+                    slows = _note_slow(slow, slows, frame, column, pos, line)
                 out[_at(frame), _at(column)] = value
                 pos = after
-        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-            pos += 1
+        pos = _skip_blanks(data, pos, end)
         if pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
             return TOO_MANY, line, pos, _token_end(data, pos, end), frame, first, slows
-        pos = _next_line(data, pos, end)
-        line += 1
+        pos, line = _next_line(data, pos, end), line + 1
     if frame >= 0 and present < count:
         return MISSING, line, _first_absent(seen, frame), 1, frame, first, slows
     return OK, line, 0, 0, frame + 1, first, slows
@@ -226,9 +248,15 @@ def _count_line_ends(data: U8) -> int:
 
 
 def count_lines(data: bytes, start: int = 0) -> int:
-    """An upper bound of the lines from a byte on; "\\n", "\\r\\n" and "\\r" end them, mixed as they come.
+    r"""Return an upper bound of the lines from a byte on; "\n", "\r\n" and "\r" end them, also mixed.
 
-    "\\r\\n" counts twice: memory that is asked for and never touched costs less than to look at pairs of bytes.
+    "\r\n" counts twice: memory that is asked for and never touched costs less than to look at pairs of bytes.
+
+    Parameters
+    ----------
+    data : bytes
+    start : int
+        The first byte.
     """
     return int(_count_line_ends(np.frombuffer(data, dtype=np.uint8)[start:])) + 1
 
@@ -238,18 +266,30 @@ def parse_frames(
 ) -> tuple[F64, int, Fault | None]:
     """Parse frames of named rows of numbers, the body of an AMC file.
 
-    A frame is a line with its number, then one line a name: the name and its numbers. Names may come in any order, each
-    once a frame; frame numbers must follow each other. Blank lines and lines that begin with # are passed over.
+    A frame is a line with its number, then one line for each name: the name and its numbers. Names may come in any
+    order, each once a frame; frame numbers must follow each other. Blank lines and lines that begin with # are skipped.
 
     Parameters
     ----------
-    data: the whole file. start: where the frames begin (byte). line: the line number there, from 1.
-    names: the rows that every frame must have. widths: how many numbers each has.
+    data : bytes
+        The whole file.
+    start : int
+        The byte where the frames begin.
+    line : int
+        The number of the line there, from 1.
+    names : list of str
+        The rows that every frame must have.
+    widths : list of int
+        The number of values of each row.
 
     Returns
     -------
-    values: float64 (frames, sum of widths), every number correctly rounded. first: the first frame's number.
-    fault: None, or the first thing that is wrong; the frames before it are not to be used.
+    values : float64 array (frames, sum of widths)
+        Every number correctly rounded; empty where there is a fault.
+    first : int
+        The number of the first frame.
+    fault : Fault or None
+        The first fault, if any.
     """
     encoded = [name.encode("latin-1") for name in names]
     offsets = np.cumsum([0, *(len(name) for name in encoded)]).astype(np.int64)
@@ -274,65 +314,66 @@ def parse_frames(
 
 @njit(cache=True, nogil=True)
 def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int, int, int, int, int, int]:
-    """Returns (code, line, fault start, fault stop, rows, numbers that need exact conversion)."""
+    """Return (code, line, fault start, fault stop, rows, numbers that need exact conversion)."""
     end = len(data)
     columns = out.shape[1]
     row, slows = 0, 0
     while pos < end:
-        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-            pos += 1
+        pos = _skip_blanks(data, pos, end)
         if pos >= end:
             break
         if data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN or data[_at(pos)] == _HASH:
-            pos = _next_line(data, pos, end)
-            line += 1
+            pos, line = _next_line(data, pos, end), line + 1
             continue
         if row == len(out):
             return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
         for column in range(columns):
-            while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-                pos += 1
+            pos = _skip_blanks(data, pos, end)
             if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
                 return TOO_FEW, line, row, column, row, slows
             value, after, status = _number(data, pos, end)
             if status == 1:
                 return BAD_NUMBER, line, pos, _token_end(data, pos, end), row, slows
             if status == 2:
-                if slows < len(slow):
-                    slow[slows, 0], slow[slows, 1] = row, column
-                    slow[slows, 2], slow[slows, 3] = pos, line
-                slows += 1
+                slows = _note_slow(slow, slows, row, column, pos, line)
             out[_at(row), _at(column)] = value
             pos = after
-        while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-            pos += 1
+        pos = _skip_blanks(data, pos, end)
         if pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
             return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
         row += 1
-        pos = _next_line(data, pos, end)
-        line += 1
+        pos, line = _next_line(data, pos, end), line + 1
     return OK, line, 0, 0, row, slows
 
 
 def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, Fault | None]:
     """Parse lines of equally many numbers, the body of a BVH file.
 
-    Blank lines and lines that begin with # are passed over.
+    Blank lines and lines that begin with # are skipped.
 
     Parameters
     ----------
-    data: the whole file. start: where the rows begin (byte). line: the line number there, from 1.
-    columns: how many numbers a line has, at least one.
+    data : bytes
+        The whole file.
+    start : int
+        The byte where the rows begin.
+    line : int
+        The number of the line there, from 1.
+    columns : int
+        The number of values of a line, at least one.
 
     Returns
     -------
-    values: float64 (rows, columns), every number correctly rounded; none where there is a fault.
-    fault: None, or the first thing that is wrong: BAD_NUMBER and TOO_MANY with the bytes it is about, TOO_FEW with the
-    row (from 0) as `start` and how many numbers it has as `stop`.
+    values : float64 array (rows, columns)
+        Every number correctly rounded; empty where there is a fault.
+    fault : Fault or None
+        The first fault, if any: BAD_NUMBER and TOO_MANY with the bytes concerned, TOO_FEW with the row (from 0) as
+        `start` and the number of its values as `stop`.
 
     Raises
     ------
-    ParameterError: `columns` is not positive.
+    ParameterError
+        If `columns` is not positive.
     """
     if columns < 1:
         raise ParameterError("columns", "at least 1", columns)
@@ -353,7 +394,7 @@ def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, F
 
 
 def _convert_exactly(data: bytes, out: F64, slow: I64) -> Fault | None:
-    """Put the numbers that the kernel could not round itself in their places; a fault where one is beyond all."""
+    """Fill in the numbers that the kernel could not round itself; return a fault where one is out of range."""
     for row, column, position, where in slow:
         # A number of hundreds of digits is one token all the same.
         stop = _token_end(np.frombuffer(data, dtype=np.uint8), int(position), len(data))

@@ -24,8 +24,19 @@ MOST_FEATURES = 63
 class TakeWords:
     """The words of T takes, one take after the other.
 
-    take_ids: int64 (T,), ascending. offsets: int64 (T + 1,), take i has frames offsets[i] .. offsets[i + 1].
-    words: uint64 (N,), bit i − 1 is feature F_i; `NO_WORD` for an invalid frame.
+    Parameters
+    ----------
+    take_ids : int64 array (T,)
+        Ascending.
+    offsets : int64 array (T + 1,)
+        Take i has the frames offsets[i] to offsets[i + 1] − 1.
+    words : uint64 array (N,)
+        Bit i − 1 is feature F_i; `NO_WORD` where the frame is invalid.
+
+    Raises
+    ------
+    ParameterError
+        If the offsets do not fit the takes or the words.
     """
 
     take_ids: I64
@@ -52,17 +63,25 @@ class TakeWords:
 
 
 def cut(words: U64, first_feature: int, features: int) -> U64:
-    """Cut words down to one feature set: features F_first … , shifted down to bit 0.
+    """Cut words down to one feature set, shifted down to bit 0.
 
     Parameters
     ----------
-    words: uint64 (N,).
-    first_feature: number of the set's lowest feature, from 1.
-    features: how many features the set has, 1 to 63.
+    words : uint64 array (N,)
+    first_feature : int
+        The number of the set's lowest feature, from 1.
+    features : int
+        The number of features of the set, 1 to 63.
 
     Returns
     -------
-    uint64 (N,); `NO_WORD` stays what it is.
+    uint64 array (N,)
+        `NO_WORD` is unchanged.
+
+    Raises
+    ------
+    ParameterError
+        If the set is not within 63 bits.
     """
     if not 1 <= first_feature <= MOST_FEATURES or not 1 <= features <= MOST_FEATURES + 1 - first_feature:
         raise ParameterError("feature set", f"within bits 1 to {MOST_FEATURES}", (first_feature, features))
@@ -75,19 +94,31 @@ def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
 
     Parameters
     ----------
-    words: uint64 (N,).
-    features: number of features f.
+    words : uint64 array (N,)
+    features : int
+        The number of features f.
 
     Returns
     -------
-    uint8 (N, f) of 0 and 1; column i − 1 is F_i.
+    uint8 array (N, f)
+        0 and 1; column i − 1 is F_i.
     """
     shifts = np.arange(features, dtype=np.uint64)
     return ((words[:, None] >> shifts) & np.uint64(1)).astype(np.uint8)
 
 
 def pack(matrix: npt.NDArray[np.bool_] | npt.NDArray[np.uint8]) -> U64:
-    """Pack a feature matrix (N, f) of 0 and 1 into words, uint64 (N,); the inverse of `bits`."""
+    """Pack a feature matrix into words; the inverse of `bits`.
+
+    Parameters
+    ----------
+    matrix : bool or uint8 array (N, f)
+        0 and 1.
+
+    Returns
+    -------
+    uint64 array (N,)
+    """
     shifts = np.arange(matrix.shape[1], dtype=np.uint64)
     return (
         np.bitwise_or.reduce(matrix.astype(np.uint64) << shifts, axis=1)

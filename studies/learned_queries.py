@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.catalog.classes import load_classes
-from kinedex.ops.evaluation.confidence_intervals import two_stage_interval, wilson
+from kinedex.ops.evaluation.confidence_intervals import wilson
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
@@ -29,6 +29,7 @@ from kinedex.pipelines.keyframes.runs import Rounds, learn
 from kinedex.pipelines.templates.learning import TrainingClips, training_clips
 from kinedex.storage.store.store import Store, open_store
 from studies.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
+from studies.two_stage_interval import two_stage_interval
 
 THESIS = "numbers of the thesis"
 NO_QUERIES = "no queries"

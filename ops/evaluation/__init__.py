@@ -1,1 +1,1 @@
-"""How good it is: precision and recall of labels, of overlaps, of rankings."""
+"""Measures of results: precision and recall of labels, of overlaps, and of rankings."""

@@ -1,5 +1,4 @@
-"""Segments judged by overlap, as newer work reports them: average precision at thresholds of intersection over
-union."""
+"""Segments evaluated by overlap, as newer work reports them: average precision by intersection over union."""
 
 from __future__ import annotations
 
@@ -20,7 +19,16 @@ THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 
 
 class Found(NamedTuple):
-    """An automatic segment of one class: frames [start, stop) of a take, and how sure it is (higher is surer)."""
+    """An automatic segment of one class.
+
+    Parameters
+    ----------
+    take : str
+    start, stop : int
+        The half-open range of frames.
+    confidence : float
+        How sure the segment is: higher is surer.
+    """
 
     take: str
     start: int
@@ -29,7 +37,14 @@ class Found(NamedTuple):
 
 
 class Known(NamedTuple):
-    """A manual segment of one class: frames [start, stop) of a take."""
+    """A manual segment of one class.
+
+    Parameters
+    ----------
+    take : str
+    start, stop : int
+        The half-open range of frames.
+    """
 
     take: str
     start: int
@@ -37,26 +52,35 @@ class Known(NamedTuple):
 
 
 def overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
-    """Intersection over union of two half-open ranges."""
+    """Return the intersection over union of two half-open ranges."""
     both = min(a[1], b[1]) - max(a[0], b[0])
     return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0])) if both > 0 else 0.0
 
 
 def average_precision(found: Sequence[Found], known: Sequence[Known], threshold: float) -> float:
-    """The average precision of one class's segments.
+    """Return the average precision of one class's segments.
 
     The surest segment chooses first: the manual segment of its take that it overlaps most, of those that no surer one
-    has taken. It is right where their intersection over union reaches the threshold. Of equally sure ones the first in
-    take and time chooses first.
+    has chosen. It is right where their intersection over union is at least the threshold. Of equally sure ones the
+    first in take and time chooses first.
+
+    Parameters
+    ----------
+    found : sequence of Found
+    known : sequence of Known
+    threshold : float
+        In (0, 1].
 
     Returns
     -------
-    The area below the precision-recall curve, precision being the best of any recall that is not lower; NaN where there
-    is nothing to find.
+    float
+        The area below the precision-recall curve, precision being the best of any recall that is not lower; NaN where
+        there is no manual segment.
 
     Raises
     ------
-    ParameterError: the threshold is not in (0, 1], or a segment is empty.
+    ParameterError
+        If the threshold is out of its range, or a segment is empty.
     """
     if not 0.0 < threshold <= 1.0:
         raise ParameterError("threshold", "above 0 and at most 1", threshold)
@@ -84,9 +108,19 @@ def average_precision(found: Sequence[Found], known: Sequence[Known], threshold:
 
 
 def boundary_errors(found: Sequence[Found], known: Sequence[Known]) -> npt.NDArray[np.int64]:
-    """How far automatic boundaries are from manual ones: int64 (M, 2), frames at start and stop; positive: too late.
+    """Return how far automatic boundaries are from manual ones.
 
     Every manual segment that an automatic one of its take overlaps is compared with the one that overlaps it most.
+
+    Parameters
+    ----------
+    found : sequence of Found
+    known : sequence of Known
+
+    Returns
+    -------
+    int64 array (M, 2)
+        Frames at start and stop; positive where the automatic boundary is late.
     """
     errors = []
     for one in known:
@@ -108,16 +142,29 @@ def bootstrap(
     level: float = 0.95,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """A confidence interval of a measure over takes: takes are drawn with replacement, and their counts pooled.
+    """Return a confidence interval of a measure over takes, which are drawn with replacement and their counts pooled.
 
     Parameters
     ----------
-    of_takes: the counts of each take. measure: for instance `lambda counts: counts.f1`. draws: how often takes are
-        drawn.
+    of_takes : sequence of Counts
+        The counts of each take.
+    measure : callable
+        For instance `lambda counts: counts.f1`.
+    draws : int
+        How often takes are drawn.
+    level : float
+        The share of draws within the interval.
+    seed : int
 
     Returns
     -------
-    The percentile interval (low, high); NaN twice where there is no take, or the measure is never defined.
+    (float, float)
+        The percentile interval; NaN twice where there is no take, or the measure is never defined.
+
+    Raises
+    ------
+    ParameterError
+        If the level is not in (0, 1), or there is no draw.
     """
     if not 0.0 < level < 1.0:
         raise ParameterError("level", "above 0 and below 1", level)

@@ -1,4 +1,4 @@
-"""Precision, recall and F-measure of annotations on the level of frames and of segments (thesis, 5.4)."""
+"""Precision, recall and F-measure of annotations by frames and by segments (thesis, Section 5.4)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,18 @@ Bounds = Sequence[tuple[int, int]] | npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Counts:
-    """What the measures are made of; counts of several takes, classes or folds add up.
+    """The counts that all measures derive from; counts of several takes, classes or folds add up.
 
-    frames_both, frames_automatic, frames_manual: |M ∩ A|, |A|, |M|, pairs of frame and class (Eq. 5.8, 5.9).
-    segments_automatic_hit: automatic segments that overlap a manual one of their class;
-    segments_manual_hit: the reverse.
+    Parameters
+    ----------
+    frames_both, frames_automatic, frames_manual : int
+        |M ∩ A|, |A| and |M|, in pairs of frame and class (thesis, Eq. 5.8 and 5.9).
+    segments_automatic_hit : int
+        Automatic segments that overlap a manual one of their class.
+    segments_automatic : int
+    segments_manual_hit : int
+        Manual segments that overlap an automatic one of their class.
+    segments_manual : int
     """
 
     frames_both: int = 0
@@ -36,40 +43,40 @@ class Counts:
 
     @property
     def p1(self) -> float:
-        """Frame precision (Eq. 5.10); NaN where nothing was annotated."""
+        """The precision by frames (thesis, Eq. 5.10); NaN where nothing was annotated."""
         return _ratio(self.frames_both, self.frames_automatic)
 
     @property
     def r1(self) -> float:
-        """Frame recall (Eq. 5.11); NaN where there was nothing to find."""
+        """The recall by frames (thesis, Eq. 5.11); NaN where nothing was to be found."""
         return _ratio(self.frames_both, self.frames_manual)
 
     @property
     def f1(self) -> float:
-        """Frame F-measure (Eq. 5.12)."""
+        """F (frames) (thesis, Eq. 5.12)."""
         return f_measure(self.p1, self.r1)
 
     @property
     def p2(self) -> float:
-        """Segment precision; NaN where nothing was annotated."""
+        """The precision by segments; NaN where nothing was annotated."""
         return _ratio(self.segments_automatic_hit, self.segments_automatic)
 
     @property
     def r2(self) -> float:
-        """Segment recall; NaN where there was nothing to find."""
+        """The recall by segments; NaN where nothing was to be found."""
         return _ratio(self.segments_manual_hit, self.segments_manual)
 
     @property
     def f2(self) -> float:
-        """Segment F-measure."""
+        """F (segments)."""
         return f_measure(self.p2, self.r2)
 
 
 def f_measure(precision: float, recall: float) -> float:
-    """Return the harmonic mean of precision and recall (Eq. 5.12).
+    """Return the harmonic mean of precision and recall (thesis, Eq. 5.12).
 
-    0 where one of them is 0 or only one is undefined (something was missed, or found in vain, and nothing was
-    right); NaN where both are undefined.
+    It is 0 where one of them is 0 or only one is undefined (something was missed, or found in vain, and nothing was
+    right), and NaN where both are undefined.
     """
     if math.isnan(precision) and math.isnan(recall):
         return math.nan
@@ -79,7 +86,7 @@ def f_measure(precision: float, recall: float) -> float:
 
 
 def pooled(counts: Iterable[Counts]) -> Counts:
-    """Add counts up, as if all takes were one after the other in a single long one."""
+    """Add counts, as if all takes were one after the other in a single long one."""
     return sum(counts, Counts())
 
 
@@ -88,16 +95,18 @@ def compare(automatic: Bounds, manual: Bounds) -> Counts:
 
     Parameters
     ----------
-    automatic, manual: half-open frame ranges (start, stop), in any order; those that overlap count each frame
-        once but remain segments of their own.
+    automatic, manual : int64 array (S, 2) or sequence of (int, int)
+        Half-open ranges of frames, in any order; those that overlap count each frame once but remain segments of their
+        own.
 
     Returns
     -------
-    Counts.
+    Counts
 
     Raises
     ------
-    ParameterError: if a segment is empty or begins before frame 0.
+    ParameterError
+        If a segment is empty or begins before frame 0.
     """
     mine, theirs = _segments("automatic", automatic), _segments("manual", manual)
     stop = int(max(mine[:, 1].max(initial=0), theirs[:, 1].max(initial=0)))

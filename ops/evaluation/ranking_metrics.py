@@ -1,4 +1,4 @@
-"""How good a ranking is: precision and recall along it, and average precision."""
+"""Measures of a ranking: precision and recall along it, and average precision."""
 
 from __future__ import annotations
 
@@ -14,16 +14,23 @@ F64 = npt.NDArray[np.float64]
 
 
 def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
-    """Return precision and recall after each rank (thesis, Figure 3.13), float64 (R,) each.
+    """Return precision and recall after each rank (thesis, Figure 3.13).
 
     Parameters
     ----------
-    relevant: whether what stands at each rank, the best first, should be found; each thing to find counts once.
-    total: how many things there are to find, those that the ranking misses included.
+    relevant : sequence of bool
+        Whether the entry at each rank, the best first, should be found; each one counts once.
+    total : int
+        The number of entries that should be found, those that the ranking misses included.
+
+    Returns
+    -------
+    precision, recall : float64 array (R,)
 
     Raises
     ------
-    ParameterError: more relevant ranks than there is to find.
+    ParameterError
+        If there are more relevant ranks than entries that should be found.
     """
     hits = np.cumsum(np.asarray(relevant, np.int64))
     if len(hits) and hits[-1] > total:
@@ -32,9 +39,9 @@ def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
 
 
 def average_precision(relevant: Sequence[bool], total: int) -> float:
-    """Return the mean of the precision at every relevant rank, what is not found counting 0; NaN with nothing to find.
+    """Return the mean of the precision at every relevant rank, 0 for each entry that is not found.
 
-    Parameters and errors as in `precision_recall`.
+    It is NaN where nothing should be found. Parameters and errors are those of `precision_recall`.
     """
     precision, _ = precision_recall(relevant, total)
     return float(precision[np.asarray(relevant, np.bool_)].sum() / total) if total else math.nan

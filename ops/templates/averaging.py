@@ -1,4 +1,4 @@
-"""Warping the templates of a class onto each other and averaging them: what a round of learning consists of."""
+"""A round of learning: the templates of a class are warped onto each other, averaged and rebalanced."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.ops.templates.pairs import (
     align_soft,
     all_pairs,
     compact,
-    room_of,
+    path_offsets,
 )
 from kinedex.ops.templates.warping import FIRST, SECOND
 from kinedex.ops.words import U64, bits
@@ -34,15 +34,18 @@ _LIGHT = 0.75 - TOLERANCE
 
 @dataclass(frozen=True)
 class Soft:
-    """Columns are float64 (N, f): the share of the clips' weight that has a 1.
+    """The rules of soft templates: columns are float64 (N, f), the share of the clips' weight that has a 1.
 
-    feature_weights: float64 (f,), not negative; the local cost is the weighted mean over features of |x − y|.
+    Parameters
+    ----------
+    feature_weights : float64 array (f,)
+        Not negative; the local cost is the weighted mean over features of |x − y|.
     """
 
     feature_weights: F64
 
     def start(self, words: U64) -> Columns:
-        """The columns of a clip."""
+        """Return the columns of a clip."""
         return bits(words, len(self.feature_weights)).astype(np.float64)
 
     def align(self, stack: Stack, pairs: I64) -> Paths:
@@ -51,13 +54,22 @@ class Soft:
         varies = (stack.columns != stack.columns[0]).any(axis=0) & (self.feature_weights > 0)
         columns = stack.columns[:, varies] * self.feature_weights[varies]
         total = float(self.feature_weights.sum())
-        room = room_of(stack, pairs)
+        offsets = path_offsets(stack, pairs)
         turned = np.ascontiguousarray(columns.T)
-        costs, counts, steps = align_soft(columns, turned, total, stack.weights, stack.offsets, pairs, room)
-        return compact(costs, counts, steps, room)
+        costs, counts, steps = align_soft(columns, turned, total, stack.weights, stack.offsets, pairs, offsets)
+        return compact(costs, counts, steps, offsets)
 
     def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
-        """Average the reference and all others warped to it; `pair_of` says which pair each other makes with it."""
+        """Average the reference and all others warped to it.
+
+        Parameters
+        ----------
+        stack : Stack
+        reference : int
+        paths : Paths
+        pair_of : int64 array (n,)
+            The pair that each other template makes with the reference.
+        """
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
         weights = stack.weights[first:last].copy()
         total = stack.columns[first:last] * weights[:, None]
@@ -68,26 +80,31 @@ class Soft:
         return Weighted(total / weights[:, None], weights / len(stack))
 
     def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
-        """One column of two neighbours."""
+        """Return one column for two neighbours."""
         return (left * left_weight + right * right_weight) / (left_weight + right_weight)
 
     def values(self, columns: Columns) -> F64:
-        """The columns as numbers, float64 (N, f)."""
+        """Return the columns as numbers, float64 (N, f)."""
         return columns.astype(np.float64)
 
 
 @dataclass(frozen=True)
 class Hard:
-    """Columns are uint64 (N, 2): the bits that are always 1, and those that are always 0.
+    """The rules of hard templates: columns are uint64 (N, 2), the bits that are always 1, and those that are always 0.
 
     What two columns agree on is then the bitwise and of both, however many are combined and in what order. A feature
-    of weight 0 counts for no cost; other weights change no zero, and are left alone.
+    of weight 0 counts for no cost; other weights change no zero, and are ignored.
+
+    Parameters
+    ----------
+    feature_weights : float64 array (f,)
+        Not negative.
     """
 
     feature_weights: F64
 
     def start(self, words: U64) -> Columns:
-        """The columns of a clip."""
+        """Return the columns of a clip."""
         every = np.uint64((1 << len(self.feature_weights)) - 1)
         return np.stack([words, ~words & every], axis=1)
 
@@ -96,13 +113,13 @@ class Hard:
         counted = np.bitwise_or.reduce(
             (self.feature_weights > 0).astype(np.uint64) << np.arange(len(self.feature_weights), dtype=np.uint64)
         )
-        room = room_of(stack, pairs)
+        offsets = path_offsets(stack, pairs)
         columns = stack.columns & counted
-        costs, counts, steps = align_hard(columns, stack.weights, stack.offsets, pairs, room)
-        return compact(costs, counts, steps, room)
+        costs, counts, steps = align_hard(columns, stack.weights, stack.offsets, pairs, offsets)
+        return compact(costs, counts, steps, offsets)
 
     def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
-        """What the reference and all others warped to it agree on."""
+        """Return what the reference and all others warped to it agree on; see `Soft.average`."""
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
         columns, weights = stack.columns[first:last].copy(), stack.weights[first:last].copy()
         add_hard(
@@ -112,11 +129,11 @@ class Hard:
         return Weighted(columns, weights / len(stack))
 
     def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
-        """One column of two neighbours."""
+        """Return one column for two neighbours."""
         return left & right
 
     def values(self, columns: Columns) -> F64:
-        """The columns as numbers, float64 (N, f): 0, 0.5 and 1."""
+        """Return the columns as numbers, float64 (N, f): 0, 0.5 and 1."""
         count = len(self.feature_weights)
         ones, zeros = bits(columns[:, 0], count), bits(columns[:, 1], count)
         return (1.0 + ones - zeros) / 2
@@ -126,7 +143,21 @@ Method = Soft | Hard
 
 
 def average_all(method: Method, stack: Stack, paths: Paths) -> list[Weighted]:
-    """Make every template the reference once (thesis, 2.3), and rebalance; `paths` are those of `all_pairs`."""
+    """Make every template the reference once (thesis, Section 2.3), and rebalance.
+
+    Parameters
+    ----------
+    method : Soft or Hard
+    stack : Stack
+        The templates of the round before.
+    paths : Paths
+        Those of `all_pairs`.
+
+    Returns
+    -------
+    list of Weighted
+        The new templates.
+    """
     count = len(stack)
     places = np.full((count, count), -1)
     pairs = all_pairs(count)
@@ -139,6 +170,12 @@ def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, floa
 
     A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), half to even. Then, from the
     left, a column lighter than 0.75 merges with its lighter neighbour (the left one of equals) until none is.
+
+    Parameters
+    ----------
+    template : Weighted
+    merge : callable
+        The rule that merges two neighbouring columns of given weights.
     """
     return _expand(_contract(_expand(template), merge))
 
@@ -210,7 +247,7 @@ def add_hard(
     agreed: U64, weights: F64, columns: U64, column_weights: F64, offsets: I64, reference: int, steps: U8, starts: I64,
     counts: I64, pair_of: I64,
 ) -> None:  # fmt: skip
-    """Keep of the reference what all others, warped, agree on, in place (kernel)."""
+    """Reduce the reference to what all others, warped, agree on, in place (kernel)."""
     for other in range(len(offsets) - 1):
         if other == reference:
             continue

@@ -1,4 +1,4 @@
-"""Templates made from templates: in the mirror, one after the other; and how two of them differ."""
+"""Templates made from templates: mirrored, joined one after the other; and the contrast between two of them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,16 @@ WILDCARD = 0.5
 
 @dataclass(frozen=True)
 class Contrast:
-    """Two templates laid along each other.
+    """Two templates aligned with each other, and where they contradict each other.
 
-    path: int64 (P, 2), the columns of the first and the second that stand side by side.
-    against: int8 (P, f): 1 where the first says on and the second off, −1 the other way round, 0 where they do not
-    contradict each other. compared: bool (P, f), where neither has a wildcard.
+    Parameters
+    ----------
+    path : int64 array (P, 2)
+        The columns of the first and the second that are aligned.
+    against : int8 array (P, f)
+        1 where the first has on and the second off, −1 the other way round, 0 where they do not contradict each other.
+    compared : bool array (P, f)
+        Whether neither has a wildcard.
     """
 
     path: I64
@@ -33,11 +38,19 @@ class Contrast:
 
 
 def mirrored(template: Template, order: I64) -> Template:
-    """The template of the same motion with left and right exchanged.
+    """Return the template of the same motion with left and right exchanged.
 
     Parameters
     ----------
-    order: int64 (f,), a permutation of 0 … f − 1: the twin of each feature (`FeatureSet.mirror_order`).
+    template : Template
+        f features.
+    order : int64 array (f,)
+        A permutation of 0 … f − 1: the twin of each feature (`FeatureSet.mirror_order`).
+
+    Raises
+    ------
+    ParameterError
+        If the order is no permutation.
     """
     if not np.array_equal(np.sort(order), np.arange(template.values.shape[1])):
         raise ParameterError(
@@ -50,19 +63,22 @@ def mirrored(template: Template, order: I64) -> Template:
 
 
 def joined(templates: Sequence[Template], gap: int) -> Template:
-    """Templates one after the other, with columns of wildcards between two of them.
+    """Join templates one after the other, with columns of wildcards between two of them (thesis, Figure 3.11 b).
 
-    A column of a template can be passed in half or in twice the time, so that a gap of so many columns stands for
-    about gap / 2 to 2 gap frames of anything.
+    A path passes through a column in half or in twice the time, so that a gap of so many columns stands for about gap /
+    2 to 2 gap frames of anything.
 
     Parameters
     ----------
-    templates: one or more, of the same features; the first one's feature weights hold for all.
-    gap: columns of wildcards between two templates, 0 or more.
+    templates : sequence of Template
+        One or more, of the same features; the first one's feature weights hold for all.
+    gap : int
+        The number of wildcard columns between two templates, 0 or more.
 
     Raises
     ------
-    ParameterError: no template, different numbers of features, or a negative gap.
+    ParameterError
+        If there is no template, numbers of features differ, or the gap is negative.
     """
     if not templates:
         raise ParameterError("templates", "at least one template", 0)
@@ -80,9 +96,13 @@ def joined(templates: Sequence[Template], gap: int) -> Template:
 
 
 def consistency(template: Template) -> F64:
-    """How much the clips agree about each feature, float64 (f,): from 0 (half of them on) to 1 (all alike).
+    """Return how much the clips agree about each feature, from 0 (half of them on) to 1 (all alike).
 
-    The mean of |2 v − 1| over the columns, weighted by the columns' weights.
+    It is the mean of |2 v − 1| over the columns, weighted by the columns' weights.
+
+    Returns
+    -------
+    float64 array (f,)
     """
     agreement: F64 = np.abs(2 * template.values - 1)
     result: F64 = np.average(agreement, axis=0, weights=template.weights)
@@ -90,11 +110,19 @@ def consistency(template: Template) -> F64:
 
 
 def contrast(first: Template, second: Template, delta: float) -> Contrast:
-    """Lay two templates along each other, by classical DTW of their averages, and find what their fixed entries deny.
+    """Align two templates by classical DTW of their averages, and find where their fixed entries contradict each other.
 
     Parameters
     ----------
-    delta: values within δ of 0 or 1 are fixed, as in `quantise`; the rest contradicts nothing.
+    first, second : Template
+        Of the same features.
+    delta : float
+        Values within δ of 0 or 1 are fixed, as in `quantise`; the rest contradicts nothing.
+
+    Raises
+    ------
+    ParameterError
+        If the numbers of features differ.
     """
     if first.values.shape[1] != second.values.shape[1]:
         shapes = [first.values.shape[1], second.values.shape[1]]

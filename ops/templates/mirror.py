@@ -16,16 +16,20 @@ def rearrange(words: U64, order: I64) -> U64:
 
     Parameters
     ----------
-    words: uint64 (N,), bits beyond the order's length are 0; `NO_WORD` for an invalid frame.
-    order: int64 (f,), a permutation of 0 … f − 1: bit i of a result is bit order[i] of its word.
+    words : uint64 array (N,)
+        One word a frame; bits beyond the order's length are 0; `NO_WORD` where the frame is invalid.
+    order : int64 array (f,)
+        A permutation of 0 … f − 1: bit i of a result is bit order[i] of its word.
 
     Returns
     -------
-    uint64 (N,); `NO_WORD` stays what it is.
+    uint64 array (N,)
+        `NO_WORD` is unchanged.
 
     Raises
     ------
-    ParameterError: the order is no permutation.
+    ParameterError
+        If the order is no permutation.
     """
     if len(order) > MOST_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
         raise ParameterError("order", f"a permutation of at most {MOST_FEATURES} bits", order.tolist())

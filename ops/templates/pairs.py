@@ -1,4 +1,4 @@
-"""Templates stacked up, and their pairs warped onto each other: each path read from both sides."""
+"""Templates in one stack, and their pairs warped onto each other: each path read from both sides."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ Columns = npt.NDArray[Any]  # float64 (N, f) of soft templates, uint64 (N, 2) of
 
 @dataclass(frozen=True)
 class Weighted:
-    """Columns in a method's own form, with their weights (float64)."""
+    """Columns in a method's own form, with their weights.
+
+    Parameters
+    ----------
+    columns : array (N, ·)
+    weights : float64 array (N,)
+    """
 
     columns: Columns
     weights: F64
@@ -30,9 +36,14 @@ class Weighted:
 
 @dataclass(frozen=True)
 class Stack:
-    """Templates one after the other: template i has the columns offsets[i] .. offsets[i + 1].
+    """Templates one after the other: template i has the columns offsets[i] to offsets[i + 1] − 1.
 
-    columns, weights: as those of `Weighted`. offsets: int64 (n + 1,).
+    Parameters
+    ----------
+    columns : array (M, ·)
+        As those of `Weighted`.
+    weights : float64 array (M,)
+    offsets : int64 array (n + 1,)
     """
 
     columns: Columns
@@ -41,7 +52,7 @@ class Stack:
 
     @classmethod
     def of(cls, templates: Sequence[Weighted]) -> Stack:
-        """Stack templates up."""
+        """Stack templates."""
         offsets = np.concatenate(([0], np.cumsum([len(one.weights) for one in templates]))).astype(np.int64)
         columns = np.ascontiguousarray(np.concatenate([one.columns for one in templates]))
         return cls(columns, np.concatenate([one.weights for one in templates]), offsets)
@@ -55,7 +66,7 @@ class Stack:
         return np.diff(self.offsets)
 
     def chosen(self, indices: I64) -> Stack:
-        """Some of the templates, in this order."""
+        """Return some of the templates, in this order."""
         pieces = [slice(int(self.offsets[i]), int(self.offsets[i + 1])) for i in indices]
         return Stack.of([Weighted(self.columns[piece], self.weights[piece]) for piece in pieces])
 
@@ -64,9 +75,14 @@ class Stack:
 class Paths:
     """The warping paths of P pairs of templates, each read from both sides.
 
-    costs: float64 (P,), the DTW cost, which is the same from both sides.
-    steps: uint8, all paths one after the other; starts, counts: int64 (P, 2), where the path of a pair begins and how
-    long it is: read from its first template, and from its second.
+    Parameters
+    ----------
+    costs : float64 array (P,)
+        The DTW cost, which is the same from both sides.
+    steps : uint8 array
+        All paths one after the other.
+    starts, counts : int64 array (P, 2)
+        The first step and the length of each path, read from the first template of its pair and from the second.
     """
 
     costs: F64
@@ -76,7 +92,7 @@ class Paths:
 
     @classmethod
     def joined(cls, pieces: Sequence[Paths]) -> Paths:
-        """The paths of several pieces, one piece after the other."""
+        """Return the paths of several pieces, one piece after the other."""
         shifts = np.concatenate(([0], np.cumsum([len(piece.steps) for piece in pieces])))
         return cls(
             np.concatenate([piece.costs for piece in pieces]),
@@ -87,19 +103,19 @@ class Paths:
 
 
 def all_pairs(count: int) -> I64:
-    """Every pair i < j of that many templates, int64 (P, 2), by i and then j."""
+    """Return every pair i < j of that many templates, int64 (P, 2), by i and then j."""
     return np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
 
 
-def room_of(stack: Stack, pairs: I64) -> I64:
-    """Where the room for each pair's two paths begins, int64 (2 P + 1,): no path is longer than K + L − 1."""
+def path_offsets(stack: Stack, pairs: I64) -> I64:
+    """Return where the memory for each pair's two paths begins, int64 (2 P + 1,): no path is longer than K + L − 1."""
     longest = stack.lengths[pairs].sum(axis=1) - 1
     return np.concatenate(([0], np.cumsum(np.repeat(longest, 2)))).astype(np.int64)
 
 
-def compact(costs: F64, counts: I64, steps: U8, room: I64) -> Paths:
-    """Paths without the room that they did not need."""
-    kept = np.concatenate([steps[start : start + count] for start, count in zip(room, counts, strict=False)])
+def compact(costs: F64, counts: I64, steps: U8, offsets: I64) -> Paths:
+    """Return paths without the memory that they did not need."""
+    kept = np.concatenate([steps[start : start + count] for start, count in zip(offsets, counts, strict=False)])
     starts = np.concatenate(([0], np.cumsum(counts)))[:-1]
     return Paths(costs, kept, starts.reshape(-1, 2), counts.reshape(-1, 2))
 
@@ -108,8 +124,19 @@ def compact(costs: F64, counts: I64, steps: U8, room: I64) -> Paths:
 def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> None:
     """Fill in the sum over features of |x − y|, divided by `total`, of one column against others (kernel).
 
-    The others are the columns first, first + 1, … of `turned` (f, ·), as many as `out` is long. Four features at a
-    time, added in the features' order: the sums are those of a plain loop to the last bit.
+    The sums of four features at a time are added in the features' order: to the last bit they are those of a plain
+    loop.
+
+    Parameters
+    ----------
+    column : float64 array (f,)
+    turned : float64 array (f, M)
+        All columns, transposed.
+    first : int
+        The first of the other columns.
+    total : float
+    out : float64 array (L,)
+        The results for the columns first, first + 1, …
     """
     width = len(out)
     out[:] = 0.0
@@ -117,7 +144,7 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
     i = 0
     while i + 4 <= features:
         a, b, c, d = column[i], column[i + 1], column[i + 2], column[i + 3]
-        # A row of a contiguous array, and a stretch of that, are known to be contiguous: only then the loop vectorises.
+        # A slice of a row of a contiguous array is known to be contiguous: only then the loop vectorises.
         row_a = turned[i][first : first + width]
         row_b = turned[i + 1][first : first + width]
         row_c = turned[i + 2][first : first + width]
@@ -137,12 +164,12 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
 
 @nb.njit(cache=True, nogil=True)
 def align_soft(
-    columns: F64, turned: F64, total: float, weights: F64, offsets: I64, pairs: I64, room: I64
+    columns: F64, turned: F64, total: float, weights: F64, offsets: I64, pairs: I64, places: I64
 ) -> tuple[F64, I64, U8]:
-    """Align pairs of soft templates; return costs, path lengths and steps, both ways (kernel)."""
+    """Align pairs of soft templates; return costs, path lengths and steps, read from both sides (kernel)."""
     costs = np.empty(len(pairs))
     counts = np.empty(2 * len(pairs), np.int64)
-    steps = np.empty(room[-1], np.uint8)
+    steps = np.empty(places[-1], np.uint8)
     longest = 0
     for i in range(len(offsets) - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
@@ -161,17 +188,17 @@ def align_soft(
             above, here = here, above
         costs[p] = above[width - 1]
         walked = entered[:height, :width]
-        counts[2 * p] = trace_back(walked, FIRST, steps[room[2 * p] : room[2 * p + 1]])
-        counts[2 * p + 1] = trace_back(walked, SECOND, steps[room[2 * p + 1] : room[2 * p + 2]])
+        counts[2 * p] = trace_back(walked, FIRST, steps[places[2 * p] : places[2 * p + 1]])
+        counts[2 * p + 1] = trace_back(walked, SECOND, steps[places[2 * p + 1] : places[2 * p + 2]])
     return costs, counts, steps
 
 
 @nb.njit(cache=True, nogil=True)
-def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, room: I64) -> tuple[F64, I64, U8]:
-    """Align pairs of hard templates by their contradictions; as `align_soft` (kernel)."""
+def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, places: I64) -> tuple[F64, I64, U8]:
+    """Align pairs of hard templates by their contradictions; the results are as in `align_soft` (kernel)."""
     costs = np.empty(len(pairs))
     counts = np.empty(2 * len(pairs), np.int64)
-    steps = np.empty(room[-1], np.uint8)
+    steps = np.empty(places[-1], np.uint8)
     longest = 0
     for i in range(len(offsets) - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
@@ -192,6 +219,6 @@ def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, room: I64) 
             above, here = here, above
         costs[p] = above[width - 1]
         walked = entered[:height, :width]
-        counts[2 * p] = trace_back(walked, FIRST, steps[room[2 * p] : room[2 * p + 1]])
-        counts[2 * p + 1] = trace_back(walked, SECOND, steps[room[2 * p + 1] : room[2 * p + 2]])
+        counts[2 * p] = trace_back(walked, FIRST, steps[places[2 * p] : places[2 * p + 1]])
+        counts[2 * p + 1] = trace_back(walked, SECOND, steps[places[2 * p + 1] : places[2 * p + 2]])
     return costs, counts, steps

@@ -1,4 +1,4 @@
-"""Motion templates: what the clips of a class have in common, learned by warping and averaging."""
+"""Motion templates: what the clips of a class share, learned by warping and averaging (thesis, Section 2.3)."""
 
 from __future__ import annotations
 
@@ -27,8 +27,14 @@ CONVERGED = 0.005
 class Template:
     """A motion template of N columns.
 
-    values: float64 (N, f) in [0, 1]; column i − 1 of the matrix is F_i. weights: float64 (N,), about 1.
-    feature_weights: float64 (f,), how much each feature counts in a comparison, or None: all alike.
+    Parameters
+    ----------
+    values : float64 array (N, f)
+        In [0, 1]; column i − 1 of the matrix is F_i.
+    weights : float64 array (N,)
+        The weight of each column, about 1.
+    feature_weights : float64 array (f,), optional
+        How much each feature counts in a comparison; None: all alike.
     """
 
     values: F64
@@ -41,10 +47,16 @@ class Template:
 
 @dataclass(frozen=True)
 class QuantisedTemplate:
-    """A template of 0, 1 and wildcards: bit i − 1 of `mask` says that F_i counts, of `value` what it is.
+    """A template of 0, 1 and wildcards, as bits: bit i − 1 belongs to F_i.
 
-    mask, value: uint64 (N,); value has no bit outside mask. feature_weights: float64 (f,), how much each feature
-    counts in a distance curve, above 0 wherever mask has its bit; None: all alike.
+    Parameters
+    ----------
+    mask : uint64 array (N,)
+        The bits that are fixed, for each column.
+    value : uint64 array (N,)
+        Their values; no bit is set outside the mask.
+    feature_weights : float64 array (f,), optional
+        How much each feature counts in a distance curve, above 0 wherever the mask has its bit; None: all alike.
     """
 
     mask: U64
@@ -68,24 +80,31 @@ class QuantisedTemplate:
 
     @property
     def fixed(self) -> float:
-        """How many entries of a column are no wildcards, on average."""
+        """The number of fixed entries of a column, on average."""
         return float(np.bitwise_count(self.mask).mean())
 
     def values(self, features: int) -> F64:
-        """The columns as numbers, float64 (N, f): 0, 1, and 0.5 for a wildcard."""
+        """Return the columns as numbers, float64 (N, f): 0, 1, and 0.5 for a wildcard."""
         fixed, ones = bits(self.mask, features), bits(self.value, features)
         return np.where(fixed == 1, ones, 0.5)
 
 
 @dataclass(frozen=True)
 class Learned:
-    """A template and how it came about.
+    """A template and how it was learned.
 
-    template: the class template. rounds: how often all templates were averaged.
-    costs: the largest DTW cost between two templates, divided by the reference's total weight, before each
-    round and after the last: rounds + 1 numbers (a single one, 0, where there is one clip).
-    clip_costs: of each clip, how far it is from the others: the median of its DTW costs, before the first round, as a
-    share of the entries compared along the path (0 where there is one clip).
+    Parameters
+    ----------
+    template : Template
+        The class template.
+    rounds : int
+        How often all templates were averaged.
+    costs : tuple of float
+        The largest DTW cost between two templates, divided by the reference's total weight, before each round and after
+        the last: rounds + 1 numbers (a single one, 0, where there is one clip).
+    clip_costs : tuple of float
+        Of each clip the median of its DTW costs to the others, before the first round, as a share of the entries
+        compared along the path (0 where there is one clip).
     """
 
     template: Template
@@ -108,33 +127,28 @@ Spread = Callable[[Callable[[Piece], Paths], Iterable[Piece]], Iterable[Paths]]
 
 
 def learn_soft(clips: Sequence[U64], features: int) -> Learned:
-    """Learn the soft motion template of a class (thesis, 2.3; Müller and Röder 2006).
+    """Learn the soft motion template of a class (thesis, Section 2.3; Müller and Röder 2006).
 
     Values are weighted means over the clips; the local cost is the mean over features of |x − y|.
 
     Parameters
     ----------
-    clips: the words of each training clip, uint64 (L_i,), in the order of the clips' names.
-    features: number of features f, 1 to 63.
+    clips : sequence of uint64 array (L_i,)
+        The words of each training clip, in the order of the clips' names.
+    features : int
+        The number of features f, 1 to 63.
 
     Returns
     -------
-    Learned. With one clip the template is that clip.
+    Learned
+        With one clip the template is that clip.
 
     Raises
     ------
-    ParameterError: without clips, with an empty clip, one with invalid frames, or with bits beyond the features.
+    ParameterError
+        If there are no clips, or one is empty, has invalid frames, or bits beyond the features.
     """
     return learn("soft", clips, features)
-
-
-def learn_hard(clips: Sequence[U64], features: int) -> Learned:
-    """Learn the hard motion template of a class (diploma thesis, 3.3.1, Eq. 3.1 to 3.6).
-
-    Values are 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost
-    between the template and every one of its clips is 0 (Claim 3.1 there). Parameters as in `learn_soft`.
-    """
-    return learn("hard", clips, features)
 
 
 def learn(
@@ -145,20 +159,36 @@ def learn(
     spread: Spread = map,
     pieces: int = 1,
 ) -> Learned:
-    """Learn a motion template, the alignments of each round spread over workers.
+    """Learn a soft or hard motion template, the alignments of each round divided among workers.
+
+    Soft templates are those of `learn_soft`. Hard templates (diploma thesis, Section 3.3.1, Eq. 3.1 to 3.6) have the
+    values 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost between a hard
+    template and every one of its clips is 0 (Claim 3.1 in Section 3.3.2 there).
 
     Parameters
     ----------
-    kind: "soft" or "hard"; clips, features: as in `learn_soft`.
-    feature_weights: float64 (f,), not negative and not all 0; None: all features count alike. The soft cost is the
-        weighted mean over the features; the hard cost leaves features of weight 0 out. The values of a feature are
-        learned whatever its weight.
-    spread: how the pieces of a round are worked off. pieces: into how many a round is divided. The result does not
-        depend on either.
+    kind : str
+        "soft" or "hard".
+    clips : sequence of uint64 array (L_i,)
+        The words of each training clip, in the order of the clips' names.
+    features : int
+        The number of features f, 1 to 63.
+    feature_weights : float64 array (f,), optional
+        Not negative and not all 0; None: all features count alike. The soft cost is the weighted mean over the
+        features; the hard cost ignores features of weight 0. The values of a feature are learned whatever its weight.
+    spread : callable
+        The function that applies another one to all pieces of a round, see `Spread`.
+    pieces : int
+        The number of pieces that a round is divided into. The result depends on neither.
+
+    Returns
+    -------
+    Learned
 
     Raises
     ------
-    ParameterError: as `learn_soft`, and for weights that are not as said.
+    ParameterError
+        As in `learn_soft`, and for weights that are not as described.
     """
     _validate(clips, features)
     counts = _checked_weights(feature_weights, features)
@@ -187,18 +217,25 @@ def learn(
 
 
 def align_piece(piece: Piece) -> Paths:
-    """Align the pairs of a piece (runs in a worker)."""
+    """Align the pairs of a piece; a worker runs this."""
     return piece.method.align(piece.stack, piece.pairs)
 
 
 def quantise(template: Template, delta: float) -> QuantisedTemplate:
-    """Replace values ≤ delta by 0, values ≥ 1 − delta by 1, and the rest by a wildcard (thesis, 2.3).
+    """Replace values ≤ delta by 0, values ≥ 1 − delta by 1, and the rest by a wildcard (thesis, Section 2.3).
 
     Parameters
     ----------
-    template: at most 63 features. A feature of weight 0 is a wildcard everywhere; other weights go along, and a fixed
-        entry counts by them in distance curves.
-    delta: 0 ≤ delta < 0.5; 0 keeps only what does not vary at all. Compared with a tolerance of 1e-9.
+    template : Template
+        At most 63 features. A feature of weight 0 is a wildcard everywhere; other weights are kept, and a fixed entry
+        counts by them in distance curves.
+    delta : float
+        0 ≤ δ < 0.5; 0 fixes only what does not vary at all. Values are compared with a tolerance of 1e-9.
+
+    Raises
+    ------
+    ParameterError
+        If δ is out of its range.
     """
     if not 0 <= delta < 0.5:
         raise ParameterError("delta", "at least 0 and below 0.5", delta)
@@ -215,7 +252,7 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
 
 
 def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int) -> Paths:
-    """Align all pairs, in one go or in pieces of about the same work."""
+    """Align all pairs, at once or in pieces of about the same work."""
     if pieces <= 1 or len(pairs) < 2:
         return method.align(stack, pairs)
     work = np.cumsum(stack.lengths[pairs].prod(axis=1))
@@ -228,7 +265,7 @@ def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int
 
 
 def _medians(costs: F64, pairs: I64, count: int) -> list[float]:
-    """Of each template, the median cost of the pairs that it is in."""
+    """Return, for each template, the median cost of the pairs that it is in."""
     return [float(np.median(costs[(pairs == i).any(axis=1)])) for i in range(count)]
 
 

@@ -1,4 +1,4 @@
-"""Classical dynamic time warping of two weighted sequences, with the path; seen from either of the two."""
+"""Classical dynamic time warping of two weighted sequences, with the path; read from either of the two."""
 
 from __future__ import annotations
 
@@ -24,8 +24,12 @@ cheap, and then the one is taken in which the sequence advances from whose side 
 class Alignment:
     """The cheapest warping path between two sequences.
 
-    cost: sum of the weighted local costs along the path.
-    path: int64 (P, 2), columns of the first and the second sequence, from (0, 0) to the last columns.
+    Parameters
+    ----------
+    cost : float
+        The sum of the weighted local costs along the path.
+    path : int64 array (P, 2)
+        Columns of the first and the second sequence, from (0, 0) to the last columns.
     """
 
     cost: float
@@ -41,16 +45,22 @@ def align(local_cost: F64, first_weights: F64, second_weights: F64) -> Alignment
 
     Parameters
     ----------
-    local_cost: float64 (K, L), finite and not negative.
-    first_weights, second_weights: float64 (K,) and (L,), positive.
+    local_cost : float64 array (K, L)
+        Finite and not negative.
+    first_weights : float64 array (K,)
+        Positive.
+    second_weights : float64 array (L,)
+        Positive.
 
     Returns
     -------
-    Alignment; its path has between max(K, L) and K + L − 1 cells.
+    Alignment
+        Its path has between max(K, L) and K + L − 1 cells.
 
     Raises
     ------
-    ParameterError: if a sequence is empty, the shapes disagree, or a cost is negative or not finite.
+    ParameterError
+        If a sequence is empty, the shapes disagree, or a cost is negative or not finite.
     """
     if local_cost.ndim != 2 or 0 in local_cost.shape:
         raise ParameterError("local_cost", "a matrix with at least one row and column", local_cost.shape)
@@ -70,7 +80,7 @@ def align(local_cost: F64, first_weights: F64, second_weights: F64) -> Alignment
 
 
 def _cells(steps: U8) -> I64:
-    """The cells of a path, int64 (P, 2), from the steps that enter them."""
+    """Return the cells of a path, int64 (P, 2), from the steps that enter them."""
     advances = np.stack([steps != SECOND, steps != FIRST], axis=1).astype(np.int64)
     return advances.cumsum(axis=0) - 1
 
@@ -96,10 +106,22 @@ def _accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tup
 def advance_row(above: F64, here: F64, entering: F64, weighted: F64, entered: U8, first: bool) -> None:
     """Fill one row of accumulated costs and of the steps that enter its cells (kernel).
 
-    Three passes, of which only the second depends on the cell before: the others vectorise.
+    Of the three passes only the second depends on the cell before: the others vectorise.
 
-    above: the row before (∞ in front of the first one), here: what is filled; entering: room of the same length;
-    weighted: the local costs times the mean of the two column weights.
+    Parameters
+    ----------
+    above : float64 array (L,)
+        The row before (∞ before the first one).
+    here : float64 array (L,)
+        The results.
+    entering : float64 array (L,)
+        Memory.
+    weighted : float64 array (L,)
+        The local costs times the mean of the two column weights.
+    entered : uint8 array (L,)
+        The resulting steps.
+    first : bool
+        Whether this is the first row.
     """
     columns = len(weighted)
     entering[0] = 0.0 if first else above[0]
@@ -125,10 +147,17 @@ def advance_row(above: F64, here: F64, entering: F64, weighted: F64, entered: U8
 
 @nb.njit(cache=True, nogil=True)
 def trace_back(entered: U8, preferred: np.uint8, steps: U8) -> int:
-    """Write the steps of the best path, in its order, and return how many there are (kernel).
+    """Write the steps of the best path, in its order, and return their number (kernel).
 
-    preferred: FIRST or SECOND, whichever sequence the path is read from; a step in which that one alone advances is
-    written as FIRST, and its opposite as SECOND. steps: uint8 with room for K + L − 1.
+    Parameters
+    ----------
+    entered : uint8 array (K, L)
+        The step that enters each cell.
+    preferred : uint8
+        FIRST or SECOND, the sequence that the path is read from; a step in which that one alone advances is written as
+        FIRST, and its opposite as SECOND.
+    steps : uint8 array
+        The results, with room for K + L − 1.
     """
     rows, columns = entered.shape
     swap = preferred == SECOND

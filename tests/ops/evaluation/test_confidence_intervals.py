@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.evaluation.confidence_intervals import two_stage_interval, wilson
+from kinedex.ops.evaluation.confidence_intervals import wilson
+from studies.two_stage_interval import two_stage_interval
 
 
 @given(st.integers(1, 300).flatmap(lambda total: st.tuples(st.integers(0, total), st.just(total))))

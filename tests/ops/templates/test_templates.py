@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.averaging import Hard, rebalance
 from kinedex.ops.templates.pairs import Stack, Weighted, all_pairs
-from kinedex.ops.templates.templates import Kind, QuantisedTemplate, Template, learn, learn_hard, learn_soft, quantise
+from kinedex.ops.templates.templates import Kind, QuantisedTemplate, Template, learn, learn_soft, quantise
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, bits, pack
 from tests.oracles import templates as naive
@@ -126,7 +126,7 @@ def test_the_clip_that_differs_from_all_others_costs_most():
 
 @given(classes_of_clips())
 def test_a_hard_template_contradicts_none_of_its_clips(clips: list[Clip]):
-    template = learn_hard([as_words(clip) for clip in clips], len(clips[0][0])).template
+    template = learn("hard", [as_words(clip) for clip in clips], len(clips[0][0])).template
     quantised = quantise(template, 0)
     for clip in clips:
         assert hard_cost(quantised, as_words(clip)) == 0
@@ -170,7 +170,7 @@ def test_wrong_input_is_refused_in_words():
     with pytest.raises(ParameterError, match="clips must be at least one clip"):
         learn_soft([], 4)
     with pytest.raises(ParameterError, match="at least one frame"):
-        learn_hard([np.array([], np.uint64)], 4)
+        learn("hard", [np.array([], np.uint64)], 4)
     with pytest.raises(ParameterError, match="without invalid frames"):
         learn_soft([np.array([1, NO_WORD], np.uint64)], 4)
     with pytest.raises(ParameterError, match="feature_weights must be of shape"):
@@ -208,7 +208,7 @@ def test_hard_templates_of_real_classes_contradict_none_of_their_clips(
 ):
     assert len(hdm05_clips) == 11
     for clips in hdm05_clips.values():
-        learned = learn_hard(clips, 40)
+        learned = learn("hard", clips, 40)
         assert max(hard_cost(quantise(learned.template, 0), clip) for clip in clips) == 0
         assert learned.costs[-1] == 0
 
