@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.catalog.plugins import Plugins
-from kinedex.ops.body.features import COMPARISONS, JOINTS_OF, Primitive, Rule, Term
+from kinedex.ops.body.feature_rules import COMPARISONS, JOINTS_OF, Primitive, Rule, Term
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.mirror import rearrange
 from kinedex.ops.words import MOST_FEATURES

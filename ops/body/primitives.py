@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.body.feature_rules import ABOVE, AT_LEAST, AT_MOST, BELOW
+
 F64 = npt.NDArray[np.float64]
 
 DEGREES = 180.0 / math.pi
@@ -169,9 +171,6 @@ def turn_rate(orientation: F64, rate_hz: float) -> F64:
                 out[t - 1] = abs(math.atan2(cross, dot)) * DEGREES * rate_hz
         ax, az = bx, bz
     return out
-
-
-ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
 
 
 def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inver
 from kinedex.ops.search.runs import FeatureRuns, feature_runs
 from kinedex.ops.words import I64, TakeWords
 from kinedex.storage import duck
+from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 BATCH = 122_880
@@ -194,32 +195,6 @@ def surface(feature_set: FeatureSet, rate_hz: float) -> str:
     """Return a hash of the views, macros and help of an index; a change of it leaves the rows valid."""
     text = "\n".join([*_statements(feature_set, rate_hz), *map(repr, help_rows(index_only=True))])
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def features_table(feature_set: FeatureSet) -> pa.Table:
-    """Return the rows of the view `features`."""
-    rows = []
-    for feature in feature_set.features:
-        home = feature_set.set_of(feature.number)
-        rows.append(
-            {
-                "number": feature.number,
-                "name": feature.name,
-                "description": feature.description,
-                "feature_set": home.name,
-                "bit": feature.number - home.first,
-            }
-        )
-    small = {"number": pa.uint8(), "bit": pa.uint8()}
-    fields = [(name, small.get(name, pa.string())) for name in ("number", "name", "description", "feature_set", "bit")]
-    return pa.Table.from_pylist(rows, schema=pa.schema(fields))
-
-
-def help_table(*, index_only: bool = False) -> pa.Table:
-    """Return the rows of the view `help`."""
-    columns = ("name", "call", "summary", "example")
-    rows = help_rows(index_only=index_only)
-    return pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows])
 
 
 def lists_table(feature_set: str) -> str:

@@ -166,5 +166,13 @@ class Snapshot:
 
 
 def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
-    with read_errors(file):
-        return pq.read_table(file, schema=schema)
+    """Read a part; columns that an older kinedex did not write are null."""
+    # not pq.read_table, which loads pyarrow.dataset: that takes longer than reading a small part
+    with read_errors(file), pq.ParquetFile(file) as opened:
+        table = opened.read()
+        columns = [
+            table.column(field.name).cast(field.type) if field.name in table.column_names
+            else pa.nulls(table.num_rows, field.type)
+            for field in schema
+        ]  # fmt: skip
+        return pa.table(columns, schema=schema)

@@ -11,7 +11,7 @@ from kinedex.catalog.sql.views import MACROS, VIEWS, Macro
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 from kinedex.storage import duck
 from kinedex.storage.index.generations import BUILD, FILE, current_generation, missing_index
-from kinedex.storage.index.tables import features_table, help_table
+from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
 from kinedex.storage.snapshot.snapshot import Snapshot

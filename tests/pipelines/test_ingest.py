@@ -14,7 +14,6 @@ import pytest
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
-from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.amc import read_amc

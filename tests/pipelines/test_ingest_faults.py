@@ -18,7 +18,6 @@ from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
 from kinedex.pipelines.ingestion import file_batches as reading
-from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.reader import Body

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.body import primitives as p
+from kinedex.ops.body.feature_rules import ABOVE, AT_LEAST, AT_MOST, BELOW, WITHIN
 
 LIMITS = st.floats(-1e300, 1e300)
 
@@ -16,11 +17,11 @@ LIMITS = st.floats(-1e300, 1e300)
 def test_bounds_hold_what_the_comparison_holds(low: float, high: float, x: float) -> None:
     for near in (x, low, high, float(np.nextafter(low, np.inf)), float(np.nextafter(low, -np.inf))):
         says = {
-            p.ABOVE: near > low,
-            p.AT_LEAST: near >= low,
-            p.BELOW: near < low,
-            p.AT_MOST: near <= low,
-            p.WITHIN: low <= near <= high,
+            ABOVE: near > low,
+            AT_LEAST: near >= low,
+            BELOW: near < low,
+            AT_MOST: near <= low,
+            WITHIN: low <= near <= high,
         }
         for comparison, holds in says.items():
             least, greatest = p.bounds(comparison, low, high)

@@ -1,0 +1,97 @@
+"""Rules of relational features: sums of geometric primitives, compared with a weak and a strong threshold.
+
+A rule only describes a feature; `ops.body.features` evaluates rules with compiled kernels, which whoever reads a
+feature set need not load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+
+ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
+"""The comparisons, as kernels know them."""
+
+COMPARISONS = {">": ABOVE, ">=": AT_LEAST, "<": BELOW, "<=": AT_MOST, "within": WITHIN}
+
+JOINTS_OF = {
+    "plane": 4,
+    "nplane": 4,
+    "vplane": 4,
+    "vnplane": 4,
+    "speed": None,
+    "angle": 3,
+    "segments": 4,
+    "tilt": 2,
+    "height": 1,
+    "extent_y": 0,
+    "extent_xz": None,
+    "turn_rate": 1,
+}
+"""The primitives by name, with the number of joints they take (None: any number, at least one)."""
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """A geometric primitive that is not one of `JOINTS_OF`.
+
+    Attributes
+    ----------
+    joints : int or None
+        The number of joints that it takes; None for any number, at least one.
+    compute : callable
+        Returns the quantity in every frame, float64 (T,), from the trajectories of the joints, float64 (n, 3, T) in
+        metres, and the frames per second. A feature is off where it is NaN.
+    """
+
+    joints: int | None
+    compute: Callable[[F64, float], F64]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A geometric primitive over joints (by index), with its factor in a sum."""
+
+    primitive: str
+    joints: tuple[int, ...]
+    factor: float = 1.0
+    window_ms: float = 0.0
+    without: tuple[int, ...] = ()
+    absolute: bool = False
+
+
+@dataclass(frozen=True)
+class Rule:
+    """The rule of a feature: a sum of terms is compared with a weak and a strong threshold.
+
+    Attributes
+    ----------
+    length : tuple[tuple[int, int], ...]
+        Pairs of joints whose distances in frame 0, added up, scale the thresholds; empty for plain numbers.
+    weak, strong : tuple[float, float]
+        (low, high); one-sided comparisons use the first only.
+    """
+
+    terms: tuple[Term, ...]
+    comparison: int
+    weak: tuple[float, float]
+    strong: tuple[float, float]
+    length: tuple[tuple[int, int], ...] = ()
+
+    def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
+        """Return the joints that the rule requires, and those of `body` that it uses where they are known."""
+        fixed = {joint for pair in self.length for joint in pair}
+        several: set[int] = set()
+        for term in self.terms:
+            if term.primitive == "extent_xz":
+                several |= set(term.joints)
+            else:
+                fixed |= set(term.joints)
+            if term.primitive in ("height", "extent_y"):
+                several |= set(body) - set(term.without)
+        return fixed, several - fixed
