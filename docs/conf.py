@@ -39,7 +39,7 @@ html_show_sourcelink = False
 html_copy_source = False
 pygments_style = "friendly"
 
-CONTENTS = re.compile(r"^\*\*([\w ]+)\*\*\n((?:- .*\n(?:  .*\n)*)+)", re.MULTILINE)
+CONTENTS = re.compile(r"^\*\*([\w ]+)\*\*.*\n((?:- .*\n(?:  .*\n)*)+)", re.MULTILINE)
 OUTSIDE = re.compile(r"\[([^\]]*)\]\((?:\.\./)+([^)]*)\)")
 
 
