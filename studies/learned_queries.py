@@ -22,10 +22,9 @@ from kinedex.ops.evaluation.confidence_intervals import wilson
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
-from kinedex.pipelines.keyframes.background import mine
-from kinedex.pipelines.keyframes.learning import Lesson, Outcome, lessons
+from kinedex.pipelines.keyframes.learning import Outcome, TrainingSet, training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.runs import Rounds, learn
+from kinedex.pipelines.keyframes.runs import learn
 from kinedex.pipelines.templates.learning import TrainingClips, training_clips
 from kinedex.storage.store.store import Store, open_store
 from studies.keyframe_places import Measured, Searched, annotated, joined, measured, with_ground_truth
@@ -45,8 +44,6 @@ VARIANTS: dict[str, dict[str, object]] = {
     "one query a class": {"alternatives": 1},
     "three queries a class": {"alternatives": 3},
     "margins of each query": {"margins": "learned"},
-    "margins by the formula": {"margins": "formula"},
-    "the wider margins": {"margins": "wider"},
     "the consensus first": {"at_least": "median"},
     "as before": {"at_least": "median", "margins": "learned", "outside_cost": 0.0},
     "outside_cost 0": {"outside_cost": 0.0},
@@ -56,7 +53,6 @@ VARIANTS: dict[str, dict[str, object]] = {
     "parsimony 0": {"parsimony": 0.0},
     "gap_cost 0": {"gap_cost": 0.0},
     "100 generations": {"generations": 100},
-    "beta 4": {"beta": 4.0},
 }
 """The changes of each variant to the numbers of `configs/pipelines/keyframes.yaml` or of the thesis."""
 
@@ -77,7 +73,6 @@ class Study:
     executor: Executor
     runs: int
     seeds: int
-    background: str | None
     clips_only: bool
     annotate: bool
 
@@ -90,16 +85,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=1, help="how often the whole is repeated, with other seeds")
     parser.add_argument("--workers", type=int, default=None)
-    parser.add_argument("--background", help="a filter: takes whose false hits are further negatives")
     parser.add_argument("--clips-only", action="store_true", help="leave the takes with ground truth out")
     parser.add_argument("--annotate", action="store_true", help="label the takes too (thesis's method, τ = 0.13)")
     parser.add_argument("--by-class", action="store_true", help="a table of classes for each variant")
     arguments = parser.parse_args()
     executor = make_executor("processes", arguments.workers)
-    study = Study(
-        open_store(arguments.store), executor, arguments.runs, arguments.seeds, arguments.background,
-        arguments.clips_only, arguments.annotate,
-    )  # fmt: skip
+    store, sizes = open_store(arguments.store), (arguments.runs, arguments.seeds)
+    study = Study(store, executor, *sizes, arguments.clips_only, arguments.annotate)
     names = arguments.variant or [name for name in VARIANTS if name != NO_QUERIES or study.annotate]
     heads = ["variant", "left out", "segments hit", "in all", "of them covered", "frames kept"]
     heads += ["F (frames)", "F (segments)"] if study.annotate else []
@@ -164,17 +156,9 @@ def _search(
 
 def _learned(study: Study, clips: Sequence[TrainingClips], params: KeyframeParameters) -> list[Outcome]:
     setting = setting_of(params, study.store)
-    rounds = Rounds(params.rounds().runs, params.group, params.patience, params.settled)
-    wanted: list[Lesson] = lessons(clips, load_classes("own", [one.subclass for one in clips]))
-    outcomes = [course.outcome for course in learn(wanted, setting, rounds, study.executor)]
-    if study.background is not None:
-        words = study.store.words(study.store.takes(study.background)["take_id"].to_list())
-        pairs = zip(wanted, outcomes, strict=True)
-        wanted = [
-            mine(lesson, outcome, words, setting.features, params.background_clips)[0] for lesson, outcome in pairs
-        ]
-        outcomes = [course.outcome for course in learn(wanted, setting, rounds, study.executor)]
-    return outcomes
+    rounds = params.rounds()
+    wanted: list[TrainingSet] = training_sets(clips, load_classes("own", [one.subclass for one in clips]))
+    return [one.outcome for one in learn(wanted, setting, rounds, study.executor)]
 
 
 # ---- tables ----------------------------------------------------------------------------------------------

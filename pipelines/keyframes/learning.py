@@ -1,4 +1,4 @@
-"""Learning keyframe queries: what each class is learned from, runs in workers, and what becomes of them."""
+"""The learning of keyframe queries: training sets, runs and their consensus in workers, and the queries they give."""
 
 from __future__ import annotations
 
@@ -36,10 +36,13 @@ from kinedex.pipelines.templates.learning import TrainingClips
 
 Learner = Literal["genetic", "random", "greedy"]
 
+REACH = 0.04
+"""Keyframes of two runs are the same where they are at most this share of the template apart; the thesis gives none."""
+
 
 @dataclass(frozen=True)
 class Setting:
-    """How queries are learned; `pipelines.stages.learn_keyframes.Params` says what each number means."""
+    """The numbers that queries are learned with; `KeyframeParameters` describes each of them."""
 
     learner: Learner
     evolution: EvolutionSettings
@@ -48,42 +51,49 @@ class Setting:
     features: int
     steady: int
     joins: int
-    reach: float
     alternatives: int
     at_least: AtLeast
-    agreements: tuple[float, ...]
     margins: Margins
     seed: int
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """What the query of one subclass is learned from: its clips, those of other classes, and background."""
+class TrainingSet:
+    """The clips that the query of one subclass is learned from.
+
+    Attributes
+    ----------
+    subclass : str
+        The subclass.
+    names : tuple of str
+        The names of its clips.
+    positives : tuple of uint64 arrays (L,)
+        The words of its clips.
+    negatives : tuple of uint64 arrays (L,)
+        The words of clips of other classes.
+    """
 
     subclass: str
     names: tuple[str, ...]
     positives: tuple[U64, ...]
     negatives: tuple[U64, ...]
-    background: tuple[U64, ...] = ()
 
     @property
     def subject(self) -> str:
-        """What a task is about, for messages."""
+        """The subject of a task, for messages."""
         return f"the keyframe query of {self.subclass}"
 
     def key(self, setting: Setting) -> str:
-        """All that a run follows from except its number, hashed: runs of the same key need not be run again.
+        """Return a hash of all that a run depends on except its number: runs of the same key are the same.
 
-        It begins with that of the clips (`clips_key`), and a hyphen.
+        It begins with that of the clips (`clips_key`) and a hyphen. Numbers that concern finished runs only are not
+        part of it.
         """
-        same = replace(
-            setting, margins="learned", alternatives=0, at_least="median", agreements=(), reach=0.0
-        )  # what they say is about finished runs
-        text = repr(sorted(asdict(same).items(), key=str))
-        return f"{self.clips_key()}-{_digest(text, self.background)}"
+        same = replace(setting, margins="learned", alternatives=0, at_least="median")
+        return f"{self.clips_key()}-{_digest(repr(sorted(asdict(same).items(), key=str)))}"
 
     def clips_key(self) -> str:
-        """A hash of the subclass, its clips, those of other classes, and the code that learns from them."""
+        """Return a hash of the subclass, its clips, those of other classes, and the code that learns from them."""
         return _digest(repr((self.subclass, _code())), self.positives, self.negatives)
 
 
@@ -98,41 +108,41 @@ def _digest(text: str, *groups: Sequence[U64]) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Return a hash of the code of a run, so that runs of other code are not taken for its own."""
-    return code_digest(do_runs)
+    """Return a hash of the code of a run, so that runs of other code are not reused."""
+    return code_digest(learn_runs)
 
 
 @dataclass(frozen=True)
 class RunTask:
-    """Runs of one lesson that one worker does."""
+    """The runs of one training set that one worker makes."""
 
-    lesson: Lesson
+    training: TrainingSet
     setting: Setting
     numbers: tuple[int, ...]
 
     @property
     def subject(self) -> str:
-        """What the task is about, for messages."""
-        return f"runs {self.numbers[0]} to {self.numbers[-1]} of {self.lesson.subject}"
+        """The subject of the task, for messages."""
+        return f"runs {self.numbers[0]} to {self.numbers[-1]} of {self.training.subject}"
 
 
 @dataclass(frozen=True)
-class AgreeTask:
-    """The runs of one lesson that are to become one outcome."""
+class ConsensusTask:
+    """The runs of one training set, whose consensus one worker finds."""
 
-    lesson: Lesson
+    training: TrainingSet
     setting: Setting
     runs: tuple[LearningRun, ...]
 
     @property
     def subject(self) -> str:
-        """What the task is about, for messages."""
-        return self.lesson.subject
+        """The subject of the task, for messages."""
+        return self.training.subject
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A query that was chosen, and how many frames before and after its hits the motion may reach."""
+    """A chosen query, and the frames before and after a hit that the motion may reach."""
 
     query: Individual
     left: int
@@ -141,11 +151,25 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a lesson: the consensus of its runs, and the queries that preselect for its subclass.
+    """The outcome of the runs of one subclass.
 
-    precision, recall: of all chosen queries together, on the clips as they are; unlike the fitness they know nothing of
-    background, of joined clips, and of what `steady` and `tempo` ask for. columns: of the template. clips: the
-    names of the positive ones. runs: how many there were.
+    Attributes
+    ----------
+    subclass : str
+        The subclass.
+    consensus : Consensus
+        The consensus of the runs.
+    chosen : tuple of Chosen
+        The queries that preselect for the subclass.
+    precision, recall : float
+        Those of all chosen queries together, on the clips as they are: unlike the fitness without joined clips, and
+        without what `steady` and `tempo` demand.
+    columns : int
+        The columns of the template.
+    clips : tuple of str
+        The names of the positive clips.
+    runs : int
+        The number of runs.
     """
 
     subclass: str
@@ -158,91 +182,96 @@ class Outcome:
     runs: int
 
 
-def lessons(clips: Sequence[TrainingClips], classes: Classes, background: Sequence[U64] = ()) -> list[Lesson]:
-    """What each subclass is learned from: all clips of other classes are negative, other subclasses of its own are not.
+def training_sets(clips: Sequence[TrainingClips], classes: Classes) -> list[TrainingSet]:
+    """Make the training set of each subclass: clips of other classes are negative, other subclasses of its own are not.
 
     Parameters
     ----------
-    clips: by subclass. classes: a subclass in none of them is a class of its own.
-    background: stretches in which no class of these is to be found.
+    clips : sequence of TrainingClips
+        The clips of each subclass.
+    classes : Classes
+        The classes; a subclass in none of them is a class of its own.
     """
     of = classes.of_subclass()
     label = {one.subclass: of.get(one.subclass, one.subclass) for one in clips}
     return [
-        Lesson(
+        TrainingSet(
             one.subclass,
             one.names,
             one.words,
             tuple(words for other in clips if label[other.subclass] != label[one.subclass] for words in other.words),
-            tuple(background),
         )
         for one in clips
     ]
 
 
 def allowed_features(feature_set: FeatureSet, sets: Sequence[str]) -> int:
-    """The features of these sets as a mask, bit i − 1 for F_i; all features where no set is named."""
+    """Return the features of some sets as a mask, bit i − 1 for F_i; all features where no set is named."""
     numbers = [number for name in sets or feature_set.sets for number in feature_set.word_set(name).numbers]
     return sum(1 << (number - 1) for number in set(numbers))
 
 
-def strict_template(lesson: Lesson, setting: Setting) -> QuantisedTemplate:
-    """The template whose columns become keyframes: entries that do not vary, and hold for some columns around.
+def strict_template(training: TrainingSet, setting: Setting) -> QuantisedTemplate:
+    """Return the template whose columns become keyframes: entries that do not vary, and hold for `steady` columns.
 
-    Where nothing is left of it, entries that hold in their own column alone; where even that is nothing, the message of
-    the KinedexError says so.
+    Where no entry holds so long, entries that hold in their own column count.
+
+    Raises
+    ------
+    KinedexError
+        The clips have no such entry in common.
     """
-    plain = quantise(learn_soft(lesson.positives, setting.features).template, setting.delta)
+    plain = quantise(learn_soft(training.positives, setting.features).template, setting.delta)
     allowed = np.uint64(setting.allowed)
     for steady in (setting.steady, 0):
         template = steady_entries(plain, steady)
         if (template.mask & allowed).any():
             return template
     raise KinedexError(
-        f"{lesson.subclass}: the clips have nothing in common that could be a keyframe (at delta = {setting.delta:g}, "
-        "in the feature sets allowed); raise `delta`, allow more `sets`, or leave the class out"
+        f"{training.subclass}: the clips have nothing in common that could be a keyframe (at delta = "
+        f"{setting.delta:g}, in the feature sets allowed); raise `delta`, allow more `sets`, or exclude the class"
     )
 
 
-def material_of(lesson: Lesson, setting: Setting) -> TrainingTask:
-    """The clips as bitmaps, positives first, and the template's columns."""
-    others = [*lesson.negatives, *_joined(lesson, setting), *lesson.background]
-    every = [*lesson.positives, *others]
-    judged = [setting.steady] * len(lesson.positives) + [0] * len(others)
+def training_task(training: TrainingSet, setting: Setting) -> TrainingTask:
+    """Return the clips as bitmaps, positives first, with the columns of the template."""
+    others = [*training.negatives, *_joined(training, setting)]
+    every = [*training.positives, *others]
+    judged = [setting.steady] * len(training.positives) + [0] * len(others)
     frames = training_frames(every, setting.features, judged)
-    return make_training_task(frames, len(lesson.positives), strict_template(lesson, setting), setting.allowed)
+    return make_training_task(frames, len(training.positives), strict_template(training, setting), setting.allowed)
 
 
-def _joined(lesson: Lesson, setting: Setting) -> list[U64]:
-    """Negative clips two by two in random order: no chain of keyframes may reach from one into the next."""
-    random = np.random.default_rng([setting.seed, crc32(lesson.subclass.encode())])
+def _joined(training: TrainingSet, setting: Setting) -> list[U64]:
+    """Join negative clips two by two in random order, as a query must not reach from one motion into the next."""
+    random = np.random.default_rng([setting.seed, crc32(training.subclass.encode())])
     pairs = []
     for _ in range(setting.joins):
-        order = random.permutation(len(lesson.negatives)).tolist()
-        pairs += [(lesson.negatives[a], lesson.negatives[b]) for a, b in pairwise(order)]
+        order = random.permutation(len(training.negatives)).tolist()
+        pairs += [(training.negatives[a], training.negatives[b]) for a, b in pairwise(order)]
     return [np.concatenate(pair) for pair in pairs]
 
 
 @lru_cache(maxsize=4)
 def _cached(key: str) -> list[TrainingTask]:
-    # One material per lesson and worker; filled by its first task.
+    # One training task per training set and worker, filled by its first task.
     return []
 
 
-def _material(lesson: Lesson, setting: Setting) -> TrainingTask:
-    kept = _cached(lesson.key(setting))
+def _cached_task(training: TrainingSet, setting: Setting) -> TrainingTask:
+    kept = _cached(training.key(setting))
     if not kept:
-        kept.append(material_of(lesson, setting))
+        kept.append(training_task(training, setting))
     return kept[0]
 
 
-def do_runs(task: RunTask) -> list[LearningRun]:
-    """Do runs of one lesson (in a worker); a run follows from seed, subclass and number alone."""
-    material = _material(task.lesson, task.setting)
+def learn_runs(task: RunTask) -> list[LearningRun]:
+    """Make runs of one training set, in a worker; a run depends on seed, subclass and number alone."""
+    material = _cached_task(task.training, task.setting)
     evolution = task.setting.evolution
     results = []
     for number in task.numbers:
-        seed = (task.setting.seed, crc32(task.lesson.subclass.encode()), number)
+        seed = (task.setting.seed, crc32(task.training.subclass.encode()), number)
         if task.setting.learner == "genetic":
             results.append(evolve(material, evolution, seed))
         elif task.setting.learner == "random":
@@ -252,28 +281,28 @@ def do_runs(task: RunTask) -> list[LearningRun]:
     return results
 
 
-def agree(task: AgreeTask) -> Outcome:
-    """Make an outcome of the runs of one lesson (in a worker)."""
-    lesson, setting = task.lesson, task.setting
-    material = _material(lesson, setting)
-    reach = max(1, round(setting.reach * len(material.masks)))
-    seed = (setting.seed, crc32(lesson.subclass.encode()), len(task.runs), 1)
-    found = find_consensus(material, task.runs, setting.evolution, reach, seed, setting.at_least, setting.agreements)
+def make_outcome(task: ConsensusTask) -> Outcome:
+    """Find the consensus of the runs of one training set, and choose its queries, in a worker."""
+    training, setting = task.training, task.setting
+    material = _cached_task(training, setting)
+    reach = max(1, round(REACH * len(material.masks)))
+    seed = (setting.seed, crc32(training.subclass.encode()), len(task.runs), 1)
+    found = find_consensus(material, task.runs, setting.evolution, reach, seed, setting.at_least)
     queries = _queries(found, task.runs, setting.alternatives)
-    columns = len(material.masks)
-    margins = margins_of(queries, lesson.positives, setting.features, columns, setting.margins)
+    margins = margins_of(queries, training.positives, setting.features, setting.margins)
     chosen = tuple(Chosen(query, *pair) for query, pair in zip(queries, margins, strict=True))
-    retrieved = clips_hit([*lesson.positives, *lesson.negatives], queries, setting.features)
-    right = int(retrieved[: len(lesson.positives)].sum())
+    retrieved = clips_hit([*training.positives, *training.negatives], queries, setting.features)
+    right = int(retrieved[: len(training.positives)].sum())
     total = int(retrieved.sum())
     return Outcome(
-        lesson.subclass, found, chosen, right / total if total else 0.0, right / len(lesson.positives), columns,
-        lesson.names, len(task.runs),
+        training.subclass, found, chosen, right / total if total else 0.0, right / len(training.positives),
+        len(material.masks),
+        training.names, len(task.runs),
     )  # fmt: skip
 
 
 def _queries(found: Consensus, runs: Sequence[LearningRun], alternatives: int) -> list[Individual]:
-    """What the runs agree on, then the fittest runs; each with other keyframes than those before."""
+    """Return the consensus, then the runs of highest rank, each with other keyframes than those before."""
     queries = [found.query]
     for run in sorted(runs, key=lambda run: -run.rank):
         if len(queries) < alternatives and all(run.query.masks.tolist() != one.masks.tolist() for one in queries):
@@ -282,15 +311,22 @@ def _queries(found: Consensus, runs: Sequence[LearningRun], alternatives: int) -
 
 
 def every_query(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> list[KeyframeQuery]:
-    """The chosen queries of all outcomes; no two have the same name."""
+    """Return the chosen queries of all outcomes; no two have the same name."""
     taken = {one.subclass for one in outcomes}
     return [query for one in outcomes for query in keyframe_queries(one, feature_set, taken)]
 
 
 def keyframe_queries(outcome: Outcome, feature_set: FeatureSet, taken: Collection[str] = ()) -> list[KeyframeQuery]:
-    """The chosen queries as people write them: named after the subclass, keyframes divided into feature sets.
+    """Return the chosen queries as people write them: named after the subclass, keyframes divided into feature sets.
 
-    taken: names of all subclasses; the second query of "walk" is "walk 2", unless a subclass has that name.
+    Parameters
+    ----------
+    outcome : Outcome
+        The outcome of a subclass.
+    feature_set : FeatureSet
+        The features of its keyframes.
+    taken : collection of str
+        The names of all subclasses: the second query of "walk" is "walk 2", unless a subclass has that name.
     """
     result: list[KeyframeQuery] = []
     free = (name for number in count(2) if (name := f"{outcome.subclass} {number}") not in taken)

@@ -1,4 +1,4 @@
-"""How far motions reach out of the hits of their keyframe queries: margins by formula, or learned from clips."""
+"""Margins: the frames around hits of keyframe queries that motions may reach, learned from clips."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from typing import Literal
 
 import numpy as np
 
-from kinedex.catalog.queries.keyframe_query import Gap
 from kinedex.ops.keyframes.fitness import Bool
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.ops.search.preselection import template_margins
 from kinedex.ops.search.segments import from_axis
 from kinedex.ops.words import I64, U64, TakeWords
 
-Margins = Literal["learned", "shared", "formula", "wider"]
+Margins = Literal["learned", "shared"]
 
 ALONE = 3
-"""A query that shares its margins keeps one part in so many of those that it would have alone."""
+"""A query that shares its margins keeps at least one part in so many of those that it would have alone."""
 
 
 def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64, I64]:
@@ -30,7 +28,7 @@ def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64,
 
 
 def clips_hit(clips: Sequence[U64], queries: Sequence[Individual], features: int) -> Bool:
-    """Tell for each clip whether any of these queries has a hit in it, bool (T,)."""
+    """Return for each clip if any of some queries has a hit in it, bool (T,)."""
     hit = np.zeros(len(clips), np.bool_)
     words = as_takes(clips)
     for query in queries:
@@ -39,41 +37,38 @@ def clips_hit(clips: Sequence[U64], queries: Sequence[Individual], features: int
 
 
 def as_takes(clips: Sequence[U64]) -> TakeWords:
-    """Clips as words of takes, numbered from 0."""
+    """Return clips as words of takes, numbered from 0."""
     offsets = np.concatenate([[0], np.cumsum([len(words) for words in clips])]).astype(np.int64)
     return TakeWords(np.arange(len(clips)), offsets, np.concatenate(clips))
 
 
 def margins_of(
-    queries: Sequence[Individual], clips: Sequence[U64], features: int, columns: int, policy: Margins
+    queries: Sequence[Individual], clips: Sequence[U64], features: int, policy: Margins
 ) -> list[tuple[int, int]]:
-    """How many frames before and after a hit of each query the motion may reach.
+    """Return the frames before and after a hit of each query that the motion may reach.
 
     Parameters
     ----------
-    queries: of one class. clips: its training clips. features: number of features. columns: of its template.
-    policy: "formula": from the template's columns and the softest gap (`ops.search.preselection.template_margins`).
-        "learned": as far as clips reach out of their hits, so that each that is hit is covered whole; the formula may
-        be shorter, but then it cuts a clip. "shared": the same of all queries together; what one of them covers, the
-        others need not, but for a third of their margins. "wider": the larger of "learned" and "formula", on each side.
+    queries : sequence of Individual
+        The queries of one class.
+    clips : sequence of uint64 arrays (L,)
+        Its training clips.
+    features : int
+        The number of features.
+    policy : {"learned", "shared"}
+        "learned": as far as clips reach out of their hits, so that each clip that is hit is covered whole. "shared":
+        the same of all queries together; a frame that one of them covers need not be covered by the others, whose
+        margins keep a third at least.
+
+    Returns
+    -------
+    list of (int, int)
+        Frames before and after a hit, for each query.
     """
-    formula = [_by_formula(query, columns) for query in queries]
-    if policy == "formula":
-        return formula
     takes = as_takes(clips)
     reached = [Reach(takes, query, features) for query in queries]
     learned = [reach.farthest() for reach in reached]
-    if policy == "shared":
-        return _shared(reached, learned)
-    if policy == "wider":
-        pairs = zip(learned, formula, strict=True)
-        return [(max(one[0], other[0]), max(one[1], other[1])) for one, other in pairs]
-    return learned
-
-
-def _by_formula(query: Individual, columns: int) -> tuple[int, int]:
-    stiffness = min((Gap(low, high).nominal_stiffness for low, high in query.gaps), default=0.0)
-    return template_margins(int(query.positions[0]), int(query.positions[-1]), columns, stiffness)
+    return _shared(reached, learned) if policy == "shared" else learned
 
 
 class Reach:
@@ -86,7 +81,7 @@ class Reach:
         self.frames = len(takes.words)
 
     def farthest(self) -> tuple[int, int]:
-        """The margins by which each clip that is hit is covered whole, what lies between its hits as well."""
+        """Return the margins by which each clip that is hit is covered whole, also between its hits."""
         first = np.diff(self.begins, prepend=-1) != 0
         last = np.diff(self.ends, append=-1) != 0
         left = int((self.starts - self.begins)[first].max(initial=0))
@@ -96,7 +91,7 @@ class Reach:
         return left + lacking // 2, right + lacking - lacking // 2
 
     def covered(self, left: int, right: int) -> Bool:
-        """The frames within hits that are extended by margins, in their own clips; bool (frames,)."""
+        """Return the frames within hits that are extended by margins, in their own clips; bool (frames,)."""
         change = np.zeros(self.frames + 1, np.int64)
         np.add.at(change, np.maximum(self.starts - left, self.begins), 1)
         np.add.at(change, np.minimum(self.stops + right, self.ends), -1)
@@ -105,9 +100,9 @@ class Reach:
 
 
 def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Shorten margins frame by frame as long as no frame of a clip is lost, always the longest that can be shortened.
+    """Shorten margins frame by frame while no frame of a clip is lost, always the longest that can be shortened.
 
-    None becomes shorter than an `ALONE`-th: a motion of somebody else may be found by one of the queries only.
+    None becomes shorter than one part in `ALONE`: a motion of another person may be found by one of the queries only.
     """
     margins = [list(pair) for pair in learned]
     wanted = _covered_by(reached, margins)
@@ -117,7 +112,7 @@ def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> lis
         margins[query][end] -= 1
         least = -(-learned[query][end] // ALONE)
         if margins[query][end] < least or not (_covered_by(reached, margins) >= wanted).all():
-            # the others only become shorter, so it stays as it is
+            # The others only become shorter, so this one cannot be shortened later.
             margins[query][end] += 1
             sides.discard((query, end))
     return [(left, right) for left, right in margins]

@@ -1,4 +1,4 @@
-"""The runs of keyframe learning: in rounds over all classes, kept as they finish, stopped where nothing moves."""
+"""The runs of keyframe learning: in rounds over all classes, stored as they finish, ended where outcomes settle."""
 
 from __future__ import annotations
 
@@ -13,16 +13,34 @@ from kinedex.ops.keyframes.consensus import Consensus
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import LearningRun
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.keyframes.learning import AgreeTask, Chosen, Lesson, Outcome, RunTask, Setting, agree, do_runs
+from kinedex.pipelines.keyframes.learning import (
+    Chosen,
+    ConsensusTask,
+    Outcome,
+    RunTask,
+    Setting,
+    TrainingSet,
+    learn_runs,
+    make_outcome,
+)
 from kinedex.storage.snapshot.schemas import result_schema
 
 SAVE_SECONDS = 20.0
-"""How long runs may be finished without being stored."""
+"""Finished runs are stored at least so often."""
+
+GROUP = 8
+"""Runs of a round, after which it is decided which classes need more; the study of learned queries has 8, 16 and 48."""
+
+PATIENCE = 2
+"""A class settles after so many rounds without a better outcome."""
+
+SETTLED = 0.001
+"""An outcome is better where its rank rises by more than this."""
 
 
 @dataclass(frozen=True)
-class Known:
-    """A finished run: its lesson's key, its subclass, its number, and what it found."""
+class FinishedRun:
+    """A finished run, with the key of its training set and setting, its subclass and its number."""
 
     key: str
     subclass: str
@@ -31,10 +49,24 @@ class Known:
 
 
 @dataclass
-class Course:
-    """A lesson on its way: its finished runs by number, what became of them, and whether more are wanted."""
+class ClassRuns:
+    """The runs of one class.
 
-    lesson: Lesson
+    Attributes
+    ----------
+    training : TrainingSet
+        The clips that are learned from.
+    key : str
+        The key of its runs, see `TrainingSet.key`.
+    runs : dict of int to LearningRun
+        The finished runs by number.
+    outcomes : list of Outcome
+        The outcome after each round.
+    settled : bool
+        True where no more runs are needed.
+    """
+
+    training: TrainingSet
     key: str
     runs: dict[int, LearningRun] = field(default_factory=dict)
     outcomes: list[Outcome] = field(default_factory=list)
@@ -42,100 +74,130 @@ class Course:
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome that ranks highest, of equal ones the last: with more runs a consensus can become worse."""
+        """The outcome of the highest rank, of equal ones the last: with more runs a consensus can become worse."""
         return max(reversed(self.outcomes), key=lambda one: one.consensus.rank)
 
     @property
     def used(self) -> dict[int, LearningRun]:
-        """The runs that were wanted; a course may know more, of a time when more were asked for."""
+        """The runs that count; there may be more, of an earlier call that asked for more."""
         wanted = self.outcomes[-1].runs if self.outcomes else 0
         return {number: run for number, run in sorted(self.runs.items()) if number < wanted}
 
 
 @dataclass(frozen=True)
 class Rounds:
-    """How many runs there are: at most `runs`, in rounds of `group`; it ends after `patience` rounds that have not
-    raised the outcome's rank by more than `settled`."""
+    """The number of runs of a class.
+
+    Attributes
+    ----------
+    runs : int
+        The largest number of runs.
+    group : int
+        The runs of a round.
+    patience : int
+        A class settles after so many rounds without a better outcome.
+    settled : float
+        An outcome is better where its rank rises by more than this.
+    """
 
     runs: int
-    group: int
-    patience: int
-    settled: float
+    group: int = GROUP
+    patience: int = PATIENCE
+    settled: float = SETTLED
 
 
 def learn(
-    lessons: Sequence[Lesson],
+    trainings: Sequence[TrainingSet],
     setting: Setting,
     rounds: Rounds,
     executor: Executor,
-    known: Sequence[Known] = (),
-    save: Callable[[list[Course]], None] | None = None,
+    known: Sequence[FinishedRun] = (),
+    save: Callable[[list[ClassRuns]], None] | None = None,
     advance: Callable[[int], None] | None = None,
     say: Callable[[str], None] | None = None,
-) -> list[Course]:
-    """Do all runs that are wanted; whatever the workers, the same runs and the same outcomes.
+) -> list[ClassRuns]:
+    """Make all runs that are needed; runs and outcomes do not depend on the workers.
 
     Parameters
     ----------
-    known: runs that were finished before; those of these lessons and this setting are not done again. save: keeps
-    finished runs; called every `SAVE_SECONDS` and after each round. advance: is told how many runs are done, or not
-    wanted any more. say: is told how far it is, after each round.
+    trainings : sequence of TrainingSet
+        The training set of each class.
+    setting : Setting
+        The numbers of the learning.
+    rounds : Rounds
+        The number of runs.
+    executor : Executor
+        The workers.
+    known : sequence of FinishedRun
+        Runs that were finished before; those of these training sets and this setting are not made again.
+    save : callable, optional
+        Stores finished runs; called every `SAVE_SECONDS` and after each round.
+    advance : callable, optional
+        Called with the number of runs that are finished, or not needed any more.
+    say : callable, optional
+        Called with a message after each round.
+
+    Returns
+    -------
+    list of ClassRuns
+        One for each training set, in their order.
     """
-    courses = [Course(lesson, lesson.key(setting)) for lesson in lessons]
-    by_key = {course.key: course for course in courses}
+    classes = [ClassRuns(training, training.key(setting)) for training in trainings]
+    by_key = {one_class.key: one_class for one_class in classes}
     for one in known:
         if one.key in by_key:
             by_key[one.key].runs[one.number] = one.run
     for begin in range(0, rounds.runs, rounds.group):
         numbers = range(begin, min(begin + rounds.group, rounds.runs))
-        active = [course for course in courses if not course.settled]
+        active = [one_class for one_class in classes if not one_class.settled]
         if not active:
             break
-        _run_round(active, setting, numbers, executor, save and (lambda: save(courses)), advance)
-        tasks = [AgreeTask(c.lesson, setting, tuple(c.runs[n] for n in range(numbers.stop))) for c in active]
-        for course, outcome in zip(active, executor.map(agree, tasks), strict=True):
-            course.outcomes.append(outcome)
-            course.settled = _settled(course.outcomes, rounds)
-            if course.settled and advance is not None:
+        _run_round(active, setting, numbers, executor, save and (lambda: save(classes)), advance)
+        tasks = [ConsensusTask(c.training, setting, tuple(c.runs[n] for n in range(numbers.stop))) for c in active]
+        for one_class, outcome in zip(active, executor.map(make_outcome, tasks), strict=True):
+            one_class.outcomes.append(outcome)
+            one_class.settled = _settled(one_class.outcomes, rounds)
+            if one_class.settled and advance is not None:
                 advance(rounds.runs - numbers.stop)
         if say is not None:
-            settled = sum(course.settled for course in courses)
-            say(f"{numbers.stop} of at most {rounds.runs} runs each: {settled} of {len(courses)} subclasses settled")
-    return courses
+            settled = sum(one_class.settled for one_class in classes)
+            say(f"{numbers.stop} of at most {rounds.runs} runs each: {settled} of {len(classes)} subclasses settled")
+    return classes
 
 
 def _run_round(
-    courses: Sequence[Course],
+    classes: Sequence[ClassRuns],
     setting: Setting,
     numbers: range,
     executor: Executor,
     save: Callable[[], None] | None,
     advance: Callable[[int], None] | None,
 ) -> None:
+    """Make the runs of one round that are not known yet."""
     work = []
-    for course in courses:
-        missing = tuple(number for number in numbers if number not in course.runs)
+    for one_class in classes:
+        missing = tuple(number for number in numbers if number not in one_class.runs)
         if missing:
-            work.append((course, RunTask(course.lesson, setting, missing)))
+            work.append((one_class, RunTask(one_class.training, setting, missing)))
         if advance is not None:
             advance(len(numbers) - len(missing))
     stored = time.monotonic()
     try:
-        for (course, task), found in zip(work, executor.map(do_runs, [task for _, task in work]), strict=True):
-            course.runs.update(zip(task.numbers, found, strict=True))
+        for (one_class, task), found in zip(work, executor.map(learn_runs, [task for _, task in work]), strict=True):
+            one_class.runs.update(zip(task.numbers, found, strict=True))
             if advance is not None:
                 advance(len(found))
             if save is not None and time.monotonic() - stored > SAVE_SECONDS:
                 save()
                 stored = time.monotonic()
     finally:
-        # whatever ended it, a dead cluster or Ctrl-C: what is finished is not lost
+        # Finished runs are stored also where a dead cluster or Ctrl-C ends the round.
         if save is not None and work:
             save()
 
 
 def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:
-    """Nothing moves: over the last rounds the outcome has not become better by more than a trifle."""
+    """Return if the outcome has not become better over the last rounds."""
     if len(outcomes) <= rounds.patience:
         return False
     ranks = [outcome.consensus.rank for outcome in outcomes]
@@ -145,8 +207,8 @@ def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:
 # ---- tables ----------------------------------------------------------------------------------------------
 
 
-def runs_table(runs: Sequence[Known], run: str) -> pa.Table:
-    """Finished runs as results of the kind `keyframe_runs`."""
+def runs_table(runs: Sequence[FinishedRun], run: str) -> pa.Table:
+    """Return finished runs as results of the kind `keyframe_runs`."""
     rows = [
         {
             "run": run,
@@ -164,21 +226,21 @@ def runs_table(runs: Sequence[Known], run: str) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=result_schema("keyframe_runs"))
 
 
-def known_runs(table: pa.Table) -> list[Known]:
-    """Read runs back."""
+def known_runs(table: pa.Table) -> list[FinishedRun]:
+    """Return the finished runs of results of the kind `keyframe_runs`."""
     found = []
     for row in table.to_pylist():
         history = np.array(row["history"], np.float64).reshape(-1, 4)
         run = LearningRun(_query_of(row), row["fitness"], row["rank"], history, row["evaluated"])
-        found.append(Known(row["key"], row["subclass"], row["number"], run))
+        found.append(FinishedRun(row["key"], row["subclass"], row["number"], run))
     return found
 
 
-def queries_table(courses: Sequence[Course], run: str) -> pa.Table:
-    """The outcomes as results of the kind `queries`, one row for each chosen query."""
+def queries_table(classes: Sequence[ClassRuns], run: str) -> pa.Table:
+    """Return outcomes as results of the kind `queries`, one row for each chosen query."""
     rows = []
-    for course in courses:
-        outcome = course.outcome
+    for one_class in classes:
+        outcome = one_class.outcome
         found = outcome.consensus
         for number, chosen in enumerate(outcome.chosen):
             rows.append(
@@ -199,7 +261,7 @@ def queries_table(courses: Sequence[Course], run: str) -> pa.Table:
                     "precision": outcome.precision,
                     "recall": outcome.recall,
                     "runs": outcome.runs,
-                    "settled": course.settled,
+                    "settled": one_class.settled,
                     "matrix": found.matrix.ravel().tolist() if number == 0 else None,
                     "clips": list(outcome.clips),
                 }
@@ -208,13 +270,13 @@ def queries_table(courses: Sequence[Course], run: str) -> pa.Table:
 
 
 def outcomes_of(table: pa.Table) -> list[Outcome]:
-    """Read outcomes back, by subclass."""
+    """Return the outcomes of results of the kind `queries`, sorted by subclass."""
     outcomes: dict[str, Outcome] = {}
     for row in sorted(table.to_pylist(), key=lambda row: (row["subclass"], row["number"])):
         chosen = Chosen(_query_of(row), row["left"], row["right"])
         if row["number"]:
             before = outcomes[row["subclass"]]
-            outcomes[row["subclass"]] = _with(before, chosen)
+            outcomes[row["subclass"]] = replace(before, chosen=(*before.chosen, chosen))
             continue
         matrix = np.array(row["matrix"], np.float64).reshape(row["columns"], -1)
         consensus = Consensus(
@@ -226,10 +288,6 @@ def outcomes_of(table: pa.Table) -> list[Outcome]:
             tuple(row["clips"]), row["runs"],
         )  # fmt: skip
     return list(outcomes.values())
-
-
-def _with(outcome: Outcome, chosen: Chosen) -> Outcome:
-    return replace(outcome, chosen=(*outcome.chosen, chosen))
 
 
 def _query_columns(query: Individual) -> dict[str, list[int]]:

@@ -1,4 +1,4 @@
-"""Learned keyframe queries as a table for people."""
+"""Learned keyframe queries as a table."""
 
 from __future__ import annotations
 
@@ -25,10 +25,18 @@ _OVERVIEW = pa.schema(
 
 
 def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
-    """One row for each query: where it comes from, what it asks for, and how well a class's queries do.
+    """Return a row for each query with its origin, its keyframes, and the scores of the queries of its class.
 
-    Precision and recall are those of all queries of a class together, on the training clips; they stand on its first
-    row only. taken: see `keyframe_queries`.
+    Precision and recall are those of all queries of a class together, on the training clips, in its first row only.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        The outcomes of classes.
+    feature_set : FeatureSet
+        The features of their keyframes.
+    taken : collection of str
+        The names of all subclasses, as for `keyframe_queries`.
     """
     rows = []
     for outcome in outcomes:
@@ -50,13 +58,13 @@ def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collec
 
 
 LEGEND = """keyframes: features that are on, and off where a minus stands before them; & joins what holds in one frame;
-→11–56→ says that the next keyframe follows 11 to 56 frames later. margins: frames before and after a hit that the
-motion may reach. Precision and recall are those of all queries of a class together, and stand on its first row."""
-"""What stands below the table for people."""
+→11–56→: the next keyframe follows 11 to 56 frames later. margins: frames before and after a hit that the motion may
+reach. Precision and recall are those of all queries of a class together, in its first row."""
+"""The text below the table on the terminal."""
 
 
 def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
-    """A query in one line: features that are on, those that are off with a minus, gaps in frames between keyframes."""
+    """Return a query in one line: features that are on, those that are off with a minus, and gaps in frames."""
     text = _words(query.keyframes[0], feature_set)
     for gap, keyframe in zip(query.gaps, query.keyframes[1:], strict=True):
         text += " & " if gap.high == 0 else f" →{gap.low}–{gap.high}→ "

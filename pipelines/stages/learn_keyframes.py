@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import polars as pl
-
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.catalog.configs import config_path
 from kinedex.ops.errors import KinedexError
@@ -12,11 +10,10 @@ from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.keyframes.background import mine
-from kinedex.pipelines.keyframes.learning import Lesson, Setting, lessons
+from kinedex.pipelines.keyframes.learning import training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.run_storage import KeptRuns
-from kinedex.pipelines.keyframes.runs import Course, Rounds, learn, queries_table
+from kinedex.pipelines.keyframes.run_storage import StoredRuns
+from kinedex.pipelines.keyframes.runs import ClassRuns, learn, queries_table
 from kinedex.pipelines.report.keyframes_page import keyframes_page
 from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.templates.learning import training_clips, training_takes
@@ -31,9 +28,8 @@ class LearnKeyframes(Stage[KeyframeParameters]):
     outputs = ("keyframe_runs", "queries")
 
     def reading(self, params: KeyframeParameters, store: Store) -> Reading:
-        """Return a digest of the clips to learn from, and of the takes that are searched for negatives."""
-        background = {} if params.background is None else {"background take": params.background}
-        return takes_read(store, {"clip": params.where, **background})
+        """Return a digest of the clips to learn from."""
+        return takes_read(store, {"clip": params.where})
 
     def external_digest(self, params: KeyframeParameters, store: Store | None) -> str:
         """Return a hash of the class file."""
@@ -52,102 +48,57 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         for one in clips:
             for remark in one.remarks:
                 context.say(f"{one.subclass}: {remark}")
-        wanted = lessons(clips, load_classes(params.classes, [one.subclass for one in clips]))
+        wanted = training_sets(clips, load_classes(params.classes, [one.subclass for one in clips]))
         bare = [one.subclass for one in wanted if not one.negatives]
         if bare:
             raise KinedexError(f"no clip is of another class than {few(bare)}, so there is nothing to tell it from")
         setting, rounds = setting_of(params, store), params.rounds()
-        kept = KeptRuns(context, wanted)
+        kept = StoredRuns(context, wanted)
         before = {(one.key, one.number) for one in kept.known()}
         subclasses = counted(len(wanted), "subclass", "subclasses")
         examples = counted(sum(len(one.names) for one in clips), "clip")
         context.say(f"{subclasses} with {examples}, in rounds of {rounds.group} runs each")
-        if params.background is not None:
-            wanted = _with_background(context, store, wanted, setting, rounds, params, kept)
         with context.progress("runs", rounds.runs * len(wanted)) as progress:
-            courses = learn(
+            classes = learn(
                 wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance, context.say
             )
-        known = sum((course.key, number) in before for course in courses for number in course.used)
+        known = sum((one.key, number) in before for one in classes for number in one.used)
         with context.writer() as writer:
-            writer.put_results("keyframe_runs", kept.table(courses), stage=context.key(), run=context.run)
-            writer.put_results("queries", queries_table(courses, context.run), stage=context.key(), run=context.run)
+            writer.put_results("keyframe_runs", kept.table(classes), stage=context.key(), run=context.run)
+            writer.put_results("queries", queries_table(classes, context.run), stage=context.key(), run=context.run)
             writer.commit()
         path = context.report_file("keyframes.html")
-        outcomes = [course.outcome for course in courses]
-        finished = {course.lesson.subclass: list(course.used.values()) for course in courses}
+        outcomes = [one.outcome for one in classes]
+        finished = {one.training.subclass: list(one.used.values()) for one in classes}
         title = "Keyframe queries learned from clips"
         remarks = [f"{one.subclass}: {remark}" for one in clips for remark in one.remarks]
         page = keyframes_page(title, outcomes, finished, store.feature_set, store.rate_hz, params.learner, remarks)
         write_page(page, path)
         context.say(f"report: {path.resolve()}")
         file = path.relative_to(context.store_path).as_posix()
-        return {**_summary(context, courses, params.at_least, known), "files": [file]}
+        return {**_summary(context, classes, params.at_least, known), "files": [file]}
 
 
-def _with_background(
-    context: StageContext,
-    store: Store,
-    wanted: list[Lesson],
-    setting: Setting,
-    rounds: Rounds,
-    params: KeyframeParameters,
-    kept: KeptRuns,
-) -> list[Lesson]:
-    """Learn once without, and make what the queries find in the background further negatives."""
-    assert params.background is not None
-    takes = store.takes(params.background)
-    if not takes.height:
-        raise KinedexError(f"no take is background: the filter `{params.background}` selects none")
-    own = {lesson.subclass for lesson in wanted}
-    clips = takes.filter(pl.col("class").is_in(own))["name"].to_list()
-    if clips:
-        raise KinedexError(
-            f"the filter `{params.background}` of `background` selects {counted(len(clips), 'clip')} of the classes "
-            f"that are learned, such as {clips[0]}; background has none of them: add `AND class IS NULL`"
-        )
-    words = store.words(takes["take_id"].to_list())
-    first = Rounds(min(rounds.runs, rounds.group), rounds.group, 1, 0.0)
-    with context.progress("runs without background", first.runs * len(wanted)) as progress:
-        courses = learn(
-            wanted, setting, first, context.executor, kept.known(), kept.save, progress.advance, context.say
-        )
-    outcomes = [course.outcome for course in courses]
-    mined = [
-        mine(lesson, outcome, words, setting.features, params.background_clips)
-        for lesson, outcome in zip(wanted, outcomes, strict=True)
-    ]
-    kept_clips = sum(len(lesson.background) for lesson, _ in mined)
-    context.say(
-        f"{counted(kept_clips, 'stretch', 'stretches')} of {counted(takes.height, 'background take')} are false hits, "
-        "and negatives from now on"
-    )
-    cut = [f"{lesson.subclass} ({found})" for lesson, found in mined if found > len(lesson.background)]
-    if cut:
-        context.say(f"only the {params.background_clips} longest (`background_clips`) are negatives of: {few(cut)}")
-    return [lesson for lesson, _ in mined]
-
-
-def _summary(context: StageContext, courses: list[Course], at_least: AtLeast, known: int) -> dict[str, object]:
-    outcomes = [course.outcome for course in courses]
+def _summary(context: StageContext, classes: list[ClassRuns], at_least: AtLeast, known: int) -> dict[str, object]:
+    outcomes = [one.outcome for one in classes]
     best: list[str] = [one.subclass for one in outcomes if one.consensus.origin == "best run"]
     if best:
         context.say(f"less fit than the {at_least} run, so the best run instead of the consensus: {few(best)}")
     lost = [one.subclass for one in outcomes if one.recall < 1.0]
     if lost:
         context.say(f"not every training clip is found: {few(lost)}")
-    done = sum(len(course.used) for course in courses)
-    settled = sum(course.settled for course in courses)
+    done = sum(len(one.used) for one in classes)
+    settled = sum(one.settled for one in classes)
     queries = sum(len(one.chosen) for one in outcomes)
     clips = sum(len(one.clips) for one in outcomes)
     context.say(
-        f"{queries} queries of {len(courses)} subclasses from {clips} clips; {done} runs"
+        f"{queries} queries of {len(classes)} subclasses from {clips} clips; {done} runs"
         + (f", {known} of them known from before" if known else "")
         + (f"; {settled} subclasses settled early" if settled else "")
     )
     return {
         "queries": queries,
-        "subclasses": len(courses),
+        "subclasses": len(classes),
         "clips": clips,
         "runs": done,
         "settled": settled,

@@ -9,9 +9,9 @@ import pytest
 
 from kinedex.catalog.classes import load_classes
 from kinedex.pipelines.engine.executors import DaskExecutor, Executor, SerialExecutor
-from kinedex.pipelines.keyframes.learning import Setting, lessons
+from kinedex.pipelines.keyframes.learning import Setting, training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.keyframes.runs import Course, Rounds, learn
+from kinedex.pipelines.keyframes.runs import ClassRuns, Rounds, learn
 from kinedex.pipelines.templates.learning import training_clips
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.engine.test_executors import Cluster
@@ -26,18 +26,18 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return open_store(write_store(tmp_path_factory.mktemp("learning") / "store", clips))
 
 
-def learned(store: Store, executor: Executor, advance: object = None) -> list[Course]:
+def learned(store: Store, executor: Executor, advance: object = None) -> list[ClassRuns]:
     setting: Setting = setting_of(KeyframeParameters(generations=15, population=20, steady=1, alternatives=2), store)  # type: ignore[call-arg]
     clips = training_clips(store, store.takes("class IS NOT NULL"))
-    wanted = lessons(clips, load_classes("own", [one.subclass for one in clips]))
+    wanted = training_sets(clips, load_classes("own", [one.subclass for one in clips]))
     return learn(wanted, setting, ROUNDS, executor, advance=advance)  # type: ignore[arg-type]
 
 
-def outcome(courses: list[Course]) -> list[object]:
+def outcome(courses: list[ClassRuns]) -> list[object]:
     """All that was learned, to the last bit."""
     return [
         (
-            course.lesson.subclass,
+            course.training.subclass,
             [(number, run.query.key(), run.rank, run.history.tobytes()) for number, run in sorted(course.runs.items())],
             [(one.query.key(), one.left, one.right) for one in course.outcomes[-1].chosen],
             course.outcomes[-1].consensus.matrix.tobytes(),

@@ -39,30 +39,21 @@ def covered(clips: list[np.ndarray], queries: list[Individual], margins: list[tu
 
 def test_a_margin_reaches_as_far_as_any_clip_does() -> None:
     clips = [clip("..a..."), clip("...a."), clip("a.....a"), clip("......")]
-    assert margins_of([pose(0)], clips, FEATURES, 9, "learned") == [(3, 3)]
-    assert margins_of([pose(0)], clips, FEATURES, 9, "shared") == [(3, 3)]
+    assert margins_of([pose(0)], clips, FEATURES, "learned") == [(3, 3)]
+    assert margins_of([pose(0)], clips, FEATURES, "shared") == [(3, 3)]
     assert clips_hit(clips, [pose(0)], FEATURES).tolist() == [True, True, True, False]
 
 
 def test_what_lies_between_two_hits_is_covered_too() -> None:
-    assert margins_of([pose(0)], [clip("a.....a"), clip(".a")], FEATURES, 9, "learned") == [(3, 2)]
-    assert margins_of([pose(0)], [clip("a.a")], FEATURES, 9, "shared") == [(0, 1)]
-
-
-def test_the_formula_goes_by_the_template_and_the_wider_is_the_larger_of_both() -> None:
-    clips = [clip("..a..."), clip("...a.")]
-    (formula,) = margins_of([pose(0)], clips, FEATURES, 9, "formula")
-    assert formula == (10, 12)
-    assert margins_of([pose(0)], clips, FEATURES, 9, "wider") == [(10, 12)]
-    long = [clip("." * 20 + "a")]
-    assert margins_of([pose(0)], long, FEATURES, 9, "wider") == [(20, 12)]
+    assert margins_of([pose(0)], [clip("a.....a"), clip(".a")], FEATURES, "learned") == [(3, 2)]
+    assert margins_of([pose(0)], [clip("a.a")], FEATURES, "shared") == [(0, 1)]
 
 
 def test_one_query_covers_the_beginning_and_another_the_end() -> None:
     clips = [clip(".a.......b."), clip("..a.....b..")]
     queries = [pose(0), pose(1)]
-    assert margins_of(queries, clips, FEATURES, 9, "learned") == [(2, 9), (9, 2)]
-    shared = margins_of(queries, clips, FEATURES, 9, "shared")
+    assert margins_of(queries, clips, FEATURES, "learned") == [(2, 9), (9, 2)]
+    shared = margins_of(queries, clips, FEATURES, "shared")
     # seven frames lie between both, and each query takes about half of them
     assert shared in ([(2, 3), (4, 2)], [(2, 4), (3, 2)])
     assert all(all(frames) for frames in covered(clips, queries, shared))
@@ -70,7 +61,7 @@ def test_one_query_covers_the_beginning_and_another_the_end() -> None:
 
 def test_of_two_queries_that_find_the_same_each_keeps_a_third_of_its_margins() -> None:
     clips = [clip("......c......"), clip("...c...")]
-    assert margins_of([pose(0), pose(1)], clips, FEATURES, 9, "shared") == [(2, 2), (6, 6)]
+    assert margins_of([pose(0), pose(1)], clips, FEATURES, "shared") == [(2, 2), (6, 6)]
 
 
 WORDS = st.lists(st.text("abc..", min_size=1, max_size=12).map(clip), min_size=1, max_size=5)
@@ -79,8 +70,8 @@ WORDS = st.lists(st.text("abc..", min_size=1, max_size=12).map(clip), min_size=1
 @given(WORDS)
 def test_shared_margins_are_never_longer_and_lose_no_frame(clips: list[np.ndarray]) -> None:
     queries = [pose(0), pose(1)]
-    learned = margins_of(queries, clips, FEATURES, 9, "learned")
-    shared = margins_of(queries, clips, FEATURES, 9, "shared")
+    learned = margins_of(queries, clips, FEATURES, "learned")
+    shared = margins_of(queries, clips, FEATURES, "shared")
     assert all(
         one <= other
         for mine, theirs in zip(shared, learned, strict=True)

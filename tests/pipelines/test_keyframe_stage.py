@@ -15,14 +15,13 @@ from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.words import NO_WORD, TakeWords
+from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.keyframes import learning
+from kinedex.pipelines.keyframes import parameters as keyframe_parameters
 from kinedex.pipelines.keyframes import runs as keyframe_runs
-from kinedex.pipelines.keyframes.background import mine
-from kinedex.pipelines.keyframes.learning import allowed_features, every_query, keyframe_queries
-from kinedex.pipelines.keyframes.learning import lessons as lessons_of
+from kinedex.pipelines.keyframes.learning import allowed_features, every_query, keyframe_queries, training_sets
 from kinedex.pipelines.keyframes.margins import hit_ranges
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters
 from kinedex.pipelines.keyframes.runs import known_runs, outcomes_of
@@ -34,7 +33,18 @@ from kinedex.pipelines.templates.learning import training_clips
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
 
-QUICK = {"generations": 15, "population": 20, "runs": 6, "group": 2}
+QUICK = {"generations": 15, "population": 20, "runs": 6}
+
+
+@pytest.fixture(autouse=True)
+def small_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds of two runs."""
+    monkeypatch.setattr(keyframe_parameters, "GROUP", 2)
+
+
+def never_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keyframe_parameters, "PATIENCE", 5)
+    monkeypatch.setattr(keyframe_parameters, "SETTLED", 0.0)
 
 
 class Learning(Line):
@@ -93,17 +103,6 @@ def test_margins_cover_every_training_clip_whole(store: Path) -> None:
         assert (window.left, window.right) == query.margins
 
 
-@pytest.mark.parametrize("policy", ["learned", "formula", "wider"])
-def test_the_wider_margins_are_the_larger_of_both(store: Path, policy: str) -> None:
-    line = Learning(store)
-    line.run(LearnKeyframes, **QUICK, margins=policy)
-    sizes = {one.subclass: (one.chosen[0].left, one.chosen[0].right) for one in line.outcomes()}
-    line.run(LearnKeyframes, **QUICK, margins="wider")
-    for one in line.outcomes():
-        assert one.chosen[0].left >= sizes[one.subclass][0]
-        assert one.chosen[0].right >= sizes[one.subclass][1]
-
-
 def test_learned_queries_are_written_as_people_write_them_and_read_back(store: Path) -> None:
     line = Learning(store)
     line.run(LearnKeyframes, **QUICK, alternatives=2)
@@ -133,31 +132,34 @@ def test_the_same_is_learned_by_any_number_of_workers(store: Path) -> None:
 
 
 def test_runs_that_were_finished_are_not_done_again(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    never_settled(monkeypatch)
     line = Learning(store)
     done: list[tuple[str, int]] = []
-    original = keyframe_runs.do_runs
+    original = keyframe_runs.learn_runs
 
     def failing(task: keyframe_runs.RunTask) -> list:
         if len(done) >= 9:
             raise KinedexError("out of power")
-        done.extend((task.lesson.subclass, number) for number in task.numbers)
+        done.extend((task.training.subclass, number) for number in task.numbers)
         return original(task)
 
-    monkeypatch.setattr(keyframe_runs, "do_runs", failing)
+    monkeypatch.setattr(keyframe_runs, "learn_runs", failing)
     with pytest.raises(KinedexError, match="out of power"):
-        line.run(LearnKeyframes, **QUICK, settled=0, patience=5)
+        line.run(LearnKeyframes, **QUICK)
     assert len(line.runs()) == len(done)
     before = list(done)
-    monkeypatch.setattr(keyframe_runs, "do_runs", lambda task: done.extend(
-        (task.lesson.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
-    line.run(LearnKeyframes, **QUICK, settled=0, patience=5)
+    monkeypatch.setattr(keyframe_runs, "learn_runs", lambda task: done.extend(
+        (task.training.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
+    line.run(LearnKeyframes, **QUICK)
     assert len(done) == len(set(done)) == 24
     assert done[: len(before)] == before
 
 
-def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path) -> None:
+def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     line = Learning(store)
-    summary = line.run(LearnKeyframes, **{**QUICK, "runs": 40}, patience=1, settled=0.01)
+    monkeypatch.setattr(keyframe_parameters, "PATIENCE", 1)
+    monkeypatch.setattr(keyframe_parameters, "SETTLED", 0.01)
+    summary = line.run(LearnKeyframes, **{**QUICK, "runs": 40})
     assert summary["settled"] == 4
     assert int(str(summary["runs"])) < 4 * 40
     said = line.said.getvalue().splitlines()
@@ -175,12 +177,12 @@ def test_the_outcome_is_that_of_the_best_round(store: Path) -> None:
         replace(first, runs=runs, consensus=replace(first.consensus, rank=rank))
         for runs, rank in ((2, 0.5), (4, 0.9), (6, 0.9), (8, 0.7))
     ]
-    course = keyframe_runs.Course(learning.Lesson("walk", (), (), ()), "key", {}, ranked)
+    course = keyframe_runs.ClassRuns(learning.TrainingSet("walk", (), (), ()), "key", {}, ranked)
     assert course.outcome.runs == 6
 
 
 def test_a_wrong_value_that_is_set_is_told_as_such() -> None:
-    for assignment, text in ((("beta", ".inf"), "finite"), (("runs", "0"), "greater than or equal to 1, got 0")):
+    for assignment, text in ((("tempo", ".inf"), "finite"), (("runs", "0"), "greater than or equal to 1, got 0")):
         with pytest.raises(KinedexError) as caught:
             load_pipeline("keyframes", {f"learn_keyframes.{assignment[0]}": assignment[1]})
         assert str(caught.value).startswith(f"--set learn_keyframes.{assignment[0]}=")
@@ -204,26 +206,8 @@ def test_subclasses_of_one_class_are_no_negatives_of_each_other(store: Path, tmp
     line.run(LearnKeyframes, **QUICK, classes=str(classes))
     opened = open_store(store)
     clips = training_clips(opened, opened.takes("class IS NOT NULL"))
-    lessons = lessons_of(clips, load_classes(classes, POSES))
+    lessons = training_sets(clips, load_classes(classes, POSES))
     assert {one.subclass: len(one.negatives) for one in lessons} == dict.fromkeys(POSES, 6)
-
-
-def test_false_hits_in_the_background_become_negatives(store: Path) -> None:
-    line = Learning(store)
-    line.run(LearnKeyframes, **QUICK)
-    outcome = next(one for one in line.outcomes() if one.subclass == "walk")
-    opened = open_store(store)
-    lesson = lessons_of(
-        training_clips(opened, opened.takes("class IS NOT NULL")),
-        load_classes("own", POSES),
-    )[[*sorted(POSES)].index("walk")]
-    words = TakeWords(np.array([5]), np.array([0, 60]), np.tile(POSES["walk"].repeat(5), 3))
-    mined, total = mine(lesson, outcome, words, 40, 50)
-    assert len(mined.background) == total >= 1
-    one, found = mine(lesson, outcome, words, 40, 1)
-    assert (len(one.background), found) == (1, total)
-    line.run(LearnKeyframes, **QUICK, background="class IS NULL")
-    assert "false hits" in line.said.getvalue()
 
 
 def test_the_simpler_learners_learn_too(store: Path) -> None:
@@ -239,19 +223,15 @@ def test_what_cannot_be_learned_is_said(store: Path) -> None:
     line = Learning(store)
     with pytest.raises(KinedexError, match="those of walk only"):
         line.run(LearnKeyframes, **QUICK, where="class = 'walk'")
-    with pytest.raises(KinedexError, match="selects none"):
-        line.run(LearnKeyframes, **QUICK, background="actor = 'nobody'")
-    with pytest.raises(KinedexError, match="selects 12 clips of the classes that are learned, such as al_kick_001"):
-        line.run(LearnKeyframes, **QUICK, background="class IS NOT NULL")
     with pytest.raises(KinedexError, match="no feature set 'lowr'"):
         line.run(LearnKeyframes, **QUICK, sets=["lowr"])
 
 
-@pytest.mark.parametrize("key", ["beta", "keyframes_mean", "keyframes_sd", "tempo", "gap_tolerance", "mutations"])
+@pytest.mark.parametrize("key", ["delta", "tempo", "parsimony", "gap_cost", "outside_cost"])
 @pytest.mark.parametrize("value", [float("inf"), float("nan")])
 def test_numbers_are_finite(key: str, value: float) -> None:
     with pytest.raises(ValidationError):
-        KeyframeParameters(**{key: [value, 1, 1] if key == "mutations" else value})
+        KeyframeParameters(**{key: value})
 
 
 def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
@@ -375,19 +355,6 @@ def test_runs_of_other_settings_and_beyond_those_asked_for_are_kept(store: Path)
     # other clips: nothing could use these runs
     line.run(LearnKeyframes, **more, where="class IN ('walk', 'kick')")
     assert len(line.runs()) == 12
-
-
-def test_the_round_without_background_is_kept_too(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done: list[tuple[str, int]] = []
-    original = keyframe_runs.do_runs
-    monkeypatch.setattr(keyframe_runs, "do_runs", lambda task: done.extend(
-        (task.lesson.subclass, number) for number in task.numbers) or original(task))  # fmt: skip
-    line = Learning(store)
-    line.run(LearnKeyframes, **QUICK, background="class IS NULL")
-    assert len(done) == len(line.runs())
-    first = len(done)
-    line.run(LearnKeyframes, **QUICK, background="class IS NULL")
-    assert len(done) == first
 
 
 def test_runs_of_other_code_do_not_count(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:

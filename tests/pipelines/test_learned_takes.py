@@ -19,9 +19,8 @@ from kinedex.pipelines.engine.plan import make_plan
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
 from kinedex.storage.store.store import open_store
-from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import human_amc, write_archive
-from tests.pipelines.labelled import BODY, POSES, clip, long_take, write_store
+from tests.pipelines.labelled import POSES, clip, long_take, write_store
 
 CLIPS = {
     f"clips/{label}/x_{actor}_{label}_{number}_120.amc": 40 + 4 * number
@@ -146,7 +145,7 @@ def test_a_filter_that_does_not_work_is_told_by_the_stage(archive: Archive) -> N
         archive.run()
 
 
-QUICK = {"generations": "5", "population": "10", "runs": "2", "group": "2", "alternatives": "1"}
+QUICK = {"generations": "5", "population": "10", "runs": "2", "alternatives": "1"}
 LABELLED = [
     clip(subclass, actor, number)
     for subclass in ("walk", "kick")
@@ -172,30 +171,8 @@ def test_queries_stay_when_takes_come_that_are_not_learned_from(tmp_path: Path) 
     assert learn(store)[0] == ("learn_keyframes",)
 
 
-def test_background_that_is_learned_from_counts(tmp_path: Path) -> None:
-    background = {"background": "class IS NULL AND actor = 'di'"}
-    takes = [long_take("di_1", "di", "wave", "rest"), long_take("cy_1", "cy", "walk", "kick")]
-    store = write_store(tmp_path / "store", [*LABELLED, *takes])
-    assert learn(store, **background)[0] == ("learn_keyframes",)
-    write_store(store, [long_take("cy_2", "cy", "walk", "wave")])
-    ran, said = learn(store, **background)
-    assert ran == ()
-    assert "unchanged: 6 clips, 1 background take" in said
-    for changed in ("di_2", "di_1"):  # a new one, and one with other words
-        write_store(store, [long_take(changed, "di", "rest", "wave", "rest")])
-        ran, said = learn(store, **background)
-        assert ran == ("learn_keyframes",)
-        assert "the takes that it reads changed" in said
-    opened = open_store(store)
-    with StoreWriter.open(store, BODY) as writer:
-        writer.drop_takes([opened.take_id("di_2")])
-        writer.commit()
-    assert learn(store, **background)[0] == ("learn_keyframes",)
-    assert learn(store)[0] == ("learn_keyframes",)
-
-
 def test_a_reading_is_of_names_classes_and_words_alone(tmp_path: Path) -> None:
-    params = LearnKeyframes.parameters(background="class IS NULL")
+    params = LearnKeyframes.parameters()
 
     def digest(folder: str, *takes: dict[str, object]) -> str:
         return LearnKeyframes().reading(params, open_store(write_store(tmp_path / folder, list(takes)))).digest

@@ -81,7 +81,7 @@ def line(tmp_path: Path) -> Comparing:
     store = write_store(tmp_path / "store", [*clips, *long], tmp_path)
     line = Comparing(store)
     line.run(LearnTemplates)
-    line.params["learn_keyframes"] = LearnKeyframes.parameters(generations=5, population=10, runs=2, group=2)
+    line.params["learn_keyframes"] = LearnKeyframes.parameters(generations=5, population=10, runs=2)
     return line
 
 
@@ -180,15 +180,15 @@ def _runs(line: Comparing) -> set[tuple[str, int]]:
 def _done(monkeypatch: pytest.MonkeyPatch, most: float = math.inf) -> list[tuple[str, int]]:
     """The runs that are done from now on; after so many, the power goes."""
     done: list[tuple[str, int]] = []
-    original = keyframe_runs.do_runs
+    original = keyframe_runs.learn_runs
 
     def counted(task: keyframe_runs.RunTask) -> list:
         if len(done) >= most:
             raise KinedexError("out of power")
-        done.extend((task.lesson.subclass, number) for number in task.numbers)
+        done.extend((task.training.subclass, number) for number in task.numbers)
         return original(task)
 
-    monkeypatch.setattr(keyframe_runs, "do_runs", counted)
+    monkeypatch.setattr(keyframe_runs, "learn_runs", counted)
     return done
 
 
