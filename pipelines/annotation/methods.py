@@ -23,6 +23,7 @@ from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
+from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
 from kinedex.ops.words import U64, TakeWords
 
@@ -207,9 +208,16 @@ def annotation_method(name: str) -> type[AnnotationMethod]:
     Raises
     ------
     KinedexError
-        If no method has this name, or its plugin cannot be imported.
+        No method has this name, or it is of a plugin that cannot be used.
     """
-    return METHODS.load(name)
+    found = METHODS.load(name)
+    lacking = [part for part in ("label", "uses_thresholds", "prepare", "annotate") if not hasattr(found, part)]
+    if lacking or getattr(found, "name", None) != name:
+        raise KinedexError(
+            f"the annotation method '{name}' of {METHODS.distribution(name)} must be a class with name = '{name}', "
+            "label, uses_thresholds, prepare and annotate (kinedex.pipelines.annotation.methods.AnnotationMethod)"
+        )
+    return found
 
 
 def whole_takes(words: TakeWords) -> I64:

@@ -1,4 +1,4 @@
-"""The grid: every method in every fold is a cell; what it finds is kept, so that no cell is computed twice."""
+"""The grid of a comparison: every method in every fold is a cell, which is stored and not computed again."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 
+CODE = "kinedex.pipelines.evaluation.grid:annotate_task"
+"""A cell depends on the code that this function reaches, and on that of its method."""
+
 SAVE_SECONDS = 20.0
-"""Finished cells are kept at least so often."""
+"""Finished cells are stored at least so often."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """An automatic segment: class, analysis frames [start, stop), and how sure it is; higher is surer."""
+    """An automatic segment: its class, its analysis frames [start, stop), and its confidence."""
 
     label: str
     start: int
@@ -41,8 +44,21 @@ class Segment:
 
 @dataclass(frozen=True)
 class Cell:
-    """One method in one fold. key: a hash of all that its outcome follows from. remarks: what is to be known of its
-    templates and thresholds, in words."""
+    """One method in one fold.
+
+    Attributes
+    ----------
+    key : str
+        A hash of all that its outcome depends on.
+    fold : Fold
+        The takes to annotate.
+    method : Method
+        The method.
+    annotator : Annotator
+        The annotator of the fold.
+    remarks : tuple of str
+        Remarks on its templates and thresholds.
+    """
 
     key: str
     fold: Fold
@@ -61,18 +77,18 @@ class Task:
 
 
 Found = dict[str, tuple[Segment, ...]]
-"""What a cell has found, by the name of the take."""
+"""The segments of a cell, by the name of the take."""
 
 
 def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
-    """A hash of the takes, of all that annotates them, and of the code that does."""
+    """Return a hash of the takes of a fold, of their annotator, and of its code."""
     hasher = hashlib.sha256()
     checksums = dict(store.takes().select("take_id", "checksum").iter_rows())
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
     for exam in fold.exams:
         parts = [str(checksums[take_id]) for take_id in exam.take_ids]
         hasher.update(json.dumps([exam.name, exam.frames, parts]).encode())
-    hasher.update(setting_digest(annotator, False, code_digest(annotate_task)).encode())
+    hasher.update(setting_digest(annotator, False, code_digest(CODE, type(annotator.method))).encode())
     return hasher.hexdigest()[:32]
 
 
@@ -84,16 +100,27 @@ def run_cells(
     save: Callable[[Mapping[str, Found]], None],
     advance: Callable[[int], None],
 ) -> dict[str, Found]:
-    """Compute the cells that are not known yet; the same whatever the workers.
+    """Compute the cells that are not known yet; the outcome does not depend on the workers.
 
     Parameters
     ----------
-    known: by key, what cells have found before. save: keeps what is finished; called every `SAVE_SECONDS`.
-    advance: is told how many cells are done.
+    cells : sequence of Cell
+        The cells; those of the same key are computed once.
+    store : Path
+        The folder of the store, which workers open.
+    executor : Executor
+        The workers.
+    known : mapping of str to Found
+        The segments of cells that were computed before, by key.
+    save : callable
+        Stores finished cells; called every `SAVE_SECONDS`.
+    advance : callable
+        Called with the number of further finished cells.
 
     Returns
     -------
-    What each of the cells has found, by key.
+    dict of str to Found
+        The segments of each cell, by key.
     """
     wanted = {cell.key: cell for cell in cells}
     finished = {key: known[key] for key in wanted if key in known}
@@ -113,7 +140,7 @@ def run_cells(
 
 
 def annotate_task(task: Task) -> Found:
-    """Annotate some takes (runs in a worker)."""
+    """Annotate some takes, in a worker."""
     ids = sorted({take_id for exam in task.exams for take_id in exam.take_ids})
     words = open_store(task.store).words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
@@ -131,7 +158,7 @@ def annotate_task(task: Task) -> Found:
 
 
 def _pieces(exams: Sequence[Exam]) -> Iterator[tuple[Exam, ...]]:
-    """Takes worth a task: about `BATCH_FRAMES` frames, a longer take on its own."""
+    """Divide takes into tasks of about `BATCH_FRAMES` frames; a longer take is a task of its own."""
     piece: list[Exam] = []
     frames = 0
     for exam in exams:
@@ -144,10 +171,10 @@ def _pieces(exams: Sequence[Exam]) -> Iterator[tuple[Exam, ...]]:
 
 
 def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> pa.Table:
-    """Lay finished cells out as results of the kind `method_cells`: a row for each take of each.
+    """Return finished cells as results of the kind `method_cells`: a row for each take of each.
 
-    Cells of one key have the same outcome under several names (a threshold of a sweep that is a method's own, splits
-    that share a fold); there are rows for every name.
+    Cells of one key have the same outcome under several names (a threshold of the sweep that a method has as well,
+    splits that share a fold); there are rows for every name.
     """
     rows = [
         {
@@ -171,21 +198,20 @@ def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> 
 
 
 def remarks_of(cells: Sequence[Cell]) -> list[str]:
-    """What is to be known of cells, each remark once a fold, with the methods that it is true of unless it is of
-    all."""
+    """Return the remarks of cells, each once a fold, with the methods that it is true of unless these are all."""
     methods: dict[str, None] = dict.fromkeys(cell.method.name for cell in cells)
-    said: dict[tuple[str, str], list[str]] = {}
+    found: dict[tuple[str, str], list[str]] = {}
     for cell in cells:
         for remark in cell.remarks:
-            said.setdefault((cell.fold.name, remark), []).append(cell.method.name)
+            found.setdefault((cell.fold.name, remark), []).append(cell.method.name)
     return [
         (f"{fold}: " if fold != WHOLE else "") + remark + ("" if len(own) == len(methods) else f" ({few(own)})")
-        for (fold, remark), own in said.items()
+        for (fold, remark), own in found.items()
     ]
 
 
 def known_cells(table: pa.Table) -> dict[str, Found]:
-    """Read finished cells back."""
+    """Return the segments of stored cells, by key."""
     known: dict[str, Found] = {}
     for row in table.to_pylist():
         columns = (row["classes"], row["starts"], row["stops"], row["confidences"])
