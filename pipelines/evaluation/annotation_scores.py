@@ -1,4 +1,4 @@
-"""Evaluating annotations: counts per class and take, and how they are shown."""
+"""Evaluation of annotations: counts per class and take, and their tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SCOPES = ("pooled", "fold", "class", "take")
 
 @dataclass(frozen=True)
 class Row:
-    """One line of an evaluation: scope 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
+    """A row of an evaluation: the scope is 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
 
     scope: str
     name: str
@@ -35,24 +35,35 @@ class Row:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """An evaluation by its name, and its lines."""
+    """An evaluation: its name and its rows."""
 
     name: str
     rows: tuple[Row, ...] = field(default_factory=tuple)
 
     @property
     def pooled(self) -> Counts:
-        """The counts over everything."""
+        """The counts over all takes and classes."""
         return next(row.counts for row in self.rows if row.scope == "pooled")
 
 
 def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequence[str]) -> Evaluation:
-    """Compare annotations with ground truth on the takes that have it; counts are pooled (thesis, 5.4).
+    """Compare annotations with ground truth on the takes that have it (thesis, Section 5.4).
 
     Parameters
     ----------
-    name: the evaluation's name. annotations: results of the kind `annotations`.
-    classes: names in the order of their lines; labels that only the ground truth has follow.
+    name : str
+        The name of the evaluation.
+    annotations : pyarrow.Table
+        Columns take, class, start and stop, such as results of the kind `annotations`.
+    truth : GroundTruth
+        The ground truth, with the takes to evaluate.
+    classes : sequence of str
+        The classes in the order of their rows; labels that only the ground truth has follow.
+
+    Returns
+    -------
+    Evaluation
+        Counts pooled over everything, of each class and of each take.
     """
     automatic: dict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
     manual: dict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
@@ -70,28 +81,14 @@ def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequ
     return Evaluation(name, tuple(rows))
 
 
-def pool_folds(name: str, folds: Sequence[tuple[str, Evaluation]]) -> Evaluation:
-    """Pool evaluations of disjoint takes: a line per fold, and all lines of the folds added up."""
-    rows = [Row("pooled", "all", pooled(one.pooled for _, one in folds))]
-    rows += [Row("fold", fold, one.pooled) for fold, one in folds]
-    for scope in ("class", "take"):
-        sums: dict[str, Counts] = {}
-        for _, one in folds:
-            for row in one.rows:
-                if row.scope == scope:
-                    sums[row.name] = sums.get(row.name, Counts()) + row.counts
-        rows += [Row(scope, label, counts) for label, counts in sums.items()]
-    return Evaluation(name, tuple(rows))
-
-
 def measures(counts: Counts) -> dict[str, float | None]:
-    """The six measures by name, None where one is undefined."""
+    """Return the six measures by name, None where one is undefined."""
     values = {name: float(getattr(counts, name)) for name in MEASURES}
     return {name: None if math.isnan(value) else value for name, value in values.items()}
 
 
 def metrics_rows(evaluation: Evaluation, run: str) -> pa.Table:
-    """Lay an evaluation out as results of the kind `metrics`."""
+    """Return an evaluation as results of the kind `metrics`."""
     rows = [
         {"run": run, "evaluation": evaluation.name, "scope": row.scope, "name": row.name}
         | measures(row.counts)
@@ -102,7 +99,7 @@ def metrics_rows(evaluation: Evaluation, run: str) -> pa.Table:
 
 
 def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object) -> None:
-    """Write an evaluation as JSON: about it, then per scope name → measures and counts."""
+    """Write an evaluation as JSON: `about`, then the measures and counts of every row by scope and name."""
     content: dict[str, object] = {"evaluation": evaluation.name, "run": run, **about}
     content["pooled"] = measures(evaluation.pooled) | asdict(evaluation.pooled)
     for scope, key in zip(SCOPES[1:], ("folds", "classes", "takes"), strict=True):
@@ -116,9 +113,16 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
 
 
 def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> Table:
-    """An evaluation as a table for the terminal.
+    """Return an evaluation as a table for the terminal, without classes that neither side has.
 
-    Classes that are neither annotated nor there are left out, and so are lines of other scopes than these.
+    Parameters
+    ----------
+    evaluation : Evaluation
+        The evaluation.
+    title : str
+        The title of the table.
+    scopes : sequence of str
+        The scopes of the rows that are shown.
     """
     table = Table(
         title=title,

@@ -243,9 +243,7 @@ def _result(
 
     exams = [exam for fold in folds for exam in fold.exams]
     outcomes = {method.name: outcome(method) for method in params.methods}
-    judged: dict[str, Judgement] = {
-        name: judge(one, exams, classes.names, params.draws) for name, one in outcomes.items()
-    }
+    judged: dict[str, Judgement] = {name: judge(one, exams, classes.names) for name, one in outcomes.items()}
     sweep = [
         Threshold(
             method.curve_name, float(method.tau), pooled(counts_of(outcome(method), exams, classes.names).values())

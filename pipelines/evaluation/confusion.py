@@ -1,4 +1,4 @@
-"""What is taken for what: the frames of classes by the labels that a method gave them."""
+"""Confusion of classes: the frames of each class by the labels that a method gave them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinedex.pipelines.evaluation.test_takes import Exam
 Bool = npt.NDArray[np.bool_]
 
 NOTHING = "no label"
-"""The row of what a person did not label, and the column of what the method did not."""
+"""The row of frames that a person did not label, and the column of frames that the method did not."""
 
 EXTRA = "label too many"
 """The row of automatic labels beyond as many as a person gave the frame."""
@@ -25,15 +25,20 @@ LACKING = "label too few"
 
 @dataclass(frozen=True)
 class Confusion:
-    """Frames by what they are (rows) and what they were labelled (columns).
+    """Frames by their manual labels (rows) and their automatic labels (columns).
 
-    classes: the first C rows and columns. frames: float64 (C + 2, C + 2); row and column C are `NOTHING`, row C + 1 is
-    `EXTRA`, column C + 1 `LACKING`.
+    The row of a class sums to the frames that a person gave it, its column to the frames that the method gave it.
+    Labels of a frame that both sides have are right. Each remaining label of the side with fewer is divided equally
+    among the remaining labels of the other side. Where a side has no label at all, the labels of the other count at
+    `NOTHING`, one each (and 1 where neither has one); where it has some, but fewer, the surplus counts at `EXTRA` or
+    `LACKING`.
 
-    A class's row sums to the frames that a person gave it, its column to the frames that the method gave it. Of a frame
-    what is the same on both sides is right; each of what then is left on the shorter side is shared out equally among
-    what is left on the longer one. Where a side has no label at all, the other's labels stand at `NOTHING`, one each
-    (and 1 where neither has one); where it has some, but fewer, what is too many stands at `EXTRA` or `LACKING`.
+    Attributes
+    ----------
+    classes : tuple of str, length C
+        The first C rows and columns.
+    frames : float64 array (C + 2, C + 2)
+        Row and column C are `NOTHING`, row C + 1 is `EXTRA`, column C + 1 is `LACKING`.
     """
 
     classes: tuple[str, ...]
@@ -52,7 +57,7 @@ class Confusion:
 
 @dataclass(frozen=True)
 class Confused:
-    """Frames of one class that were labelled as another (or nothing), and the share of the class that they are."""
+    """Frames of one class with the label of another class, or none, and their share of the class."""
 
     label: str
     taken_for: str
@@ -61,11 +66,16 @@ class Confused:
 
 
 def confusion(outcome: Mapping[str, Sequence[Segment]], exams: Sequence[Exam], classes: Sequence[str]) -> Confusion:
-    """Count the frames of all takes by what they are and what they were labelled.
+    """Count the frames of all takes by their manual and automatic labels.
 
     Parameters
     ----------
-    outcome: what a method has found, by the name of the take. classes: all labels of either side.
+    outcome : mapping of str to sequence of Segment
+        The automatic segments of each take, by its name.
+    exams : sequence of Exam
+        The takes with their ground truth.
+    classes : sequence of str
+        All labels of either side.
     """
     place = {label: index for index, label in enumerate(classes)}
     size = len(classes)
@@ -78,7 +88,7 @@ def confusion(outcome: Mapping[str, Sequence[Segment]], exams: Sequence[Exam], c
 
 
 def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
-    """The confusion of a take: bool (C, L) twice to float64 (C + 2, C + 2)."""
+    """Return the confusion of a take, float64 (C + 2, C + 2), of the labels of its frames, bool (C, L) twice."""
     size = len(true)
     frames = np.zeros((size + 2, size + 2))
     both = true & mine
@@ -97,7 +107,7 @@ def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
 
 
 def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -> Bool:
-    """Which frames are in which class, bool (labels, L)."""
+    """Return the frames of each class, bool (labels, L)."""
     marked = np.zeros((labels, exam.frames), np.bool_)
     for label, start, stop in segments:
         marked[label, start:stop] = True
@@ -105,8 +115,7 @@ def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -
 
 
 def confusions(found: Confusion, most: int) -> list[Confused]:
-    """The greatest confusions of one class with another, or with nothing, by frames; none below half a percent of its
-    row."""
+    """Return the largest confusions by frames; none below half a percent of its row."""
     greatest = []
     for i, label in enumerate(found.rows):
         total = float(found.frames[i].sum())

@@ -19,13 +19,13 @@ from kinedex.pipelines.report.page_environment import page_environment
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")
 MOST_SHOWN = 20
-"""Changes of a kind that the terminal shows; a file has all."""
+"""The terminal shows at most so many changes of a kind; a file has all."""
 
 _STYLES = {"better": "green", "worse": "red", "mixed": "yellow", "incomparable": "yellow", "same": ""}
 
 
 def values(change: Change) -> list[str]:
-    """A change as the columns of `HEADER`."""
+    """Return a change as cells under `HEADER`."""
     cells = []
     for pair, by in zip((change.f1, change.f2), change.by, strict=True):
         cells += [digits(pair[0]), digits(pair[1]), signed(by)]
@@ -33,12 +33,12 @@ def values(change: Change) -> list[str]:
 
 
 def signed(value: float | None) -> str:
-    """A difference with its sign; a dot where it is nothing, a dash where one side has no value."""
+    """Return a difference with its sign; a dot where it is 0, a dash where one side has no value."""
     return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
 
 
 def rich_comparison(one: Comparison) -> Group:
-    """A comparison for the terminal: the verdict, then what changed, the greatest changes first."""
+    """Return a comparison for the terminal: the verdict, then the changes, the greatest first."""
     parts: list[RenderableType] = [
         Text("\n".join([f"A  {one.a}", f"B  {one.b}", *settings(one)])),
         Text(f"{one.verdict}.", style="bold"),
@@ -55,7 +55,7 @@ def rich_comparison(one: Comparison) -> Group:
 
 
 def settings(one: Comparison) -> list[str]:
-    """The parameters of the annotation that differ, a line each."""
+    """Return the parameters that differ, a line each."""
     return [f"{name}: {_setting(ours)} in A, {_setting(theirs)} in B" for name, ours, theirs in one.settings]
 
 
@@ -64,7 +64,7 @@ def _setting(value: object) -> str:
 
 
 def remarks(one: Comparison) -> list[str]:
-    """What did not change, and what could not be compared."""
+    """Return remarks on what did not change, and on what could not be compared."""
     said = []
     for what, other in (("takes", one.other_truth.takes), ("classes", one.other_truth.classes)):
         if other:
@@ -97,7 +97,7 @@ def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Tab
 
 
 def markdown(comparisons: Sequence[Comparison]) -> str:
-    """Comparisons as Markdown."""
+    """Return comparisons as Markdown."""
     lines = ["# Two evaluations compared", "", f"{THESIS_NAMES}.", ""]
     for one in comparisons:
         lines += [f"## {plain(f'{one.b} against {one.a}')}", "", f"{one.verdict}.", ""]
@@ -114,7 +114,7 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
 
 
 def page(comparisons: Sequence[Comparison]) -> str:
-    """Comparisons as one HTML page without any outside reference."""
+    """Return comparisons as one HTML page without any outside reference."""
     environment = page_environment({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
     return environment.get_template("compared.html.j2").render(
         comparisons=comparisons, verdicts=VERDICTS, header=HEADER

@@ -1,4 +1,4 @@
-"""Two evaluations compared: what got better and what got worse, in all, class by class and take by take."""
+"""Comparison of two evaluations: the changes in all, of each class and of each take."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS
 from kinedex.pipelines.evaluation.written_evaluations import Scored
 
 LEAST = 0.005
-"""What changes by less than this is the same."""
+"""A measure that changes by less than this is the same."""
 
 LEVELS = ("f1", "f2")
 DRAWS = 1000
 NAMES = ("name", "title")
-"""Settings that only name a method."""
+"""These settings only name a method."""
 
 ROW_DOES_WITHOUT = ("tau", "tau_by_class")
-"""Settings that do not matter where all frames are labelled together (method `best`)."""
+"""Settings that do not matter to the method `best`, which uses no thresholds."""
 
 Pair = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True)
 class Change:
-    """One thing in both evaluations: F1 and F2 in A and in B; None where a measure is undefined: nothing was to be
-    found, and nothing was labelled."""
+    """F (frames) and F (segments) of a class or take in A and in B.
+
+    A measure is None where it is undefined: there was nothing to find, and nothing was labelled.
+    """
 
     name: str
     f1: Pair
@@ -37,12 +39,12 @@ class Change:
 
     @property
     def by(self) -> Pair:
-        """The differences B − A of F1 and F2; 0 where both are undefined, None where one is."""
+        """The differences B − A of both measures; 0 where both values are undefined, None where one is."""
         return _difference(self.f1), _difference(self.f2)
 
     @property
     def verdict(self) -> str:
-        """better, worse, mixed or same; incomparable where something was to be found in one of them only."""
+        """The word better, worse, mixed or same; incomparable where only one of them had something to find."""
         ways = [direction(self.f1), direction(self.f2)]
         if None in ways:
             return "incomparable"
@@ -51,7 +53,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Alone:
-    """What one of two evaluations has and the other has not: takes, and classes that it labels or was to find."""
+    """The takes and classes that only one of two evaluations has."""
 
     takes: tuple[str, ...] = ()
     classes: tuple[str, ...] = ()
@@ -59,13 +61,26 @@ class Alone:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two evaluations, B against A.
+    """The comparison of two evaluations, B against A.
 
-    overall: over the takes that both have; of each over its own where they have none in common. intervals: of the
-    differences of F1 and F2, 95 % over takes. common: how many takes both have; None: neither says of which takes it
-    is. only_a, only_b: what is left out. other_truth: takes and classes whose manual labels are not the same in both.
-    settings: the parameters of the annotation that are not the same: name, in A, in B; None where one has no such
-    parameter.
+    Attributes
+    ----------
+    a, b : str
+        The names of the evaluations.
+    overall : Change
+        The change over the takes that both have; of each over its own takes where they have none in common.
+    intervals : dict of str to (float, float)
+        The 95 % intervals over takes of the differences of both measures.
+    classes, takes : tuple of Change
+        The changes of each class and take.
+    common : int, optional
+        The number of takes that both have; None where neither names its takes.
+    only_a, only_b : Alone
+        Takes and classes of one side only, which are excluded.
+    other_truth : Alone
+        Takes and classes whose manual labels differ.
+    settings : tuple of (str, object, object)
+        The parameters that differ: name, value in A, value in B; None where one has no such parameter.
     """
 
     a: str
@@ -82,7 +97,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """What it comes to, in a sentence."""
+        """The result in a sentence."""
         if self.common == 0:
             return "no take in common, so neither is better or worse"
         said = [
@@ -99,13 +114,13 @@ class Comparison:
 
     @property
     def scope(self) -> str:
-        """Which takes `overall` is of."""
+        """The takes of `overall`, for people."""
         if self.common is None:
             return "all of each"
         return f"all takes that both have: {self.common}" if self.common else "each over its own takes"
 
     def changed(self, what: Sequence[Change], verdict: str) -> list[Change]:
-        """The changes of one verdict, the greatest first."""
+        """Return the changes of one verdict, the greatest first."""
         return sorted(
             (one for one in what if one.verdict == verdict),
             key=lambda one: (-sum(1.0 if by is None else abs(by) for by in one.by), one.name),
@@ -117,7 +132,10 @@ def compared(a: Scored, b: Scored, names: tuple[str, str]) -> Comparison:
 
     Parameters
     ----------
-    names: what A and B are called.
+    a, b : Scored
+        The evaluations.
+    names : tuple of str
+        The names of A and B.
     """
     both = [name for name in a.takes if name in b.takes]
     ours, theirs = ([one.takes[name] for name in both] for one in (a, b))
@@ -137,10 +155,10 @@ def compared(a: Scored, b: Scored, names: tuple[str, str]) -> Comparison:
 
 
 def direction(pair: Pair) -> int | None:
-    """Whether a measure goes up (1), down (−1) or stays (0) from A to B.
+    """Return 1 where a measure goes up from A to B, −1 where it goes down, 0 where it stays.
 
-    Where it is undefined in one of them, nothing was to be found and nothing labelled there; 0 in the other one then
-    says that something was labelled in vain, which is worse. None: something was to be found in one of them only.
+    Where it is undefined in one of them, there was nothing to find and nothing was labelled; 0 in the other one means
+    that something was labelled in vain, which is worse. None is returned where only one of them had something to find.
     """
     a, b = pair
     if a is not None and b is not None:
@@ -153,7 +171,7 @@ def direction(pair: Pair) -> int | None:
 
 
 def _said(name: str, pair: Pair, ends: tuple[float, float]) -> str:
-    """One measure of the verdict in words."""
+    """Return the part of the verdict on one measure."""
     way, by, (low, high) = direction(pair), _difference(pair), ends
     sure = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f}, 95 % over takes)"
     if pair == (None, None):
@@ -181,8 +199,10 @@ def _alone(one: Scored, other: Scored) -> Alone:
 
 
 def _other_truth(a: Scored, b: Scored) -> Alone:
-    """Takes and classes that both have, and whose manual frames or segments differ in number; classes only where both
-    are of the same takes."""
+    """Return takes and classes of both whose numbers of manual frames or segments differ.
+
+    Classes are compared only where both evaluations are of the same takes.
+    """
 
     def differ(ours: Mapping[str, Counts], theirs: Mapping[str, Counts]) -> tuple[str, ...]:
         return tuple(name for name in ours if name in theirs and _manual(ours[name]) != _manual(theirs[name]))
@@ -196,7 +216,7 @@ def _manual(counts: Counts) -> tuple[int, int]:
 
 
 def _settings(a: Scored, b: Scored) -> tuple[tuple[str, object, object], ...]:
-    """The settings that are not the same, those left out that do not matter to A or B."""
+    """Return the settings that differ, without those that do not matter to A or B."""
     idle = {*NAMES, *(ROW_DOES_WITHOUT if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
     return tuple(
         (name, a.settings.get(name), b.settings.get(name))
@@ -206,7 +226,7 @@ def _settings(a: Scored, b: Scored) -> tuple[tuple[str, object, object], ...]:
 
 
 def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """Comparisons of different names and the same content as one, with both names."""
+    """Merge comparisons of the same content, with the names of all."""
     found: list[Comparison] = []
     for one in comparisons:
         for place, earlier in enumerate(found):
@@ -221,11 +241,21 @@ def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
 def difference_interval(
     a: Sequence[Counts], b: Sequence[Counts], measure: Callable[[Counts], float], draws: int = DRAWS, seed: int = 0
 ) -> tuple[float, float]:
-    """A 95 % interval of the difference B − A of a measure: the same takes are drawn, with replacement, for both.
+    """Return a 95 % interval of the difference B − A of a measure, by bootstrap over the takes of both.
+
+    Parameters
+    ----------
+    a, b : sequence of Counts
+        The counts of the same takes in both evaluations.
+    measure : callable
+        Returns the measure of counts.
+    draws, seed : int
+        The number of draws, and the seed of them.
 
     Returns
     -------
-    The percentile interval (low, high); NaN twice where there are no takes, or the difference is never defined.
+    (float, float)
+        The percentile interval; NaN twice where there are no takes, or the difference is never defined.
     """
     if not a:
         return math.nan, math.nan
@@ -243,7 +273,7 @@ def difference_interval(
 
 
 def content(comparisons: Sequence[Comparison]) -> dict[str, object]:
-    """Comparisons as JSON."""
+    """Return comparisons as JSON values."""
     return {
         "format": "kinedex comparison 1",
         "comparisons": [
@@ -275,7 +305,7 @@ def _row(change: Change) -> dict[str, object]:
 
 
 def _changes(a: Mapping[str, Counts], b: Mapping[str, Counts]) -> list[Change]:
-    """What both have, in the order of A; what neither labels is left out."""
+    """Return the changes of all that both have, in the order of A, unless neither side has a frame of it."""
     return [
         _change(name, a[name], b[name])
         for name in a

@@ -1,4 +1,4 @@
-"""Ground truth placed on takes: which takes are evaluated, what is to be found in them, and remarks on both."""
+"""Ground truth placed on takes: the takes that are evaluated, their manual segments, and remarks on both."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.storage.formats.labels.ground_truth import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
 
 Saying = tuple[str, str, int, int]
-"""A take, a class, and the source frames [start, stop) that it is in."""
+"""A take, a class, and the source frames [start, stop) of a segment."""
 
 UnknownLabels = Literal["error", "miss", "ignore"]
 
@@ -39,11 +39,17 @@ class Manual:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What is known of the takes that are evaluated.
+    """The manual segments of the takes that are evaluated.
 
-    takes: their names, sorted; in a take without any segment (it was labelled as empty, or all of its labels are left
-        out) nothing is to be found.
-    remarks: what had to be left out, in words.
+    Attributes
+    ----------
+    segments : tuple of Manual
+        The segments.
+    takes : tuple of str
+        The names of the takes, sorted; in a take without a segment (it was labelled as empty, or all of its labels are
+        excluded) there is nothing to find.
+    remarks : tuple of str
+        Labels and takes that were excluded.
     """
 
     segments: tuple[Manual, ...]
@@ -60,19 +66,29 @@ def place_ground_truth(
 ) -> GroundTruth:
     """Put manual segments of label files on the takes that were annotated, in analysis frames.
 
-    A take that a file has without any segment is evaluated as one in which nothing is to be found. What is said of a
-    take twice (class, start and stop in source frames), by one file or by several, counts once.
+    A take that a file names without any segment is evaluated as one with nothing to find. A segment that is there twice
+    (class, start and stop in source frames), in one file or in several, counts once.
 
     Parameters
     ----------
-    files: segments in source frames, or seconds, which become the nearest source frames; touching ones stay separate.
-    takes: the annotated takes. archive: the names of all takes of the store.
-    unknown_labels: what a label does that is neither a class nor a subclass in one: "error"; "miss": it counts as a
-        class that was not found; "ignore": it is left out, and so said, but its take is evaluated all the same.
+    files : sequence of LabelFile
+        Segments in source frames, or in seconds, which become the nearest source frames; touching ones stay separate.
+    takes : polars.DataFrame
+        Rows of the annotated takes.
+    archive : iterable of str
+        The names of all takes of the store.
+    classes : Classes
+        The classes of the evaluation.
+    unknown_labels : {"error", "miss", "ignore"}
+        The treatment of a label that is neither a class nor a subclass: an error; a class that was not found; or
+        excluded with a remark, while its take is evaluated all the same.
 
     Raises
     ------
-    SourceError: a segment ends beyond its take. KinedexError: an unknown label, or no take of the files was annotated.
+    SourceError
+        A segment ends beyond its take.
+    KinedexError
+        A label is unknown, or no take of the files was annotated.
     """
     by_name = {row["name"]: row for row in takes.iter_rows(named=True)}
     known_takes = set(archive)
@@ -115,15 +131,15 @@ def place_ground_truth(
 
 
 def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str]:
-    """What is to be said of labels that are of no class."""
+    """Return remarks on labels of no class."""
     ignored = sorted(label for label, name in labels.items() if name is None)
     missed = sorted(label for label, name in labels.items() if name == label and classes.class_of(label) is None)
-    said = [("left out", ignored), ("counted as missed", missed)]
-    return [f"labels of no class, {what}: {few(names)}" for what, names in said if names]
+    treated = [("left out", ignored), ("counted as missed", missed)]
+    return [f"labels of no class, {how}: {few(names)}" for how, names in treated if names]
 
 
 def _firsts(segments: Sequence[Manual]) -> list[Manual]:
-    """For each segment the first that says the same of its take."""
+    """Return for each segment the first that equals it."""
     known: dict[Saying, Manual] = {}
     return [known.setdefault(_saying(one), one) for one in segments]
 
@@ -133,7 +149,7 @@ def _saying(one: Manual) -> Saying:
 
 
 def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], evaluated: Container[str]) -> list[str]:
-    """What is to be said of segments that are there twice, and of takes that files do not agree on."""
+    """Return remarks on segments that are there twice, and on takes that files label differently."""
     pairs = zip(_firsts(segments), segments, strict=True)
     again = Counter((first.origin, one.origin) for first, one in pairs if first is not one)
     remarks = []
@@ -157,11 +173,12 @@ def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], ev
 
 
 def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTruth:
-    """Take each take's own class as ground truth for all of it.
+    """Return the class of each take as the ground truth of all of its frames.
 
     Raises
     ------
-    KinedexError: no take has a class.
+    KinedexError
+        No take has a class.
     """
     labelled = takes.filter(pl.col("class").is_not_null())
     known = [(row, classes.class_of(row["class"])) for row in labelled.iter_rows(named=True)]
@@ -182,12 +199,12 @@ def ground_truth_of_classes(takes: pl.DataFrame, classes: Classes) -> GroundTrut
 
 
 def analysis_frame(source_frame: int, source_rate_hz: float, rate_hz: float) -> int:
-    """The first analysis frame at or after a source frame: ceil(source_frame · rate / source_rate)."""
+    """Return the first analysis frame at or after a source frame: ceil(source_frame · rate / source_rate)."""
     return math.ceil(round(source_frame * rate_hz / source_rate_hz, 9))
 
 
 def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: UnknownLabels) -> dict[str, str | None]:
-    """Label → the class that it counts for, None for none."""
+    """Return the class that each label counts for, None for none."""
     result: dict[str, str | None] = {}
     for segment in segments:
         name = classes.class_of(segment.label)
@@ -225,7 +242,7 @@ def _placed(segment: ManualSegment, take: dict[str, object], label: str | None) 
 
 
 def ground_truth_rows(truth: GroundTruth, run: str) -> pa.Table:
-    """Lay ground truth out as results of the kind `ground_truth`, by take and start."""
+    """Return ground truth as results of the kind `ground_truth`, sorted by take and start."""
     rows = [
         {
             "run": run,

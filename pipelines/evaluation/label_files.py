@@ -1,4 +1,4 @@
-"""The label files of takes, as parameters select them."""
+"""Ground truth by parameters: the label files of takes, or their own classes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class GroundTruthParameters(BaseModel):
         description="label files, read as their ending says: .csv (take, class, start, stop in source frames), .json, "
         ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
         "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
-        "no file, nothing is evaluated, and that is said",
+        "no file, nothing is evaluated",
     )
     source: str | None = Field(
         None, description="the folder that ground_truth is relative to; by default the takes' source folders"
@@ -63,11 +63,14 @@ def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> s
 
 
 def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
-    """Whether takes have no ground truth: it is said so, or none is given and no file is called as it usually is.
+    """Return if takes have no ground truth: it is "none", or not given while no file matches the default.
 
     Parameters
     ----------
-    roots: the source folders of the takes.
+    params : GroundTruthParameters
+        The parameters.
+    roots : iterable of str
+        The source folders of the takes.
     """
     if params.ground_truth == NONE:
         return True
@@ -77,7 +80,7 @@ def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
 
 
 def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFrame, classes: Classes) -> GroundTruth:
-    """Find and place the ground truth of these takes."""
+    """Read the ground truth of takes, and place it on them."""
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
     files = truth_files(params, takes["source_root"].unique())
@@ -87,7 +90,7 @@ def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFram
 
 
 def truth_files(params: GroundTruthParameters, roots: Iterable[str]) -> list[Path]:
-    """The label files, below `source` or else below the source folders of takes."""
+    """Return the label files below `source`, or else below the source folders of takes."""
     return ground_truth_files(params.ground_truth, _roots(params, roots))
 
 

@@ -1,4 +1,4 @@
-"""Text and tables as Markdown: what users name stands there as they wrote it, whatever signs are in it."""
+"""Text and tables as Markdown, with all signs of users' names escaped."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import re
 from collections.abc import Sequence
 
 _SIGNS = re.compile(r"[\\`*\[\]<>|&~]|(?<![^\W_])_|_(?![^\W_])")
-"""What Markdown (CommonMark, and GitHub's tables) would read as more than itself; `_` only at the edge of a word."""
+"""Signs that CommonMark and GitHub's tables would interpret; `_` only at the edge of a word."""
 
 
 def plain(text: str) -> str:
-    """Text that Markdown shows as it is, in one line."""
+    """Return text that Markdown shows as it is, in one line."""
     return _SIGNS.sub(r"\\\g<0>", " ".join(text.split()))
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table of plain texts, and an empty line."""
+    """Return a Markdown table of plain texts, and an empty line."""
     cells = [[plain(text) for text in line] for line in (header, *rows)]
     return [
         "| " + " | ".join(cells[0]) + " |",

@@ -1,4 +1,4 @@
-"""How good a method is in a split: counts, average precision, boundaries, and how sure it all is."""
+"""Judgement of a method in a split: counts, average precision, boundaries, and intervals of them."""
 
 from __future__ import annotations
 
@@ -28,13 +28,25 @@ I64 = npt.NDArray[np.int64]
 INTERVAL_OF = ("p1", "r1", "f1", "p2", "r2", "f2")
 
 Outcome = Mapping[str, Sequence[Segment]]
-"""What a method has found in all folds of a split, by the name of the take."""
+"""The segments that a method has found in all folds of a split, by the name of the take."""
 
 
 @dataclass(frozen=True)
 class Fate:
-    """What became of a manual segment. overlaps: by method, intersection over union with the automatic segment of its
-    class that overlaps it most, 0 where none does. labels: what the methods put there, what overlaps most first."""
+    """The outcome of a manual segment.
+
+    Attributes
+    ----------
+    take, label : str
+        The take and the class.
+    start, stop : int
+        Its analysis frames, stop excluded.
+    overlaps : dict of str to float
+        By method, the intersection over union with the automatic segment of its class that overlaps it most; 0 where
+        none does.
+    labels : dict of str to tuple of str
+        By method, the labels of automatic segments there, the one that overlaps most first.
+    """
 
     take: str
     label: str
@@ -45,17 +57,32 @@ class Fate:
 
     @property
     def missed(self) -> bool:
-        """Whether no method has found it: no automatic segment of its class has a frame of it."""
+        """True where no automatic segment of its class has a frame of it, of any method."""
         return not any(self.overlaps.values())
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A method in a split, judged.
+    """The judgement of a method in a split.
 
-    by_class, by_group, by_take: counts. intervals: 95 % over takes, by measure. precision: mean average precision by
-    threshold; class_precision: by class, then threshold. boundaries: int64 (M, 2), see `boundary_errors`.
-    joined_precision, joined_boundaries: the same where touching segments of one class are one (`joined`).
+    Attributes
+    ----------
+    pooled : Counts
+        The counts over everything.
+    by_class, by_group, by_take : dict of str to Counts
+        The counts of each class, group and take.
+    intervals : dict of str to (float, float)
+        The 95 % interval over takes of each measure.
+    precision : dict of float to float
+        The mean average precision at each threshold of intersection over union.
+    class_precision : dict of str to dict of float to float
+        The average precision of each class, at each threshold.
+    confusion : Confusion
+        Frames by manual and automatic labels.
+    boundaries : int64 array (M, 2)
+        Boundary errors, see `boundary_errors`.
+    joined_precision, joined_boundaries
+        The same where touching segments of one class are one (`joined`).
     """
 
     pooled: Counts
@@ -72,7 +99,7 @@ class Judgement:
 
 
 def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -> dict[tuple[str, str], Counts]:
-    """The counts of every take and class (thesis, 5.4)."""
+    """Return the counts of every take and class (thesis, Section 5.4)."""
     counts = {}
     for exam in exams:
         for label in labels_of(exams, classes):
@@ -84,16 +111,23 @@ def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -
 
 
 def labels_of(exams: Sequence[Exam], classes: Sequence[str]) -> list[str]:
-    """The classes in their order, then labels that only the truth has."""
+    """Return the classes in their order, then labels that only the ground truth has."""
     return list(dict.fromkeys([*classes, *sorted({label for exam in exams for label, _, _ in exam.truth})]))
 
 
 def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws: int = 1000) -> Judgement:
-    """Judge what a method has found in all takes of a split.
+    """Judge the segments that a method has found in all takes of a split.
 
     Parameters
     ----------
-    exams: the takes of all folds. classes: in the order of the tables. draws: of the bootstrap over takes.
+    outcome : mapping of str to sequence of Segment
+        The segments of each take, by its name.
+    exams : sequence of Exam
+        The takes of all folds.
+    classes : sequence of str
+        The classes in the order of the tables.
+    draws : int
+        The number of draws of the bootstrap over takes.
     """
     labels = labels_of(exams, classes)
     counts = counts_of(outcome, exams, classes)
@@ -120,10 +154,10 @@ def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws
 
 
 def joined(outcome: Outcome, exams: Sequence[Exam]) -> tuple[Outcome, list[Exam]]:
-    """Make one of segments of a class that touch or overlap, automatic and manual ones alike.
+    """Join segments of a class that touch or overlap, automatic and manual ones alike.
 
-    Repetitions in a row are one manual segment where a person saw one motion, and several where he counted them; what
-    is joined does not depend on that. What is joined is as sure as its parts are on average, by frames.
+    One person labels repetitions in a row as one segment, another as several; joined segments are the same. The
+    confidence of a joined segment is the average of its parts, weighted by frames.
     """
     mine = {exam.name: _joined(outcome[exam.name]) for exam in exams}
     true = [_joined([Segment(*one, 1.0) for one in exam.truth]) for exam in exams]
@@ -162,7 +196,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _precision(outcome: Outcome, exams: Sequence[Exam], label: str) -> dict[float, float]:
-    """Average precision of a class by threshold; NaN where it does not occur."""
+    """Return the average precision of a class at each threshold; NaN where the class does not occur."""
     found, known = _of_class(outcome, exams, label)
     return {threshold: average_precision(found, known, threshold) for threshold in THRESHOLDS}
 
@@ -189,7 +223,7 @@ def _boundaries(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) 
 
 
 def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:
-    """Say of every manual segment what the methods made of it, in the order of takes and time."""
+    """Return the outcome of every manual segment with each method, in the order of takes and time."""
     found = []
     for exam in exams:
         for label, start, stop in sorted(exam.truth, key=lambda one: (one[1], one[2], one[0])):
@@ -213,15 +247,15 @@ def _meets(one: Segment, start: int, stop: int) -> bool:
 
 
 def _names(found: Sequence[Segment], start: int, stop: int) -> tuple[str, ...]:
-    """The labels, the one that overlaps most first, each once."""
+    """Return labels, the one that overlaps most first, each once."""
     ranked = sorted(found, key=lambda one: -overlap((one.start, one.stop), (start, stop)))
     return tuple(dict.fromkeys(one.label for one in ranked))
 
 
 def chosen_takes(by_take: Mapping[str, Counts]) -> dict[str, str]:
-    """The best, the median and the worst take by F1, takes without a defined F1 left out; what they are → their name.
+    """Return the names of the best, the median and the worst take by F (frames), of those where it is defined.
 
-    With two takes there is no median, and with one the best alone.
+    Of two takes there is no median, and of one the best alone.
     """
     ranked = sorted((counts.f1, name) for name, counts in by_take.items() if not math.isnan(counts.f1))
     if not ranked:

@@ -1,4 +1,4 @@
-"""Keyframe queries that are learned in each fold from its own training clips, each set of clips once."""
+"""Keyframe queries that are learned in each fold from its own training clips."""
 
 from __future__ import annotations
 

@@ -135,7 +135,6 @@ class ComparisonParameters(GroundTruthParameters):
         description="measures of the report: frames and segments (thesis, 5.4), overlap (mAP at IoU 0.1 to 0.7), "
         "boundaries, and joined: overlap and boundaries once more where touching segments of one class are one",
     )
-    draws: int = Field(1000, ge=1, description="the number of draws of takes for the 95 % intervals")
 
     embed: Literal["auto", "all", "none"] | list[str] = Field(
         "auto",

@@ -1,4 +1,4 @@
-"""A whole comparison of methods: what was compared on what, how each did, and the same as JSON."""
+"""A comparison of methods: its splits, the judgement of each method, and the same as JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
 
 @dataclass(frozen=True)
 class Threshold:
-    """One point of the τ sweep (thesis, Figure 5.6): what kind of method, τ, and its counts."""
+    """A point of the sweep over τ (thesis, Figure 5.6): the method without τ, τ, and the counts."""
 
     curve: str
     tau: float
@@ -27,7 +27,7 @@ class Threshold:
 
 @dataclass(frozen=True)
 class SplitResult:
-    """One split, all methods judged in it. fates: of all manual segments. notes: what is to be known, in words."""
+    """One split: its folds, the judgement of each method, the sweep, and the fates of manual segments."""
 
     split: Split
     folds: tuple[Fold, ...]
@@ -44,7 +44,7 @@ class SplitResult:
 
     @property
     def remarks(self) -> list[str]:
-        """What is to be known of the split and its folds, each remark once."""
+        """The remarks on the split and its folds, each once."""
         return list(dict.fromkeys([*self.notes, *(remark for fold in self.folds for remark in fold.remarks)]))
 
     @property
@@ -54,11 +54,11 @@ class SplitResult:
 
     @property
     def leading(self) -> str:
-        """The method of the highest F1, the first of equal ones."""
+        """The method of the highest F (frames), the first of equal ones."""
         return max(self.judgements, key=lambda name: _defined(self.judgements[name].pooled.f1))
 
     def shown(self) -> dict[str, str]:
-        """The takes whose timelines are shown, best, median and worst of the leading method; what → name."""
+        """Return the names of the takes whose timelines are shown: best, median and worst of the leading method."""
         return chosen_takes(self.judgements[self.leading].by_take)
 
 
@@ -66,7 +66,14 @@ class SplitResult:
 class Study:
     """A comparison of methods.
 
-    group: the column of takes that results are divided by. remarks: what is to be known of all of it, in words.
+    Attributes
+    ----------
+    group : str
+        The column of takes that results are divided by.
+    splits : tuple of SplitResult
+        The splits, with the judgement of every method.
+    remarks : tuple of str
+        Remarks on methods that hold for all splits.
     """
 
     title: str
@@ -86,14 +93,14 @@ class Study:
 
 
 def take_title(study: Study, result: SplitResult, exam: Exam) -> str:
-    """What a take is called among the takes of all splits: its name, after its split's where two splits mean two."""
+    """Return the title of a take: its name, with that of its split where another split has another take of it."""
     same = [other for split in study.splits for other in split.exams if other.name == exam.name]
     alike = all(other.take_ids == exam.take_ids for other in same)
     return exam.name if alike else f"{result.split.name}: {exam.name}"
 
 
 def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
-    """The takes whose timelines are shown: title → the takes of the store that each is laid out of."""
+    """Return the takes of the store of which each take with a timeline is laid out, by title."""
     parts = {}
     for result in study.splits:
         exams = {exam.name: exam for exam in result.exams}
@@ -105,8 +112,23 @@ def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
 def boundary_summary(
     judgement: Judgement, rate_hz: float, *, joined: bool = False
 ) -> dict[str, dict[str, float | int | None]]:
-    """Boundary errors in seconds at start and stop: how many, the median (positive: too late), and how large they are
-    in the middle, and in the worst tenth; joined: where touching segments of one class are one."""
+    """Summarise boundary errors in seconds, at start and stop.
+
+    Parameters
+    ----------
+    judgement : Judgement
+        The judgement of a method.
+    rate_hz : float
+        The analysis rate, in frames per second.
+    joined : bool
+        True takes segments where touching ones of a class are one.
+
+    Returns
+    -------
+    dict of str to dict
+        For "start" and "stop": `segments`, their number; `median`, positive where late; `median_size`, the median of
+        absolute errors; `size_of_nine_tenths`, which nine of ten do not exceed.
+    """
     summary: dict[str, dict[str, float | int | None]] = {}
     frames = judgement.joined_boundaries if joined else judgement.boundaries
     for column, end in enumerate(("start", "stop")):
@@ -122,7 +144,7 @@ def boundary_summary(
 
 
 def content(study: Study) -> dict[str, object]:
-    """A study as JSON: everything but the segments of takes that are not shown, which the store has."""
+    """Return a study as JSON, without the segments of takes that are not shown."""
     return {
         "format": "kinedex evaluation 1",
         "title": study.title,
@@ -200,7 +222,7 @@ def _judgement(one: Judgement, study: Study) -> dict[str, object]:
 
 
 def scores(counts: Counts) -> dict[str, float | int | None]:
-    """Measures and counts by name; a measure that is undefined is None."""
+    """Return measures and counts by name; an undefined measure is None."""
     return {**measures(counts), **asdict(counts)}
 
 

@@ -23,15 +23,15 @@ REPETITIONS = (
     "a person may have labelled repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
     "and boundaries then say little of either, though F (frames) and F (segments) agree"
 )
-"""What is to be known of overlap and boundaries."""
+"""This remark holds for overlap and boundaries."""
 
 JOINED = "joined: the same where touching segments of one class are one, on both sides"
 MOST_LISTED = 60
-"""Manual segments that Markdown lists; the page folds them, the JSON has all."""
+"""Markdown lists at most so many manual segments; the JSON has all."""
 
 
 def headings(study: Study) -> list[str]:
-    """The columns of the table of methods, after the method's name."""
+    """Return the headings of the table of methods, after the name of the method."""
     columns = []
     if "frames" in study.metrics:
         columns += [F_FRAMES, "95\N{NO-BREAK SPACE}%", "P", "R"]
@@ -47,7 +47,7 @@ def headings(study: Study) -> list[str]:
 
 
 def row(judgement: Judgement, study: Study) -> list[str]:
-    """A method's line of that table."""
+    """Return the cells of a method in the table of methods."""
     counts = judgement.pooled
     values = []
     for metric, number in (("frames", 1), ("segments", 2)):
@@ -65,22 +65,22 @@ def row(judgement: Judgement, study: Study) -> list[str]:
 
 
 def digits(value: float | None) -> str:
-    """Two digits, a dash where there is no value."""
+    """Return a value with two digits, or a dash where there is none."""
     return "–" if value is None or math.isnan(value) else f"{value:.2f}"
 
 
 def between(interval: tuple[float, float]) -> str:
-    """An interval as low–high."""
+    """Return an interval as low–high."""
     return "–" if math.isnan(interval[0]) else f"{interval[0]:.2f}–{interval[1]:.2f}"
 
 
 def six(counts: Counts) -> list[str]:
-    """The six measures of the thesis in the order of Table 5.2."""
+    """Return the six measures in the order of Table 5.2 of the thesis."""
     return [digits(float(getattr(counts, name))) for name in MEASURES]
 
 
 def described(result: SplitResult) -> str:
-    """A split in one sentence."""
+    """Return a sentence on a split."""
     takes = len(result.exams)
     parts = "clips laid end to end as " if result.split.clips_as_takes else ""
     folds = (
@@ -91,18 +91,18 @@ def described(result: SplitResult) -> str:
 
 
 def overlap_notes(study: Study) -> list[str]:
-    """What is to be known of what is measured by overlap, where it is."""
+    """Return remarks on measures by overlap, where the study has them."""
     notes = [REPETITIONS] if {"overlap", "boundaries"} & {*study.metrics} else []
     return notes + ([JOINED] if "joined" in study.metrics else [])
 
 
 def sentence(text: str) -> str:
-    """The same with a capital in front."""
+    """Return a text with a capital in front."""
     return text[:1].upper() + text[1:]
 
 
 def overview(study: Study) -> Group:
-    """Tables of methods for each split, for the terminal: frames and segments, then what is measured by overlap."""
+    """Return tables of methods for the terminal, for each split: frames and segments, then measures by overlap."""
     thesis = 4 * len({"frames", "segments"} & {*study.metrics})
     tables = []
     for result in study.splits:
@@ -117,7 +117,7 @@ def overview(study: Study) -> Group:
 
 
 def _overview(result: SplitResult, study: Study, part: slice) -> Table:
-    """Some columns of the table of methods."""
+    """Return some columns of the table of methods."""
     table = Table(
         title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold"
     )  # fmt: skip
@@ -131,7 +131,7 @@ def _overview(result: SplitResult, study: Study, part: slice) -> Table:
 
 
 def markdown(study: Study) -> str:
-    """The study as a Markdown summary."""
+    """Return a study as a Markdown summary."""
     lines = [f"# {plain(study.title)}", ""]
     lines += [f"{THESIS_NAMES}; {study.rate_hz:g} frames a second; intervals: 95 % "
               "over takes, by bootstrap; mAP at thresholds of intersection over union; start and stop: how far off "
@@ -196,6 +196,6 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
 
 
 def fate(one: Fate, method: str) -> str:
-    """What a method made of a manual segment: the overlap, or what it put there instead."""
+    """Return the overlap of a method with a manual segment, or the labels that it put there instead."""
     share = one.overlaps[method]
     return f"{share:.0%}" if share else f"missed ({', '.join(one.labels[method]) or 'nothing'})"

@@ -1,4 +1,4 @@
-"""Evaluations that were written before, read back: of stores, of folders of reports, or of JSON files."""
+"""Evaluations read from stores, from folders of reports, or from JSON files."""
 
 from __future__ import annotations
 
@@ -11,15 +11,28 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import Counts
 
 MARK = "::"
-"""Between a path and the method that is meant."""
+"""This stands between a path and the name of a method."""
 
 FORMAT = "kinedex evaluation 1"
 
 
 @dataclass(frozen=True)
 class Scored:
-    """One evaluation of one method. evaluation: the split, or the name of the stage's evaluation. method: its name,
-    empty where the file has one only. settings: the parameters of the annotation, as far as the file has them."""
+    """The evaluation of one method.
+
+    Attributes
+    ----------
+    evaluation : str
+        The name of the split, or of the evaluation.
+    method : str
+        The name of the method; empty where the file has one only.
+    pooled : Counts
+        The counts over everything.
+    classes, takes : dict of str to Counts
+        The counts of each class and take.
+    settings : dict
+        The parameters of the annotation, as far as the file has them.
+    """
 
     evaluation: str
     method: str
@@ -30,13 +43,13 @@ class Scored:
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """The name of evaluation and method."""
         return f"{self.evaluation}: {self.method}" if self.method else self.evaluation
 
 
 @dataclass(frozen=True)
 class Read:
-    """What a path holds. text: as the user wrote it; method: the one asked for, None for all."""
+    """The evaluations of a path, as the user wrote it; of one method, or of all where `method` is None."""
 
     text: str
     method: str | None
@@ -44,16 +57,18 @@ class Read:
 
 
 def read_run(text: str) -> Read:
-    """Read the evaluations that a user means.
+    """Read the evaluations of a path.
 
     Parameters
     ----------
-    text: a store, a folder of reports (`…/results/reports/<pipeline>`), or a JSON file (methods.json, metrics.json,
-        leave_one_out.json); `::METHOD` behind it chooses a method.
+    text : str
+        A store, a folder of reports (`…/results/reports/<pipeline>`), or a JSON file (methods.json, metrics.json, or
+        leave_one_out.json of earlier versions); `::METHOD` behind it chooses a method.
 
     Raises
     ------
-    KinedexError: there is none, several pipelines have some, a file is none of these, or there is no such method.
+    KinedexError
+        There is no evaluation, several pipelines have some, a file is none of these, or there is no such method.
     """
     where, mark, method = text.partition(MARK)
     found = [one for file in _files(Path(where).expanduser()) for one in _read(file)]
@@ -66,7 +81,7 @@ def read_run(text: str) -> Read:
 
 
 def _files(path: Path) -> list[Path]:
-    """The JSON files of a path, all of one pipeline."""
+    """Return the JSON files of a path, all of one pipeline."""
     if path.is_file():
         return [path]
     if not path.is_dir():
@@ -90,7 +105,7 @@ _NAMES = ("methods.json", "metrics.json", "leave_one_out.json")
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """The files of a folder that are called like ours, by kind; a second stage of a kind has its name in front."""
+    """Return the evaluations of a folder by kind; those of a second stage of a kind have its name in front."""
     files = sorted(folder.glob("*.json"))
     return [file for name in _NAMES for file in files if file.name == name or file.name.endswith(f".{name}")]
 
@@ -133,11 +148,14 @@ def _counts(content: dict[str, Any]) -> Counts:
 
 
 def pairs(a: Read, b: Read, split: str | None = None) -> list[tuple[Scored, Scored]]:
-    """What of A is compared with what of B: the same evaluation of the same method, or of the methods asked for.
+    """Pair the evaluations of A and B: the same evaluation of the same method, or of the methods asked for.
+
+    A file with one method only fits any method of the other side.
 
     Raises
     ------
-    KinedexError: nothing can be compared; the message says what both have.
+    KinedexError
+        Nothing can be compared; the message lists the evaluations of both.
     """
     ours, theirs = _in_split(a, split), _in_split(b, split)
     if len(ours) == len(theirs) == 1:
@@ -147,7 +165,8 @@ def pairs(a: Read, b: Read, split: str | None = None) -> list[tuple[Scored, Scor
         (one, other)
         for one in ours
         for other in theirs
-        if one.evaluation == other.evaluation and (any_method or one.method == other.method)
+        if one.evaluation == other.evaluation
+        and (any_method or one.method == other.method or not (one.method and other.method))
     ]
     if not found:
         raise KinedexError(

@@ -1,1 +1,1 @@
-"""Files that come in: what changed, batches, reading, failures."""
+"""Ingestion of motion files: changes of a source, batches, reading, and failures."""

@@ -1,4 +1,4 @@
-"""What a body becomes: frames and words at the analysis rate, and what its skeleton costs; for ingest and inspect."""
+"""Analysis of bodies: frames and words at the analysis rate, and the features that a skeleton lacks joints for."""
 
 from __future__ import annotations
 
@@ -14,11 +14,25 @@ F64 = npt.NDArray[np.float64]
 
 
 def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F64, npt.NDArray[np.uint64]]:
-    """Compute features at the source's own rate, and keep every frame of the analysis rate.
+    """Compute features at the rate of the source, and sample them at the analysis rate.
+
+    Parameters
+    ----------
+    body : Body
+        The positions of joints at the source rate.
+    feature_set : FeatureSet
+        The features to compute.
+    rate_hz : float
+        The analysis rate, in frames per second.
 
     Returns
     -------
-    positions (J, 3, T), the root's orientation (4, T), and words (T,), at `rate_hz`; `NO_WORD` in invalid frames.
+    positions : float64 array (J, 3, T)
+        In metres.
+    orientation : float64 array (4, T)
+        The orientation of the root, as quaternions.
+    words : uint64 array (T,)
+        `NO_WORD` in invalid frames.
     """
     rate = feature_rate(body.rate_hz, rate_hz)
     at_rate = resample(body.positions, body.orientation, body.rate_hz, rate, body.valid)
@@ -30,15 +44,15 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
 
 
 def blind(feature_set: FeatureSet, body: Body) -> list[str]:
-    """What joints that the skeleton does not have cost: the features that are off, and those that do without them."""
+    """Return warnings on joints that a skeleton lacks: features that are off, or use the other joints only."""
     if not body.unknown:
         return []
     off, narrowed = feature_set.without(body.unknown)
-    said = [
+    warnings = [
         f"skeleton mapping '{body.skeleton}' has no {', '.join(body.unknown)}; these features are off: "
         + (", ".join(f"F{feature.number} {feature.name}" for feature in off) or "none")
     ]
     if narrowed:
         names = ", ".join(f"F{feature.number} {feature.name}" for feature in narrowed)
-        said.append(f"without {', '.join(body.unknown)} these features look at the other joints only: {names}")
-    return said
+        warnings.append(f"without {', '.join(body.unknown)} these features use the other joints only: {names}")
+    return warnings

@@ -1,4 +1,4 @@
-"""What a source has that a store has not: files that are new, changed, moved or gone since the store took them in."""
+"""Changes of a source since a store read it: files that are new, changed, moved or gone."""
 
 from __future__ import annotations
 
@@ -26,17 +26,29 @@ from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, p
 from kinedex.storage.store.writer import StoreWriter
 
 Naming = Literal["stem", "path", "file"]
-"""What a take is called: its file's stem, its path without the ending, or with it."""
+"""The name of a take: the stem of its file, its path without the ending, or with it."""
 
 
 @dataclass(frozen=True)
 class Changes:
-    """What is to be done about a source.
+    """The changes of a source.
 
-    tasks: the files to read, in order of their take ids. unchanged: how many are as they were. restated: rows of those
-    of them whose file lies elsewhere or has another time now. gone: ids of takes whose file is no more. renamed: id,
-    old and new name of takes whose file is there, but would be called otherwise. failures: files that cannot be placed.
-    skeletons: rows of `skeleton_files`.
+    Attributes
+    ----------
+    tasks : list of Task
+        The files to read, in the order of their take ids.
+    unchanged : int
+        The number of unchanged files.
+    restated : list of dict
+        New rows of unchanged takes whose file has another place or time.
+    gone : list of int
+        The ids of takes without a file.
+    renamed : list of (int, str, str)
+        Id, old and new name of takes whose file would get another name.
+    failures : list of Failure
+        Files that cannot be read or named.
+    skeletons : pyarrow.Table
+        Rows of `skeleton_files`.
     """
 
     tasks: list[Task]
@@ -57,12 +69,24 @@ def compare(
     patterns: Sequence[str],
     given: ReadSettings,
 ) -> Changes:
-    """Compare a source with a store, by size and time first; only files that seem to be others are read for it.
+    """Compare a source with a store, by size and time; only files that seem to be changed are read for it.
 
     Parameters
     ----------
-    writer: of the store; new takes get their ids from it. found: the source. patterns: regular expressions for paths.
-    given: what the user says of the files.
+    writer : StoreWriter
+        The writer of the store, which gives new takes their ids.
+    feature_set : FeatureSet
+        The features that takes are analysed with.
+    mappings : Mappings
+        The skeleton mappings.
+    found : Scan
+        The files of the source.
+    naming : {"stem", "path", "file"}
+        The rule for the names of takes.
+    patterns : sequence of str
+        Regular expressions for paths, whose named groups become columns.
+    given : Given
+        Settings of the user for reading files.
     """
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
     compiled = [re.compile(pattern) for pattern in patterns]
@@ -72,7 +96,7 @@ def compare(
     restated: list[dict[str, Any]] = []
     failures = [refusal(refused) for refused in found.refused]
     unchanged = 0
-    former = {found.motions[0].root}  # where this archive is, and was before it moved
+    former = {found.motions[0].root}  # the roots of this archive, now and before it was moved
     names: dict[str, list[str]] = {}
     for motion in found.motions:
         names.setdefault(_name(naming, motion), []).append(motion.path)
@@ -138,7 +162,7 @@ def _name(naming: Naming, motion: SourceFile) -> str:
 
 
 def _namesake(name: str, motion: SourceFile, paths: Sequence[str]) -> SourceError:
-    """Two files of one name: neither wins silently; the rule of naming that tells them apart is the way out."""
+    """Return the error of files whose takes would have the same name, with a rule of naming that distinguishes them."""
     rule = "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
     others = [path for path in paths if path != motion.path]
     also = ", ".join(others[:2]) + (f" and {len(others) - 2} more" if len(others) > 2 else "")
@@ -153,7 +177,7 @@ def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:
 
 
 def _same_content(row: dict[str, Any], motion: SourceFile) -> bool:
-    """Whether a file is what the take was read from; it is read only where its place, size or time say otherwise."""
+    """Return if the content of a file is unchanged; it is read only where its place, size or time differ."""
     if row["source_bytes"] != motion.size:
         return False
     untouched = _same_place(row, motion) and row["source_mtime_ns"] == motion.mtime_ns
@@ -161,23 +185,23 @@ def _same_content(row: dict[str, Any], motion: SourceFile) -> bool:
 
 
 def _restated(row: dict[str, Any], motion: SourceFile) -> list[dict[str, Any]]:
-    """The row of a take whose file is the same, but not as the row says: next time it need not be read to know that."""
+    """Return the row of an unchanged take with the new place or time of its file, so that it is not read again."""
     if _same_place(row, motion):
         return [] if row["source_mtime_ns"] == motion.mtime_ns else [row | {"source_mtime_ns": motion.mtime_ns}]
     if (Path(row["source_root"]) / row["source"]).exists():
-        return []  # one of two copies, and not the one that was read
+        return []  # a copy of the file that was read
     place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
     return [row | place]
 
 
 def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
-    """Whether a take's file has moved with its archive: the same place below another root, and none at the old one."""
+    """Return if the file of a take was moved with its archive: it has the same place below another root only."""
     same = row["source"] == motion.path and row["source_root"] != motion.root
     return same and not (Path(row["source_root"]) / row["source"]).exists()
 
 
 def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
-    """A changed file replaces its take; a different file of the same name does not."""
+    """Return the error of another file with the name of a take; only a changed file replaces its take."""
     return SourceError(
         motion.absolute,
         f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
@@ -192,5 +216,5 @@ def features_digest(feature_set: FeatureSet) -> str:
 
 
 def digest(parts: object) -> str:
-    """A short hash of JSON values."""
+    """Return a short hash of JSON values."""
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Failures: what could not be brought in, and why, as rows of `ingest_log`."""
+"""Failures of ingestion: files that could not be read, and the reasons, as rows of `ingest_log`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,22 @@ MOST_TOLD = 10
 
 @dataclass(frozen=True)
 class Failure:
-    """One thing that did not come in, and why; every field is text that can be written anywhere.
+    """A file that could not be read, and the reason; every text can be written anywhere.
 
-    clash: the name that several files would have; they all say the same.
+    Attributes
+    ----------
+    source : str
+        The path of the file below the source folder.
+    error : str
+        The kind of error.
+    message : str
+        The message.
+    file : str
+        The absolute path of the file.
+    line : int, optional
+        The line of the fault.
+    clash : str, optional
+        The name that several files would have; their messages are the same.
     """
 
     source: str
@@ -33,10 +46,19 @@ class Failure:
 
 
 def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> Failure:
-    """What an error says of the motion file that it came from, with the way out.
+    """Return the failure of a motion file.
 
-    An error that is not of the project's own, nor of the operating system, is a defect of kinedex: it must not cost the
-    other files, and the message asks for a report.
+    An error that is neither the project's own nor of the operating system is a defect of kinedex: the other files are
+    read all the same, and the message asks for a report.
+
+    Parameters
+    ----------
+    motion : SourceFile
+        The motion file.
+    fault : Exception
+        The error.
+    clash : str, optional
+        The name that several files would have.
     """
     file = readable(str(motion.absolute))
     if isinstance(fault, SourceError):
@@ -63,7 +85,7 @@ def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> F
 
 
 def killer(motion: SourceFile, fault: Exception) -> Failure:
-    """The failure of a file that ends every process that reads it."""
+    """Return the failure of a file that ends every process that reads it."""
     file = readable(str(motion.absolute))
     message = (
         f"{file}: {fault}; most likely this file of {motion.size / 1e6:.1f} MB needs more memory than there is: run "
@@ -73,12 +95,12 @@ def killer(motion: SourceFile, fault: Exception) -> Failure:
 
 
 def refusal(refused: Refused) -> Failure:
-    """The failure of what a scan of the source has refused."""
+    """Return the failure of a file that the scan of the source has refused."""
     return Failure(refused.path, "SourceError", str(refused.fault), refused.fault.path, None)
 
 
-def told(failures: Sequence[Failure]) -> list[str]:
-    """What is said of failures on the terminal: ten at most, one for each name that several files would have."""
+def failure_messages(failures: Sequence[Failure]) -> list[str]:
+    """Return messages for the terminal: ten at most, one for each name that several files would have."""
     groups: dict[str, list[Failure]] = {}
     for index, one in enumerate(failures):
         groups.setdefault(f"name {one.clash}" if one.clash is not None else f"{index}", []).append(one)
@@ -89,7 +111,7 @@ def told(failures: Sequence[Failure]) -> list[str]:
 
 
 def log_table(failures: Sequence[Failure], run: str) -> pa.Table:
-    """Failures as rows of `ingest_log`."""
+    """Return failures as rows of `ingest_log`."""
     rows = [
         {
             "run": run,

@@ -1,4 +1,4 @@
-"""Reading batches of motion files: the part of an ingest that runs in worker processes."""
+"""Batches of motion files that worker processes read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kinedex.storage.snapshot.parts import FramesWriter
 
 @dataclass(frozen=True)
 class Task:
-    """One motion file to bring in."""
+    """One motion file to read."""
 
     name: str
     take_id: int
@@ -51,13 +51,13 @@ class Batch:
 
     @property
     def subject(self) -> str:
-        """What the batch is about, for messages."""
+        """The files of the batch, for messages."""
         return ", ".join(str(task.motion.absolute) for task in self.tasks)
 
 
 @dataclass(frozen=True)
 class Written:
-    """What a batch left: rows of `takes`, the frames part (None where every file failed), and the failures."""
+    """The outcome of a batch: rows of `takes`, the frames part (None where every file failed), and the failures."""
 
     takes: list[dict[str, Any]]
     part: Part | None
@@ -95,7 +95,7 @@ def read_batch(batch: Batch) -> Written:
 
 
 def _read(batch: Batch, task: Task) -> tuple[str, Body]:
-    """The checksum of one file and the body in it, of the same bytes where the file is read as a whole."""
+    """Return the checksum of a file and its body, of the same bytes where the file is read as a whole."""
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
     data = source_bytes(motion) if reader_of(motion).reads_whole else None
     # not before: it reads the whole file, which is work for many processes

@@ -9,7 +9,7 @@ from kinedex.storage.formats.motion.reader_table import motion_endings
 from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
 
 ABOVE = 3
-"""How many folders above an AMC file are searched for its ASF file where no source root is given."""
+"""So many folders above an AMC file are searched for its ASF file where no source root is given."""
 
 
 def motion_ending(file: Path) -> str:

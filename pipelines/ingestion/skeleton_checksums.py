@@ -1,4 +1,4 @@
-"""Checksums of skeleton files: takes depend on them, and one that is as it was need not be read to know its own."""
+"""Checksums of skeleton files, on which takes depend; unchanged files are not read again."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ class SkeletonSums:
     """The checksums of skeleton files; those of an earlier run where place, size and time are the same."""
 
     def __init__(self, known: pa.Table) -> None:
-        """Begin with what earlier runs found: rows of `skeleton_files`."""
+        """Start with the checksums of earlier runs, rows of `skeleton_files`."""
         self._known: dict[tuple[object, ...], str] = {
             tuple(row[name] for name in _SCHEMA.names[:-1]): row["checksum"] for row in known.to_pylist()
         }
         self._found: dict[tuple[object, ...], str] = {}
 
     def of(self, skeleton: SourceFile) -> str:
-        """The checksum of a skeleton file.
+        """Return the checksum of a skeleton file.
 
         Raises
         ------
-        SourceError: it cannot be read.
+        SourceError
+        The file cannot be read.
         """
         state = (skeleton.root, skeleton.path, skeleton.size, skeleton.mtime_ns)
         if state not in self._found:
@@ -33,7 +34,7 @@ class SkeletonSums:
         return self._found[state]
 
     def table(self) -> pa.Table:
-        """What the next run may begin with: rows of `skeleton_files`, those of other sources among them."""
+        """Return the checksums for the next run, rows of `skeleton_files`, also those of other sources."""
         here = {root for root, *_ in self._found}
         others = {state: content for state, content in self._known.items() if state[0] not in here}
         rows = [(*state, content) for state, content in (others | self._found).items()]

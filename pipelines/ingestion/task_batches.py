@@ -1,4 +1,4 @@
-"""Batches: many tasks in few pieces of work, and none of them lost to the one that kills its worker."""
+"""Batches of tasks, in which one task that kills its worker does not affect the others."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kinedex.pipelines.engine.executors import Executor, WorkerDied
 
 
 class Batch(Protocol):
-    """A dataclass of whatever its work needs, with the tasks that it is about."""
+    """A dataclass with some tasks, and all that its work needs."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def tasks(self) -> tuple[Any, ...]:
-        """What the work is done for, one by one."""
+        """The tasks, each of which the work is done for."""
         ...
 
 
@@ -26,7 +26,7 @@ Work = TypeVar("Work", bound=Batch)
 Result = TypeVar("Result")
 
 PIECES = 8
-"""Into how many pieces a batch is cut that cannot be finished, to find the task that is to blame."""
+"""A batch that cannot be finished is cut into so many pieces, to find the task that is the cause."""
 
 
 def run_batches(
@@ -35,26 +35,32 @@ def run_batches(
     batches: Iterable[Work],
     give_up: Callable[[Work, Exception], Result],
 ) -> Generator[tuple[Work, Result]]:
-    """Do the work of every batch, whatever happens to the workers.
+    """Do the work of every batch, also where workers die.
 
-    A batch whose workers die again and again, or whose work ends in an error that is not of the project's own, is done
-    again in smaller and smaller pieces, until the task is alone that is to blame; that one is given up. What was in
-    flight meanwhile may be done twice.
+    A batch whose workers die again and again, or whose work ends in an error that is not the project's own, is done
+    again in smaller and smaller pieces, until the task that is the cause is alone; that task is given up. Other work in
+    progress may be done twice.
 
     Parameters
     ----------
-    executor: where the work is done.
-    work: what to do with a batch; picklable, may be done twice, and costs nothing for a batch without tasks.
-    batches: each with one task at least.
-    give_up: the result that stands for a batch of one task that cannot be finished, and the error it ended in.
+    executor : Executor
+        The workers.
+    work : callable
+        Does the work of a batch; picklable, may be called twice, and does nothing for a batch without tasks.
+    batches : iterable of Batch
+        Each with one task at least.
+    give_up : callable
+        Returns the result of a batch of one task that cannot be finished, given the error.
 
-    Returns
-    -------
-    Each batch, or piece of one, with its result, in order.
+    Yields
+    ------
+    (Batch, object)
+        Each batch, or piece of one, with its result, in order.
 
     Raises
     ------
-    KinedexError: the work raised one; it concerns the store or the set-up, not a task.
+    KinedexError
+        The work raised one; it concerns the store or the set-up, not a task.
     """
     waiting = deque(batches)
     trouble = False

@@ -1,1 +1,1 @@
-"""Ranking of whole archives, and how good it is."""
+"""Ranking of whole archives, and its evaluation."""

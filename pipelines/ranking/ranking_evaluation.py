@@ -1,4 +1,4 @@
-"""How well templates rank: hits in takes against manual segments, and clips that were left out of learning."""
+"""Evaluation of rankings: hits in takes against manual segments, and clips that were not learned from."""
 
 from __future__ import annotations
 
@@ -37,11 +37,24 @@ class Fold(BaseModel):
 
 @dataclass(frozen=True)
 class Judged:
-    """One ranking, judged.
+    """The judgement of one ranking.
 
-    fold: what was left out of learning, "" for nothing. relevant: whether each rank should be found, the best first.
-    total: how many things there were to find; found: how many are below τ. confused: classes that stand
-    above the last relevant rank, with how often, most often first.
+    Attributes
+    ----------
+    evaluation : str
+        "takes" or "clips".
+    fold : str
+        The value that was excluded from learning; empty for none.
+    label : str
+        The class.
+    relevant : tuple of bool
+        True for each rank that is right, the best first.
+    total : int
+        The number of segments or clips to find.
+    found : int
+        The number of these below τ.
+    confused : tuple of (str, int)
+        The classes above the last right rank, with their numbers, the most frequent first.
     """
 
     evaluation: str
@@ -59,7 +72,7 @@ class Judged:
 
     @property
     def recall(self) -> float:
-        """The share of what there was to find that is below τ; NaN with nothing to find."""
+        """The share of segments or clips to find that is below τ; NaN where there is none."""
         return self.found / self.total if self.total else math.nan
 
 
@@ -68,7 +81,14 @@ def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]
 
     Parameters
     ----------
-    pattern: files below the takes' source folders, a glob. subclasses: those that have templates.
+    store : Store
+        The store that holds the takes.
+    pattern : str
+        The label files below the source folders of the takes, as a glob.
+    where : str
+        A SQL filter over the columns of takes.
+    subclasses : sequence of str
+        The subclasses that have templates.
     """
     takes = store.takes(where)
     files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
@@ -77,12 +97,12 @@ def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]
 
 
 def names_filter(takes: Sequence[str]) -> str:
-    """A SQL filter that selects takes by their names."""
+    """Return a SQL filter that selects takes by their names."""
     return "name IN (" + ", ".join("'" + name.replace("'", "''") + "'" for name in takes) + ")"
 
 
 def judge_hits(label: str, hits: Sequence[Hit], truth: Sequence[Manual], tau: float) -> Judged:
-    """Judge a class's ranked hits by the manual segments of all classes.
+    """Judge the ranked hits of a class by the manual segments of all classes.
 
     A hit is right where it shares at least half of the shorter of the two with a segment of its class that no better
     hit has found; a second hit on one segment counts as wrong.
@@ -114,7 +134,7 @@ def _same(hit: Hit, segment: Manual) -> bool:
 
 
 def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
-    """The least distance of each template anywhere in each clip, float64 (C,); ∞ in clips that are too short for it."""
+    """Return the least distance of each template in each clip, float64 (C,); ∞ in clips that are too short for it."""
     ranges = np.stack([clips.offsets[:-1], clips.offsets[1:]], axis=1)
     curves = distance_curves(list(templates.values()), clips.words, ranges)
     filled = np.flatnonzero(clips.frames > 0)
@@ -139,7 +159,7 @@ def judge_clips(
 
 
 def mean_average_precision(judged: Sequence[Judged]) -> float:
-    """The mean over classes of the mean over folds; NaN where nothing was to be found."""
+    """Return the mean over classes of the mean over folds; NaN where there was nothing to find."""
     by_label: dict[str, list[float]] = {}
     for one in judged:
         if one.total:
@@ -148,13 +168,13 @@ def mean_average_precision(judged: Sequence[Judged]) -> float:
 
 
 def recall_at_tau(judged: Sequence[Judged]) -> float:
-    """The share of all there was to find that is below τ."""
+    """Return the share of all segments or clips to find that is below τ."""
     total = sum(one.total for one in judged)
     return sum(one.found for one in judged) / total if total else math.nan
 
 
 def retrieval_rows(judged: Sequence[Judged], run: str) -> pa.Table:
-    """Lay judged rankings out as results of the kind `retrieval`."""
+    """Return judged rankings as results of the kind `retrieval`."""
     rows = [
         {
             "run": run,
@@ -173,7 +193,7 @@ def retrieval_rows(judged: Sequence[Judged], run: str) -> pa.Table:
 
 
 def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> Table:
-    """Show judged rankings, folds pooled by class: average precision, recall at τ, and what is confused."""
+    """Return a table of judged rankings, folds pooled by class: average precision, recall at τ, and confusions."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left")
     for column, side in (("class", "left"), ("to find", "right"), ("AP", "right"), (f"recall at {tau:g}", "right"),
                          ("above the last right one", "left")):  # fmt: skip

@@ -1,4 +1,4 @@
-"""The stiffness experiment: what keyframe queries keep and what rankings lose as their gaps become rigid or loose."""
+"""The stiffness experiment: frames that queries keep, and precision and recall, for several stiffnesses of gaps."""
 
 from __future__ import annotations
 
@@ -25,8 +25,16 @@ WRITTEN = "as written"
 class Trial:
     """The ranking of one class under one variant of its queries.
 
-    variant: `EVERYWHERE` (no preselection), `WRITTEN`, or a stiffness as text. stiffness: that of all gaps, or None.
-    kept: the share of the frames that was ranked.
+    Attributes
+    ----------
+    variant : str
+        `EVERYWHERE` (no preselection), `WRITTEN`, or a stiffness as text.
+    stiffness : float, optional
+        The stiffness of all gaps.
+    judged : Judged
+        The judgement of the ranking.
+    kept : float
+        The share of the frames that was ranked.
     """
 
     variant: str
@@ -36,10 +44,10 @@ class Trial:
 
 
 def stiffened(query: KeyframeQuery, stiffness: float) -> KeyframeQuery:
-    """The query with one stiffness in all gaps (thesis, Figure 3.14: σ ≡ 1.0).
+    """Return a query with one stiffness in all gaps (thesis, Figure 3.14: σ ≡ 1.0).
 
-    A gap that was given as a range has the distance that the range stands for (Eq. 4.8). Parts of one keyframe stay in
-    one frame, and a gap without an upper bound, which has no distance, stays as it is.
+    A gap that was given as a range has the nominal distance of the range (Eq. 4.8). Parts of one keyframe stay in one
+    frame, and a gap without an upper bound, which has no distance, is unchanged.
     """
     gaps = tuple(_gap(gap, stiffness) for gap in query.gaps)
     return replace(query, gaps=gaps, alternatives=tuple(stiffened(other, stiffness) for other in query.alternatives))
@@ -57,7 +65,7 @@ def _gap(gap: Gap, stiffness: float) -> Gap:
 
 
 def mean_stiffness(queries: Iterable[KeyframeQuery]) -> float | None:
-    """The mean stiffness of all gaps of some queries (thesis, Table 3.2), but for parts of one keyframe."""
+    """Return the mean stiffness of all gaps of some queries (thesis, Table 3.2), without those within a keyframe."""
     values = [
         gap.nominal_stiffness for query in queries for chain in query.chains for gap in chain.gaps if gap != SAME_FRAME
     ]
@@ -77,9 +85,20 @@ def run_trials(
 
     Parameters
     ----------
-    searched: templates; those without queries are ranked in all frames only. truth: what is to be found.
-    takes: a SQL filter over the columns of takes. stiffnesses: each in [0, 1], for all gaps of all queries.
-    tau: recall at this threshold is told with each judgement.
+    store : Store
+        The store to search.
+    searched : sequence of RankedTemplate
+        The templates; those without queries are ranked in all frames only.
+    truth : sequence of Manual
+        The manual segments to find.
+    takes : str
+        A SQL filter over the columns of takes.
+    stiffnesses : sequence of float
+        Each in [0, 1], for all gaps of all queries.
+    tau : float
+        The threshold of recall.
+    workers : int, optional
+        The number of threads; that of the cores unless given.
     """
     variants: list[tuple[str, float | None, list[RankedTemplate]]] = [
         (EVERYWHERE, None, [replace(one, queries=()) for one in searched])
@@ -98,7 +117,7 @@ def run_trials(
 
 
 def trial_rows(trials: Sequence[Trial], run: str) -> pa.Table:
-    """Lay trials out as results of the kind `precision_recall`."""
+    """Return trials as results of the kind `precision_recall`."""
     rows = []
     for trial in trials:
         judged = trial.judged

@@ -1,1 +1,1 @@
-"""One stage a file; each reads a store and commits what it made. No stage imports another."""
+"""Stages, one in each module; a stage reads a store, and commits its results. No stage imports another."""

@@ -1,4 +1,4 @@
-"""Stage evaluate: the annotations against ground truth, on the level of frames and of segments."""
+"""Stage evaluate: the comparison of annotations with ground truth, over frames and over segments."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from kinedex.storage.store.store import Store
 
 SET_IT = "`--set evaluate.ground_truth=PATTERN` names label files"
 MOST_TAKES_SHOWN = 20
-"""With more takes the table on the terminal leaves out the line per take."""
+"""With more takes the table on the terminal has no row for each take."""
 
 
 class Evaluate(Stage[GroundTruthParameters]):
-    """The annotations against ground truth, on the level of frames and of segments."""
+    """The comparison of annotations with ground truth, over frames and over segments."""
 
     name = "evaluate"
     parameters = GroundTruthParameters

@@ -35,7 +35,7 @@ NONE = "none"
 
 
 class Params(BaseModel):
-    """What the stage `evaluate_ranking` takes."""
+    """The parameters of the stage `evaluate_ranking`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -56,7 +56,7 @@ class Params(BaseModel):
 
 
 class EvaluateRanking(Stage[Params]):
-    """Average precision of every class, in takes with ground truth and among clips left out."""
+    """Average precision of every class, in takes with ground truth and among clips of other folds."""
 
     name = "evaluate_ranking"
     parameters = Params
@@ -73,7 +73,7 @@ class EvaluateRanking(Stage[Params]):
             return "none to be read"
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Judge the rankings, print a table of each kind, store them."""
+        """Judge the rankings, print a table of each kind, and store them."""
         store = context.open()
         summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
         judged: list[Judged] = []
@@ -92,7 +92,7 @@ class EvaluateRanking(Stage[Params]):
 
 
 def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
-    """Each class's ranking of the takes, to its end: without a threshold, and with all hits."""
+    """Judge the ranking of takes by each class, with all hits."""
     if params.ground_truth == NONE:
         return []
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
@@ -105,7 +105,7 @@ def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
 
 
 def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
-    """The rankings of the clips of each fold, by templates of the others."""
+    """Judge the rankings of the clips of each fold, by templates of the others."""
     judged: list[Judged] = []
     features = len(store.feature_set.features)
     for fold in _folds(store, params):

@@ -14,7 +14,7 @@ from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):
-    """What the stage `index` takes."""
+    """The parameters of the stage `index`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -25,7 +25,7 @@ class Params(BaseModel):
 
 
 class Index(Stage[Params]):
-    """Word runs, feature runs and vocabulary of all takes, as a published DuckDB file."""
+    """The index of word runs, feature runs and vocabulary of all takes."""
 
     name = "index"
     parameters = Params
@@ -36,7 +36,7 @@ class Index(Stage[Params]):
         return current_generation(store.path, store.manifest) is not None
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Build the index of the store's takes, unless it stands already."""
+        """Build the index of the store's takes, unless it is up to date."""
         store = context.open()
         before = current_generation(store.path, store.manifest)
         generation = build_index(store, params.threads, params.memory_mb)

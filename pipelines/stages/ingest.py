@@ -23,13 +23,13 @@ from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import WorkerDied
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest, features_digest
-from kinedex.pipelines.ingestion.failures import Failure, failure, killer, log_table, told
+from kinedex.pipelines.ingestion.failures import Failure, failure, failure_messages, killer, log_table
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
 from kinedex.pipelines.ingestion.task_batches import run_batches
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
-from kinedex.storage.formats.motion.sources import scan
+from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
@@ -39,7 +39,7 @@ MEGABYTE = 1 << 20
 
 
 class Params(BaseModel):
-    """What the stage `ingest` takes."""
+    """The parameters of the stage `ingest`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -102,13 +102,13 @@ class Params(BaseModel):
 
     @property
     def given(self) -> ReadSettings:
-        """What the files are told by the user."""
+        """The settings of the user for reading files."""
         model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
         return ReadSettings(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
 
 
 class Ingest(Stage[Params]):
-    """Motion files become takes and frames with words; what cannot be read is logged."""
+    """Motion files become takes and frames with words; files that cannot be read are logged."""
 
     name = "ingest"
     parameters = Params
@@ -127,49 +127,31 @@ class Ingest(Stage[Params]):
         return [(READERS, name) for name in READERS]
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Bring a source up to date in the store, batch by batch, each committed whole."""
+        """Read the new and changed files of a source, batch by batch, each committed whole."""
         found = scan(params.source)
         if not found.motions:
-            raise KinedexError(
-                f"no motion files ({', '.join(motion_endings())}) below {params.source}; is this the "
-                "right folder?"
-                + "".join(f" {line}." for line in found.unread_lines())
-                + "".join(f" {refused.fault}." for refused in found.refused[:3])
-            )
+            raise _no_motion_files(found, params.source)
         mappings = load_mappings(params.skeleton, context.feature_set.joints)
         with context.writer() as writer:
             plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
             if plan.renamed and not params.prune:
                 raise _named_otherwise(plan)
-            context.say(
-                f"{counted(len(found.motions), 'motion file')} below {params.source}: "
-                f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
-                + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
-            )
-            for line in found.unread_lines():
-                context.say(line)
-            if plan.gone:
-                what = "dropped" if params.prune else "kept; `prune: true` drops them"
-                context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
-            if plan.renamed:
-                context.say(
-                    f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were"
-                )
+            _report_changes(context, params, found, plan)
             failures = list(plan.failures)
             frames = 0
             if not (params.strict and failures):
-                frames = _bring_in(context, params, mappings, writer, plan.tasks, failures)
+                frames = _read_files(context, params, mappings, writer, plan.tasks, failures)
             writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
             writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
             if params.strict and failures:
                 writer.commit()
                 raise KinedexError(
-                    f"{failures[0].message}\n(strict: stopped at this file; what came in before it stays)"
+                    f"{failures[0].message}\n(strict: stopped at this file; files before it stay in the store)"
                 )
             read = len(plan.tasks) - (len(failures) - len(plan.failures))
             if not plan.unchanged + read:
                 writer.commit()
-                _tell(context, failures)
+                _report_failures(context, failures)
                 count = len(found.motions)
                 none = f"none of the {count} files came in" if count > 1 else "the only file did not come in"
                 raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
@@ -180,7 +162,7 @@ class Ingest(Stage[Params]):
             writer.commit()
             _compact(context, writer)
             total = len(writer.manifest.live_takes)
-        _tell(context, failures)
+        _report_failures(context, failures)
         return {
             "takes": total,
             "read": read,
@@ -192,8 +174,33 @@ class Ingest(Stage[Params]):
         }
 
 
+def _no_motion_files(found: Scan, source: str) -> KinedexError:
+    """Return the error of a source without motion files."""
+    return KinedexError(
+        f"no motion files ({', '.join(motion_endings())}) below {source}; is this the right folder?"
+        + "".join(f" {line}." for line in found.unread_lines())
+        + "".join(f" {refused.fault}." for refused in found.refused[:3])
+    )
+
+
+def _report_changes(context: StageContext, params: Params, found: Scan, plan: Changes) -> None:
+    """Report the files to read, those that are not read, and takes whose file is gone or renamed."""
+    context.say(
+        f"{counted(len(found.motions), 'motion file')} below {params.source}: "
+        f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
+        + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
+    )
+    for line in found.unread_lines():
+        context.say(line)
+    if plan.gone:
+        what = "dropped" if params.prune else "kept; `prune: true` drops them"
+        context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
+    if plan.renamed:
+        context.say(f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were")
+
+
 def _named_otherwise(plan: Changes) -> NewStoreError:
-    """The files of takes are there, but this pipeline calls them otherwise: they would come in twice."""
+    """Return the error of a source whose takes are in the store under other names, and would be there twice."""
     _, before, now = plan.renamed[0]
     return NewStoreError(
         f"{counted(len(plan.renamed), 'take')} of this source are in the store under other names, such as '{before}' "
@@ -203,12 +210,12 @@ def _named_otherwise(plan: Changes) -> NewStoreError:
     )
 
 
-def _tell(context: StageContext, failures: Sequence[Failure]) -> None:
-    for line in told(failures):
+def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None:
+    for line in failure_messages(failures):
         context.say(line)
 
 
-def _bring_in(
+def _read_files(
     context: StageContext,
     params: Params,
     mappings: Mappings,
@@ -216,7 +223,7 @@ def _bring_in(
     tasks: Sequence[Task],
     failures: list[Failure],
 ) -> int:
-    """Read all tasks and commit batch by batch; returns how many frames came in."""
+    """Read all files, commit them batch by batch, and return the number of frames."""
     if not tasks:
         return 0
     if context.executor.workers > 1:
@@ -257,7 +264,7 @@ def _compact(context: StageContext, writer: StoreWriter) -> None:
 
 
 def _batches(tasks: Sequence[Task], limit: int, workers: int) -> Iterator[tuple[Task, ...]]:
-    """Split tasks by bytes: at most `limit`, and small enough that every worker gets two where there is enough work."""
+    """Divide tasks by bytes: at most `limit` each, and two for every worker where there is enough work."""
     total = sum(task.motion.size for task in tasks)
     target = min(limit, max(4 * MEGABYTE, total // (2 * workers) + 1))
     batch: list[Task] = []
@@ -273,7 +280,7 @@ def _batches(tasks: Sequence[Task], limit: int, workers: int) -> Iterator[tuple[
 
 
 def _compile_kernels(feature_set: FeatureSet) -> None:
-    """Compile once, into the cache, before several processes would each do the same."""
+    """Compile kernels into the cache, before several processes would each do so."""
     node = kinematics.Node("root", -1, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), ())
     kinematics.forward((node,), np.zeros((2, 1)))
     textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])

@@ -27,7 +27,7 @@ from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):
-    """What the stage `rank` takes."""
+    """The parameters of the stage `rank`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -84,7 +84,7 @@ class Rank(Stage[Params]):
 
 
 def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate], params: Params) -> list[Ranking]:
-    """The ranking of each template: those with queries one by one, those without in one pass over the archive."""
+    """Rank by each template: by those with queries one by one, by those without in one pass over the archive."""
     workers = context.executor.workers
     free = [one for one in searched if not one.queries]
     groups = [[one] for one in searched if one.queries] + ([free] if free else [])
@@ -123,7 +123,7 @@ class Lists:
 
 
 def _lists(store: Store, searched: Sequence[RankedTemplate], where: str) -> dict[str, Lists]:
-    """How the queries of each template that has any are answered from the index."""
+    """Return the keyframe search of each template that has queries, from the index."""
     found = {}
     for query in [query for one in searched for query in one.queries][:1]:
         explain_store(store, [query], where)  # once before the clock starts
@@ -145,7 +145,7 @@ def _shown(
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
 ) -> Table:
-    """A row for each subclass: keyframe search, what it keeps, and the ranking of that."""
+    """Return a row for each subclass: the keyframe search, the frames that it keeps, and the ranking of these."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     columns = ["subclass", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:

@@ -17,7 +17,7 @@ from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):
-    """What the page shows where it cannot show everything."""
+    """The parameters of the stage `report`: what the page shows where it cannot show everything."""
 
     model_config = ConfigDict(extra="forbid")
 

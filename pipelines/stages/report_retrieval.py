@@ -17,7 +17,7 @@ from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):
-    """What the stage `report_retrieval` takes."""
+    """The parameters of the stage `report_retrieval`."""
 
     model_config = ConfigDict(extra="forbid")
 

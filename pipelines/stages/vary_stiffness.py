@@ -26,7 +26,7 @@ from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):
-    """What the stage `vary_stiffness` takes."""
+    """The parameters of the stage `vary_stiffness`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -42,7 +42,7 @@ class Params(BaseModel):
 
 
 class VaryStiffness(Stage[Params]):
-    """Precision and recall along each class's ranking, and what stiffness does to them."""
+    """Precision and recall along the ranking of each class, for several stiffnesses of the queries."""
 
     name = "vary_stiffness"
     parameters = Params

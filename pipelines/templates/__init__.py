@@ -1,1 +1,1 @@
-"""Templates: learned from clips, made by recipes, checked, shown."""
+"""Templates of an archive: learning from clips, mirrored clips, files and combinations, and their display."""

@@ -1,4 +1,4 @@
-"""What is wrong with the clips of a class: too few, of very different length, or one unlike all the others."""
+"""Checks of the clips of a class: too few, of very different length, or one unlike all the others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from kinedex.pipelines.console.wording import few
 
 FEW = 3
-"""Fewer clips than this say little about what varies."""
+"""Fewer clips than this hardly show which features vary."""
 
 UNLIKE_LENGTH = 2.0
 """A clip so many times as long as the median of its class, or shorter by this factor: a path of a distance curve cannot
@@ -22,15 +22,21 @@ lie down, one that sneaks)."""
 
 
 def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[float]) -> tuple[str, ...]:
-    """Say what is wrong with the clips of one class.
+    """Return remarks on the clips of one class.
 
     Parameters
     ----------
-    names, lengths: of the clips; lengths in frames. costs: how far each clip is from the others (`Learned.clip_costs`).
+    names : sequence of str
+        The names of the clips.
+    lengths : sequence of int
+        Their lengths, in frames.
+    costs : sequence of float
+        The cost of each clip to the others (`Learned.clip_costs`).
 
     Returns
     -------
-    Sentences without the class's name; none where nothing is wrong.
+    tuple of str
+        Sentences without the name of the class; none where the clips are fine.
     """
     if len(names) == 1:
         return ("one clip only, which then is the template",)
@@ -53,7 +59,7 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
 
 
 def far_clips(costs: Sequence[float]) -> list[int]:
-    """The places of clips that are far from all others; none among fewer than four, where any could be meant."""
+    """Return the positions of clips that are far from all others; none among fewer than four clips."""
     if len(costs) <= FEW:
         return []
     median = float(np.median(costs))

@@ -1,4 +1,4 @@
-"""Templates in words and signs: what the terminal shows of one, and of two side by side."""
+"""Templates as text for the terminal: one template, and the contrast of two."""
 
 from __future__ import annotations
 
@@ -18,11 +18,20 @@ ON, OFF, WILDCARD = "█", "·", "▒"
 def template_lines(
     one: SubclassTemplate, features: FeatureSet, delta: float, rate_hz: float, width: int
 ) -> Iterator[str]:
-    """A template as lines: what it is, how it was learned, and its matrix with a row for each feature.
+    """Yield a template as lines: its heading, how it was learned, and its matrix with a row for each feature.
 
     Parameters
     ----------
-    delta: values within δ of 0 or 1 count as off and on. width: signs in a line of the terminal.
+    one : SubclassTemplate
+        The template.
+    features : FeatureSet
+        The features of its rows.
+    delta : float
+        Values within delta of 0 or 1 are shown as off and on.
+    rate_hz : float
+        The analysis rate, in frames per second.
+    width : int
+        The width of the terminal.
     """
     template = one.learned.template
     yield heading(one, rate_hz)
@@ -49,7 +58,7 @@ def template_lines(
 
 
 def heading(one: SubclassTemplate, rate_hz: float) -> str:
-    """What a template is, in one line."""
+    """Return a line on a template: name, kind, length and origin."""
     columns = len(one.learned.template)
     made = one.origin
     if made.startswith("learned"):
@@ -59,20 +68,20 @@ def heading(one: SubclassTemplate, rate_hz: float) -> str:
 
 
 def weights_line(weights: Sequence[float], features: FeatureSet) -> str:
-    """How much features count, those that do not count as 1 by name."""
+    """Return a line on the weights of features: those that are not 1, by name."""
     pairs = zip(features.features, weights, strict=True)
     unlike = [f"{feature.name} {weight:g}" for feature, weight in pairs if weight != 1]
     return f"feature weights: {', '.join(unlike)}; all others 1" if unlike else "feature weights: all 1"
 
 
 def trace(costs: tuple[float, ...]) -> str:
-    """How the largest cost between two clips fell, and whether it settled."""
+    """Return the largest cost between two clips, round by round, and if it settled."""
     end = "settled" if costs[-1] < CONVERGED else "no longer changed, or stopped"
     return f"{' → '.join(f'{cost:.3f}' for cost in costs)} ({end})"
 
 
 def contrast_lines(names: tuple[str, str], found: Contrast, features: FeatureSet, rate_hz: float) -> Iterator[str]:
-    """What distinguishes two templates, in words: the features that contradict each other, most often first."""
+    """Yield lines on the features that contradict each other in two templates, most often first."""
     against, compared = int(np.abs(found.against).sum()), int(found.compared.sum())
     if not compared:
         yield f"{names[0]} and {names[1]} have no entry in common that neither leaves open"
@@ -85,24 +94,24 @@ def contrast_lines(names: tuple[str, str], found: Contrast, features: FeatureSet
     order = [index for index in np.argsort(-columns, kind="stable").tolist() if columns[index]]
     for index in order:
         feature = features.features[index]
-        said = []
+        parts = []
         for side, sign in enumerate((1, -1)):
             count = int((found.against[:, index] == sign).sum())
             if count:
                 when = _where(found, index, sign, names, rate_hz)
-                said.append(f"on in {names[side]}, off in {names[1 - side]}, {counted(count, 'column')} ({when})")
-        yield f"  {feature.description} (F{feature.number}): {'; '.join(said)}"
+                parts.append(f"on in {names[side]}, off in {names[1 - side]}, {counted(count, 'column')} ({when})")
+        yield f"  {feature.description} (F{feature.number}): {'; '.join(parts)}"
     if len(order) < len(features.features):
         yield f"the other {counted(len(features.features) - len(order), 'feature')} contradict nowhere"
 
 
 def _sign(values: np.ndarray) -> str:
-    """The sign of one column, or of several that are shown as one: a wildcard where they differ."""
+    """Return the sign of one column, or of several that are shown as one: a wildcard where they differ."""
     return ON if np.all(values == 1) else OFF if np.all(values == 0) else WILDCARD
 
 
 def _where(found: Contrast, index: int, sign: int, names: tuple[str, str], rate_hz: float) -> str:
-    """From when to when in each of the two, in seconds."""
+    """Return the times of contradictions in each of the two, in seconds."""
     columns = found.path[found.against[:, index] == sign]
     spans = [(columns[:, side].min() / rate_hz, (columns[:, side].max() + 1) / rate_hz) for side in (0, 1)]
     return ", ".join(f"{name} {start:.2f}–{stop:.2f} s" for name, (start, stop) in zip(names, spans, strict=True))

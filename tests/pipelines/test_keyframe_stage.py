@@ -96,9 +96,9 @@ def test_margins_cover_every_training_clip_whole(store: Path) -> None:
         assert query.margins is not None
         own = opened.takes(f"class = '{outcome.subclass}'").sort("take_id")
         words = opened.words(own["take_id"].to_list())
-        _, starts, stops = hit_ranges(words, outcome.chosen[0].query, 40)
-        assert (starts - query.margins[0] <= 0).all()
-        assert (stops + query.margins[1] >= words.frames).all()
+        _, ranges = hit_ranges(words, outcome.chosen[0].query, 40)
+        assert (ranges[:, 0] - query.margins[0] <= 0).all()
+        assert (ranges[:, 1] + query.margins[1] >= words.frames).all()
         window = template_window(query, np.full((outcome.columns, 40), 0.5), BODY)
         assert (window.left, window.right) == query.margins
 
@@ -256,8 +256,9 @@ def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
 
 def test_every_default_is_a_number_of_the_thesis() -> None:
     params = KeyframeParameters()  # type: ignore[call-arg]
-    assert (params.population, params.parents, params.generations, params.beta, params.delta) == (50, 5, 100, 2.0, 0.0)
-    assert params.evolution().offspring == 10
+    numbers = params.evolution()
+    assert (numbers.population, numbers.parents, numbers.generations, numbers.beta) == (50, 5, 100, 2.0)
+    assert (numbers.offspring, params.delta) == (10, 0.0)
     assert 100 <= params.runs <= 500
     assert (params.steady, params.joins, params.tempo, params.parsimony, params.gap_cost) == (0, 0, 0.0, 0.0, 0.0)
 
@@ -275,7 +276,7 @@ def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) 
     assert len([line for line in shown.output.splitlines() if line.startswith(tuple(POSES))]) == 8
     people = runner.invoke(app, ["keyframes", "show", str(store)]).output.splitlines()
     assert max(map(len, people)) <= 160
-    assert any("→11–56→ says that the next keyframe follows 11 to 56 frames later" in line for line in people)
+    assert any("→11–56→: the next keyframe follows 11 to 56 frames later" in line for line in people)
     assert not any(" – " in line for line in people)
     path = tmp_path / "learned.yaml"
     assert runner.invoke(app, ["keyframes", "export", str(store), "-c", "kick", "-o", str(path)]).exit_code == 0
@@ -286,7 +287,7 @@ def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) 
     wrong = runner.invoke(app, ["keyframes", "export", str(store), "-c", "kik"])
     assert wrong.exit_code == 1
     assert "did you mean 'kick'" in wrong.output
-    for target, reason in ((tmp_path / "x.txt", "end in .yaml"), (tmp_path / "no" / "x.yaml", "no directory")):
+    for target, reason in ((tmp_path / "x.txt", "ends in .yaml"), (tmp_path / "no" / "x.yaml", "no folder")):
         refused = runner.invoke(app, ["keyframes", "export", str(store), "-o", str(target)])
         assert refused.exit_code == 1
         assert reason in refused.output
@@ -336,9 +337,12 @@ def test_no_query_is_named_as_another_class(store: Path) -> None:
     assert list(parse_queries(write_queries(queries, BODY), BODY)) == queries
 
 
-def test_runs_of_other_settings_and_beyond_those_asked_for_are_kept(store: Path) -> None:
+def test_runs_of_other_settings_and_beyond_those_asked_for_are_kept(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     line = Learning(store)
-    more = {**QUICK, "settled": 0, "patience": 5}
+    never_settled(monkeypatch)
+    more = dict(QUICK)
     line.run(LearnKeyframes, **more)
     everything = {(one.key, one.number) for one in line.runs()}
     assert len(everything) == 24

@@ -159,7 +159,7 @@ def test_the_result_does_not_depend_on_the_executor(line: Comparing, tmp_path: P
     serial = line.compare([THESIS, BEST], [LEFT_OUT])
     other = Comparing(line.store, "processes")
     other.params = dict(line.params)
-    with_workers = other.compare([THESIS, BEST], [LEFT_OUT], draws=999)
+    with_workers = other.compare([THESIS, BEST], [LEFT_OUT])
     other.executor.close()
     for scope in ("pooled", "takes", "confusion"):
         assert with_workers["splits"][0]["methods"]["best"][scope] == serial["splits"][0]["methods"]["best"][scope]
@@ -470,7 +470,6 @@ def test_hdm05_an_actor_never_seen_and_one_left_out(shared: Path, tmp_path: Path
         "compare_methods.methods": methods,
         "learn_keyframes.runs": "1",
         "learn_keyframes.generations": "0",
-        "compare_methods.draws": "200",
     }
     run_pipeline("hdm05", tmp_path / "store", assignments=assignments, terminal=Terminal(Console(file=io.StringIO())))
     text = (tmp_path / "store/results/reports/hdm05/methods.json").read_text(encoding="utf-8")

@@ -21,7 +21,6 @@ from kinedex.pipelines.evaluation.annotation_scores import (
     evaluate,
     metrics_rows,
     metrics_table,
-    pool_folds,
     write_metrics,
 )
 from kinedex.pipelines.evaluation.ground_truth import (
@@ -245,10 +244,3 @@ def test_names_in_brackets_are_shown_and_a_report_that_cannot_be_written_is_an_e
     (tmp_path / "metrics.json").mkdir()
     with pytest.raises(KinedexError, match=r"metrics\.json: cannot be written: Is a directory"):
         write_metrics(tmp_path / "metrics.json", evaluation(), "r")
-
-
-def test_folds_add_up():
-    rows = {(r.scope, r.name): r.counts for r in pool_folds("x", [("bd", evaluation()), ("bk", evaluation())]).rows}
-    assert rows["fold", "bd"] == rows["fold", "bk"]
-    assert rows["pooled", "all"] == rows["fold", "bd"] + rows["fold", "bk"]
-    assert rows["class", "legs"].frames_both == 10
