@@ -12,7 +12,7 @@ from kinedex.pipelines.engine.code_digest import ROOT, Place, Sources, code_dige
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN
 from kinedex.pipelines.ingestion.analysis import analyse
-from kinedex.pipelines.keyframes.learning import do_runs
+from kinedex.pipelines.keyframes.learning import learn_runs
 
 ANNOTATE = [stage.uses for stage in load_pipeline("annotate", {"source": "/x"}).stages]
 STAGES = {name: tuple(place.split(":")) for name, place in BUILT_IN.items()}
@@ -98,7 +98,7 @@ def test_reports_count_for_the_stages_that_write_them_alone(package: Path, befor
         for path in paths
         if "return " in path.read_text()
     ]
-    learning = {"runs": (do_runs.__module__, "do_runs")}
+    learning = {"runs": (learn_runs.__module__, "learn_runs")}
     assert paths
     try:
         after, learned = digests(package), digests(package, learning)
@@ -186,5 +186,5 @@ def test_what_cannot_be_followed_counts_as_a_whole(tmp_path: Path) -> None:
 
 def test_functions_of_this_program_have_a_digest() -> None:
     assert code_digest(analyse) == code_digest(f"{analyse.__module__}:analyse")
-    assert code_digest(analyse) != code_digest(analyse, do_runs)
+    assert code_digest(analyse) != code_digest(analyse, learn_runs)
     assert len(code_digest(analyse)) == 16
