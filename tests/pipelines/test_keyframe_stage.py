@@ -287,7 +287,7 @@ def test_learn_show_and_export_on_the_command_line(store: Path, tmp_path: Path) 
     wrong = runner.invoke(app, ["keyframes", "export", str(store), "-c", "kik"])
     assert wrong.exit_code == 1
     assert "did you mean 'kick'" in wrong.output
-    for target, reason in ((tmp_path / "x.txt", "ends in .yaml"), (tmp_path / "no" / "x.yaml", "no folder")):
+    for target, reason in ((tmp_path / "x.txt", "ends in .yaml"), (tmp_path / "no" / "x.yaml", "create it")):
         refused = runner.invoke(app, ["keyframes", "export", str(store), "-o", str(target)])
         assert refused.exit_code == 1
         assert reason in refused.output
