@@ -74,7 +74,7 @@ $(VENV)/docs.stamp: requirements-docs.lock $(VENV)/run.stamp
 	@touch $@
 
 docs: setup $(VENV)/docs.stamp
-	@$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs build/site
+	@$(BIN)/sphinx-build --fresh-env --fail-on-warning --keep-going --quiet -b html docs build/site
 	@echo "build/site/index.html"
 
 links: setup $(VENV)/docs.stamp

@@ -13,11 +13,12 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("kinedex", "ops", "catalog", "storage", "pipelines", "benchmarks", "studies")
 ENFORCED = (
     "kinedex",
-    "ops/distances", "ops/ranking", "ops/search", "ops/synth",
-    "catalog/skeletons",
+    "ops/distances", "ops/evaluation", "ops/ranking", "ops/search", "ops/synth", "ops/templates",
+    "catalog/queries", "catalog/skeletons",
     "storage/index", "storage/sql",
-    "pipelines/annotation", "pipelines/api", "pipelines/commands", "pipelines/console", "pipelines/inspection",
-    "pipelines/report", "pipelines/search", "pipelines/synth",
+    "pipelines/annotation", "pipelines/api", "pipelines/commands", "pipelines/console", "pipelines/evaluation",
+    "pipelines/ingestion", "pipelines/inspection", "pipelines/keyframes", "pipelines/ranking", "pipelines/report",
+    "pipelines/search", "pipelines/stages", "pipelines/synth", "pipelines/templates",
     "benchmarks",
     "studies",
 )  # fmt: skip
