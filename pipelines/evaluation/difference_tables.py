@@ -65,22 +65,22 @@ def _setting(value: object) -> str:
 
 def remarks(one: Comparison) -> list[str]:
     """Return remarks on what did not change, and on what could not be compared."""
-    said = []
+    texts = []
     for what, other in (("takes", one.other_truth.takes), ("classes", one.other_truth.classes)):
         if other:
-            said.append(f"{what} whose manual labels are not the same in A and B: {few(other)}")
+            texts.append(f"{what} whose manual labels are not the same in A and B: {few(other)}")
     for what, changes in (("classes", one.classes), ("takes", one.takes)):
         same = len(one.changed(changes, "same"))
         if same:
-            said.append(f"{same} of {len(changes)} {what} are the same")
+            texts.append(f"{same} of {len(changes)} {what} are the same")
     for name, alone in (("A", one.only_a), ("B", one.only_b)):
         if alone.takes:
-            said.append(f"takes of {name} alone, left out: {few(alone.takes)}")
+            texts.append(f"takes of {name} alone, excluded: {few(alone.takes)}")
         if alone.classes:
-            said.append(f"classes of {name} alone, not compared: {few(alone.classes)}")
+            texts.append(f"classes of {name} alone, not compared: {few(alone.classes)}")
     if (one.only_a.takes or one.only_b.takes) and one.classes:
-        said.append("classes are over all takes of each")
-    return said
+        texts.append("classes are over all takes of each")
+    return texts
 
 
 def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Table:

@@ -100,13 +100,13 @@ class Comparison:
         """The result in a sentence."""
         if self.common == 0:
             return "no take in common, so neither is better or worse"
-        said = [
-            _said(*one)
+        parts = [
+            _measure_verdict(*one)
             for one in zip((F_FRAMES, F_SEGMENTS), (self.overall.f1, self.overall.f2), self._ends, strict=True)
         ]
         if self.other_truth != Alone():
-            said.append("but A and B were judged against different ground truth")
-        return "; ".join(said)
+            parts.append("but A and B were judged against different ground truth")
+        return "; ".join(parts)
 
     @property
     def _ends(self) -> list[tuple[float, float]]:
@@ -170,7 +170,7 @@ def direction(pair: Pair) -> int | None:
     return -1 if a is None else 1
 
 
-def _said(name: str, pair: Pair, ends: tuple[float, float]) -> str:
+def _measure_verdict(name: str, pair: Pair, ends: tuple[float, float]) -> str:
     """Return the part of the verdict on one measure."""
     way, by, (low, high) = direction(pair), _difference(pair), ends
     sure = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f}, 95 % over takes)"

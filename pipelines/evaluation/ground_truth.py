@@ -17,7 +17,7 @@ from kinedex.pipelines.console.wording import few
 from kinedex.storage.formats.labels.ground_truth import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
 
-Saying = tuple[str, str, int, int]
+Statement = tuple[str, str, int, int]
 """A take, a class, and the source frames [start, stop) of a segment."""
 
 UnknownLabels = Literal["error", "miss", "ignore"]
@@ -111,8 +111,8 @@ def place_ground_truth(
     remarks += _of_no_class(labels, classes)
     empty = sorted(evaluated - {segment.take for segment in here})
     if empty:
-        said = "takes of label files that have no segment of them, in which nothing is to be found"
-        remarks.append(f"{said}: {few(empty)}")
+        text = "takes of label files that have no segment of them, in which nothing is to be found"
+        remarks.append(f"{text}: {few(empty)}")
     known = [
         (manual, segment.where)
         for segment in here
@@ -122,7 +122,7 @@ def place_ground_truth(
     once = [pair for pair, first in zip(known, _firsts(every), strict=True) if pair[0] is first]
     placed = [manual for manual, _ in once if manual.start < manual.stop]
     between = [where for manual, where in once if manual.start >= manual.stop]
-    remarks += [f"{where}: no analysis frame lies in this segment, left out" for where in between]
+    remarks += [f"{where}: no analysis frame lies in this segment, excluded" for where in between]
     remarks += _of_several_files(files, every, evaluated)
     bare = sorted(evaluated - {segment.take for segment in placed} - set(empty))
     if bare:
@@ -134,17 +134,17 @@ def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str
     """Return remarks on labels of no class."""
     ignored = sorted(label for label, name in labels.items() if name is None)
     missed = sorted(label for label, name in labels.items() if name == label and classes.class_of(label) is None)
-    treated = [("left out", ignored), ("counted as missed", missed)]
+    treated = [("excluded", ignored), ("counted as missed", missed)]
     return [f"labels of no class, {how}: {few(names)}" for how, names in treated if names]
 
 
 def _firsts(segments: Sequence[Manual]) -> list[Manual]:
     """Return for each segment the first that equals it."""
-    known: dict[Saying, Manual] = {}
-    return [known.setdefault(_saying(one), one) for one in segments]
+    known: dict[Statement, Manual] = {}
+    return [known.setdefault(_statement(one), one) for one in segments]
 
 
-def _saying(one: Manual) -> Saying:
+def _statement(one: Manual) -> Statement:
     return one.take, one.label, one.source_start, one.source_stop
 
 
@@ -154,17 +154,17 @@ def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], ev
     again = Counter((first.origin, one.origin) for first, one in pairs if first is not one)
     remarks = []
     if again:
-        told = [f"{n} in {b} " + ("itself" if a == b else f"that {a} has as well") for (a, b), n in again.items()]
-        remarks.append(f"the same segments again, counted once: {few(told)}")
-    said: dict[str, dict[str, set[Saying]]] = defaultdict(dict)
+        doubles = [f"{n} in {b} " + ("itself" if a == b else f"that {a} has as well") for (a, b), n in again.items()]
+        remarks.append(f"the same segments again, counted once: {few(doubles)}")
+    by_take: dict[str, dict[str, set[Statement]]] = defaultdict(dict)
     for file in files:
         for take in file.takes:
-            said[take][file.path] = set()
+            by_take[take][file.path] = set()
     for one in segments:
-        said[one.take][one.origin].add(_saying(one))
+        by_take[one.take][one.origin].add(_statement(one))
     unlike = [
         f"{take} ({', '.join(of_file)})"
-        for take, of_file in sorted(said.items())
+        for take, of_file in sorted(by_take.items())
         if take in evaluated and len({frozenset(own) for own in of_file.values()}) > 1
     ]
     if unlike:

@@ -166,11 +166,11 @@ def _by_class(result: SplitResult) -> list[str]:
     lines = [f"### By class, {F_FRAMES} / {F_SEGMENTS}", "", *grid(["class", *names], rows)]
     worst = confusions(result.judgements[result.leading].confusion, MOST_CONFUSIONS)
     if worst:
-        said = [
+        shown = [
             f"{one.label} → {one.taken_for} ({one.frames:.0f} frames, {one.share:.0%})"
             for one in worst
         ]  # fmt: skip
-        lines += [plain(f"Confused most by {result.leading}: {'; '.join(said)}."), ""]
+        lines += [plain(f"Confused most by {result.leading}: {'; '.join(shown)}."), ""]
         if any(one.label == EXTRA or one.taken_for == LACKING for one in worst):
             lines += [f"{sentence(EXTRA)}, {LACKING}: beyond as many as the other side gave the frame.", ""]
     return lines

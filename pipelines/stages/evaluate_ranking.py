@@ -1,4 +1,4 @@
-"""Stage evaluate_ranking: average precision of every class, in takes with ground truth and among clips left out."""
+"""Stage evaluate_ranking: average precision of every class, in takes with ground truth and among clips."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Params(BaseModel):
     folds: list[Fold] = Field([], description="instead of leave_out: folds of your own")
     templates: Kind = Field("soft", description="which templates: soft or hard")
     delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
-    tau: float = Field(0.1, gt=0, le=1, description="recall is told at this threshold")
+    tau: float = Field(0.1, gt=0, le=1, description="recall is reported at this threshold")
 
 
 class EvaluateRanking(Stage[Params]):
@@ -112,7 +112,7 @@ def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
         training = store.takes(f"({params.clips}) AND ({fold.learn})")
         ranked = store.takes(f"({params.clips}) AND ({fold.rank})").sort("take_id")
         if not training.height or not ranked.height:
-            context.say(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; left out")
+            context.say(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; excluded")
             continue
         clips = training_clips(store, training)
         templates = {

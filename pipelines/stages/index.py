@@ -18,9 +18,9 @@ class Params(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    threads: int | None = Field(None, ge=1, description="threads to use; one for every core when left out")
+    threads: int | None = Field(None, ge=1, description="threads to use; one for every core unless given")
     memory_mb: int | None = Field(
-        None, ge=64, description="memory that DuckDB may use, in MB; 80 % of the machine's when left out"
+        None, ge=64, description="memory that DuckDB may use, in MB; 80 % of the machine's unless given"
     )
 
 

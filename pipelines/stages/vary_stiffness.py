@@ -34,7 +34,7 @@ class Params(BaseModel):
     where: str = Field("class IS NULL", description="takes to rank: a SQL filter over the columns of takes")
     templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
     delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
-    tau: float = Field(0.1, gt=0, le=1, description="recall is told at this threshold")
+    tau: float = Field(0.1, gt=0, le=1, description="recall is reported at this threshold")
     queries: list[str] = Field([], description="keyframe queries: files, by names or paths; without any, all frames")
     stiffness: list[Annotated[float, Field(ge=0, le=1)]] = Field(
         [1.0, 0.8, 0.6, 0.4, 0.2, 0.0], description="stiffnesses that all gaps of all queries get, one after the other"

@@ -59,7 +59,7 @@ def test_only_takes_that_both_have_count() -> None:
     one = compared(scored(x=5, y=0), scored(x=7, z=10), ("A", "B"))
     assert one.overall.by == pytest.approx((0.2, 0.2))
     assert (one.only_a.takes, one.only_b.takes, one.common) == (("y",), ("z",), 1)
-    assert "takes of A alone, left out: y" in markdown([one])
+    assert "takes of A alone, excluded: y" in markdown([one])
 
 
 def test_labels_in_vain_are_worse_than_none() -> None:

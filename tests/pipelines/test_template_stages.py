@@ -157,7 +157,7 @@ def test_hard_templates_and_classes_of_a_file_are_a_matter_of_parameters(line: L
     with pytest.raises(SourceError, match=r"ground_truth.csv:4: 'wave' is neither a class nor a subclass"):
         line.run(Evaluate)
     line.run(Evaluate, unknown_labels="ignore")
-    assert "labels of no class, left out: wave" in line.said.getvalue()
+    assert "labels of no class, excluded: wave" in line.said.getvalue()
 
 
 def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metrics(line: Line):

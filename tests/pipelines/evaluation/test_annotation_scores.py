@@ -106,7 +106,7 @@ def test_an_unknown_label_is_an_error_a_miss_or_left_out():
     assert "`--set classes=FILE`" in str(caught.value)
     left_out = place(segments, takes("a"), ["a"], CLASSES, "ignore")
     assert [s.label for s in left_out.segments] == ["legs"]
-    assert left_out.remarks == ("labels of no class, left out: wavee",)
+    assert left_out.remarks == ("labels of no class, excluded: wavee",)
     missed = place(segments, takes("a"), ["a"], CLASSES, "miss")
     counts = evaluate("x", annotations(("a", "legs", 0, 10)), missed, CLASSES.names).pooled
     assert (counts.r1, counts.r2, counts.p1) == (0.5, 0.5, 1)
@@ -118,8 +118,8 @@ def test_a_take_whose_labels_are_all_left_out_is_evaluated_and_what_is_found_in_
     assert truth.takes == ("a", "b", "c")
     assert truth.remarks == (
         "annotated takes without ground truth, not evaluated: d",
-        "labels of no class, left out: swim",
-        "truth.csv:9: no analysis frame lies in this segment, left out",
+        "labels of no class, excluded: swim",
+        "truth.csv:9: no analysis frame lies in this segment, excluded",
         "takes in which nothing is left to be found, evaluated as such: b, c",
     )
     found = annotations(("a", "legs", 0, 10), ("b", "legs", 0, 10), ("c", "arms", 0, 20), ("d", "legs", 0, 10))
@@ -189,7 +189,7 @@ def test_unknown_takes_are_listed_and_an_error_only_where_no_take_is_known():
 def test_a_segment_between_two_analysis_frames_is_said_to_be_left_out():
     truth = place([manual("a", "kick", 1, 3, line=5), manual("a", "kick", 4, 9)], takes("a"), ["a"], CLASSES)
     assert len(truth.segments) == 1
-    assert truth.remarks == ("truth.csv:5: no analysis frame lies in this segment, left out",)
+    assert truth.remarks == ("truth.csv:5: no analysis frame lies in this segment, excluded",)
 
 
 def test_a_takes_own_class_spans_it():
