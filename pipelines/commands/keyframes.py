@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command, group
 from kinedex.pipelines.commands.options import (
     ExecutorOption,
@@ -23,7 +23,7 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import print_message, show_outcome, show_table
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.keyframes.learning import Outcome
+    from kinedex.pipelines.keyframes.stored_queries import StoredQueries
     from kinedex.storage.store.store import Store
 
 keyframes = group("keyframes", "Learn keyframe queries from example clips.", SEARCH)
@@ -80,8 +80,8 @@ def show(
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store)
-    outcomes, taken = _outcomes(opened, name, pipeline)
-    table = overview(outcomes, opened.feature_set, taken)
+    found = _stored(opened, name, pipeline)
+    table = overview(found.outcomes, opened.feature_set, found.classes)
     if form != "table" or output is not None:
         show_table(table, form, output)
         return
@@ -109,8 +109,8 @@ def export(
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
         raise KinedexError(f"--output {output}: the name of a query file ends in .yaml, or it cannot be searched with")
     opened = open_store(store)
-    outcomes, taken = _outcomes(opened, name, pipeline)
-    queries = [query for one in outcomes for query in keyframe_queries(one, opened.feature_set, taken)]
+    found = _stored(opened, name, pipeline)
+    queries = [query for one in found.outcomes for query in keyframe_queries(one, opened.feature_set, found.classes)]
     text = write_queries(queries, opened.feature_set)
     if output is None:
         print(text, end="")
@@ -119,29 +119,12 @@ def export(
     print_message(f"{len(queries)} queries written to {output}")
 
 
-def _outcomes(store: Store, names: list[str] | None, pipeline: str | None) -> tuple[list[Outcome], set[str]]:
-    """Return the outcomes of the classes asked for, each once, and the names of all classes learned with them."""
-    from kinedex.pipelines.keyframes.runs import outcomes_of
+def _stored(store: Store, classes: list[str] | None, pipeline: str | None) -> StoredQueries:
+    """Return the learned queries, and report where older ones fit as well."""
+    from kinedex.pipelines.keyframes.stored_queries import stored_queries
 
-    stage = _stage(store, pipeline)
-    found = {one.subclass: one for one in outcomes_of(store.result("queries", stage=stage))}
-    for name in names or ():
-        if name not in found:
-            raise KinedexError(f"no query was learned for '{name}' by {stage}{did_you_mean(name, found)}")
-    return [found[name] for name in dict.fromkeys(names or found)], set(found)
-
-
-def _stage(store: Store, pipeline: str | None) -> str:
-    """Return the stage, "<pipeline>/<stage>", whose queries are meant: the newest unless a pipeline is named."""
-    # the parts are in the order of writing
-    stages = [part.stage for part in store.manifest.results.get("queries", ())]
-    if not stages:
-        raise KinedexError(f"{store.path} has no learned queries; learn some: kinedex keyframes learn {store.path}")
-    fitting = [one for one in stages if pipeline is None or pipeline in (one, one.partition("/")[0])]
-    if not fitting:
-        known = ", ".join(dict.fromkeys(one.partition("/")[0] for one in stages))
-        raise KinedexError(f"--pipeline {pipeline}: it has learned no queries; expected one of {known}")
-    if len(fitting) > 1:
-        others = ", ".join(fitting[:-1])
-        typer.echo(f"queries of {fitting[-1]}, the newest; --pipeline shows others: {others}", err=True)
-    return fitting[-1]
+    found = stored_queries(store, classes, pipeline)
+    if found.other_stages:
+        others = ", ".join(found.other_stages)
+        typer.echo(f"queries of {found.stage}, the newest; --pipeline shows others: {others}", err=True)
+    return found

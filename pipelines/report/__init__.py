@@ -1,1 +1,1 @@
-"""Reports: what a pipeline's results say, on one HTML page that needs nothing else."""
+"""Reports: the results of a pipeline on one HTML page that needs nothing else, and figures of templates."""

@@ -1,0 +1,72 @@
+"""The learned queries of a store: of which stage, and of which classes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.keyframes.learning import Outcome
+from kinedex.pipelines.keyframes.runs import outcomes_of
+from kinedex.storage.store.store import Store
+
+
+@dataclass(frozen=True)
+class StoredQueries:
+    """Learned queries of one stage.
+
+    Attributes
+    ----------
+    outcomes : tuple of Outcome
+        The outcomes of the classes asked for, each once.
+    classes : frozenset of str
+        All classes that were learned together.
+    stage : str
+        The stage that learned them, "<pipeline>/<stage>".
+    other_stages : tuple of str
+        Older stages that fit the request as well.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    classes: frozenset[str]
+    stage: str
+    other_stages: tuple[str, ...]
+
+
+def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline: str | None = None) -> StoredQueries:
+    """Read the learned queries of a store.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    classes : sequence of str, optional
+        The classes to read; all unless given.
+    pipeline : str, optional
+        The pipeline that learned them, or "<pipeline>/<stage>"; the newest queries unless given.
+
+    Returns
+    -------
+    StoredQueries
+        The queries of one stage.
+
+    Raises
+    ------
+    KinedexError
+        If there are no learned queries, none of this pipeline, or none for a class.
+    """
+    # the parts are in the order of writing
+    stages = [part.stage for part in store.manifest.results.get("queries", ())]
+    if not stages:
+        raise KinedexError(f"{store.path} has no learned queries; learn some: kinedex keyframes learn {store.path}")
+    fitting = [one for one in stages if pipeline is None or pipeline in (one, one.partition("/")[0])]
+    if not fitting:
+        known = ", ".join(dict.fromkeys(one.partition("/")[0] for one in stages))
+        raise KinedexError(f"--pipeline {pipeline}: it has learned no queries; expected one of {known}")
+    *others, stage = fitting
+    found = {one.subclass: one for one in outcomes_of(store.result("queries", stage=stage))}
+    for name in classes or ():
+        if name not in found:
+            raise KinedexError(f"no query was learned for '{name}' by {stage}{did_you_mean(name, found)}")
+    chosen = tuple(found[name] for name in dict.fromkeys(classes or found))
+    return StoredQueries(chosen, frozenset(found), stage, tuple(others))
