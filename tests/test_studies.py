@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, Ke
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline
-from studies import few_clips, manual_queries, stiffness
+from studies import few_clips, learned_queries, manual_queries, stiffness
 from studies.bandai import NONE, confusions, draw, summary, winner
 from studies.cross_studio import begin_of, contributions
 from studies.long_archive import METHODS, stages
@@ -128,3 +129,10 @@ def test_the_histogram_of_stiffness_counts_parts_of_one_keyframe_apart() -> None
     assert stiffness.stiffness_values([query]) == [1.0, 0.5]
     assert stiffness.stiffness_values([query], same_frame=False) == [0.5]
     assert "| 0.5 | 1 | 50.0% |" in stiffness.histogram([1.0, 0.5])
+
+
+def test_the_pages_name_variants_that_there_are() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in Path(__file__).parents[1].glob("docs/*.md"))
+    named = {quoted or word for quoted, word in re.findall(r'--variant (?:"([^"]+)"|(\w+))', text)}
+    assert named <= set(learned_queries.VARIANTS)
+    assert named
