@@ -17,7 +17,7 @@ from kinedex.pipelines.templates.stored_templates import choose_templates, templ
 from kinedex.storage.store.store import Store
 
 DELTA, TAU, TOP = 0.1, 0.1, 20
-"""The thresholds of the thesis's retrieval (Section 3.4), and a screen of hits."""
+"""Thresholds of a ranking, as configs/pipelines/retrieval.yaml has them, and a screen of hits."""
 
 
 @dataclass(frozen=True)
