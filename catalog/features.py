@@ -86,16 +86,42 @@ class FeatureSet:
 
         Where a rule names a limb or a joint of one side for both twins, as the papers' do (F1 and F2 measure both hands
         against the left hip), the words of the motion in a true mirror can differ from these by a few frames.
+
+        Parameters
+        ----------
+        words : uint64 array (T,)
+            The words of a motion.
+
+        Returns
+        -------
+        uint64 array (T,)
+            The words of its mirror image.
         """
         return rearrange(words, self.mirror_order)
 
     def mirrored_number(self, number: int) -> int:
-        """Return the number of a feature's mirror image, which is the feature itself if it has no counterpart."""
+        """Return the number of a feature's mirror image, which is the feature itself if it has no counterpart.
+
+        Parameters
+        ----------
+        number : int
+            The number of the feature, from 1.
+
+        Returns
+        -------
+        int
+            The number of its mirror image.
+        """
         return int(self.mirror_order[number - 1]) + 1
 
     @cached_property
     def plugin_primitives(self) -> dict[str, Primitive]:
         """Return the primitives of plugins that the rules use.
+
+        Returns
+        -------
+        dict of str to Primitive
+            The primitives by name; empty where the rules use none.
 
         Raises
         ------
@@ -112,6 +138,16 @@ class FeatureSet:
 
     def feature(self, name_or_number: str | int) -> Feature:
         """Return a feature by its name, its number, or a text such as "F7".
+
+        Parameters
+        ----------
+        name_or_number : str or int
+            The name, the number from 1, or the number behind an F.
+
+        Returns
+        -------
+        Feature
+            Number, name, description and rule.
 
         Raises
         ------
@@ -130,13 +166,34 @@ class FeatureSet:
         raise KinedexError(f"no feature '{text}'{did_you_mean(text, [f.name for f in self.features])}")
 
     def word_set(self, name: str) -> WordSet:
-        """Return a word set by its name; a KinedexError names the nearest one."""
+        """Return a word set by its name.
+
+        Parameters
+        ----------
+        name : str
+            The name of the set.
+
+        Returns
+        -------
+        WordSet
+            The set.
+
+        Raises
+        ------
+        KinedexError
+            If there is no such set; the message names the nearest.
+        """
         if name not in self.sets:
             raise KinedexError(f"no feature set '{name}'{did_you_mean(name, self.sets)}")
         return self.sets[name]
 
     def without(self, joints: Iterable[str]) -> tuple[tuple[Feature, ...], tuple[Feature, ...]]:
         """Return the features that are affected when joints are unknown.
+
+        Parameters
+        ----------
+        joints : iterable of str
+            The names of the unknown joints.
 
         Returns
         -------
@@ -155,7 +212,18 @@ class FeatureSet:
         return tuple(off), tuple(narrowed)
 
     def set_of(self, number: int) -> WordSet:
-        """Return the word set that a feature belongs to."""
+        """Return the word set that a feature belongs to.
+
+        Parameters
+        ----------
+        number : int
+            The number of the feature, from 1.
+
+        Returns
+        -------
+        WordSet
+            The set.
+        """
         return next(s for s in self.sets.values() if number in s.numbers)
 
 

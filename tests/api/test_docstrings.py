@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from functools import cached_property
 
 import pytest
 from numpydoc.validate import validate
@@ -32,8 +33,9 @@ def documented() -> list[str]:
     found = []
     for name, one in PUBLIC.items():
         found.append(f"kinedex.{name}")
-        if inspect.isclass(one) and one.__module__.startswith("kinedex.pipelines.api"):
-            found += [f"kinedex.{name}.{member}" for member in public_members(one)]
+        for member, value in public_members(one).items() if inspect.isclass(one) else ():
+            if inspect.isroutine(value) or isinstance(value, property | cached_property):
+                found.append(f"kinedex.{name}.{member}")
     return found
 
 
