@@ -58,8 +58,8 @@ def keyframe_list(lists: InvertedLists, mask: int, value: int) -> I64:
     skipped = np.repeat(lists.offsets[words] - (np.cumsum(counts) - counts), counts)
     chosen = skipped + np.arange(len(skipped))
     starts = to_axis(lists.take[chosen], lists.start[chosen])
-    segments = np.stack([starts, starts + lists.length[chosen]], axis=1)
-    return _joined(segments[np.argsort(starts, kind="stable")])
+    # runs are disjoint, so starts and stops that are sorted apart still belong together
+    return _joined(np.stack([np.sort(starts), np.sort(starts + lists.length[chosen])], axis=1))
 
 
 def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> list[I64]:

@@ -27,7 +27,7 @@ def has_judged_hit(
         if words[n] == NO_WORD:
             return False
         nearby = range(max(0, n - steady), min(len(words), n + steady + 1))
-        return all(words[m] != NO_WORD and words[m] & mask == value for m in nearby)
+        return not mask or all(words[m] != NO_WORD and words[m] & mask == value for m in nearby)
 
     reached = [n for n in range(len(words)) if meets(n, masks[0], values[0])]
     for mask, value, (low, high) in zip(masks[1:], values[1:], gaps, strict=True):
