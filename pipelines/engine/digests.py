@@ -1,4 +1,4 @@
-"""Digests of what stages read, for their fingerprints: files outside the store, and some of its takes."""
+"""Digests of the files and takes that stages read, for their fingerprints."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from kinedex.storage.store.store import Store
 
 @dataclass(frozen=True)
 class Reading:
-    """What a stage reads of a store's takes: a hash of it, and what it is, in words."""
+    """The takes that a stage reads: a hash of them, and their description, such as "9 clips"."""
 
     digest: str
     what: str
 
 
 def files_digest(files: Iterable[Path]) -> str:
-    """A hash of what stands in these files, in their order; a KinedexError names one that cannot be read."""
+    """Return a hash of the contents of files, in their order; a KinedexError names one that cannot be read."""
     hasher = hashlib.sha256()
     for file in files:
         try:
@@ -35,21 +35,25 @@ def files_digest(files: Iterable[Path]) -> str:
 
 
 def takes_read(store: Store, filters: Mapping[str, str]) -> Reading:
-    """The takes that filters select: their names, classes and words; and what the bits of words mean.
+    """Return a digest of the takes that filters select: of their names, classes and words, and of the features.
 
-    Where a take has come from does not count, nor do all other takes. Words are read, which for an hour of motion takes
-    milliseconds: they are what is learned from, whatever made them.
+    The sources of the takes do not count, nor do other takes. The words are read, which takes milliseconds for an hour
+    of motion.
 
     Parameters
     ----------
-    filters: what the takes are to the stage, in the singular → a SQL filter over the columns of takes.
+    store : Store
+        The store.
+    filters : mapping of str to str
+        The noun for the takes of each filter, such as "clip", and the SQL filter over the columns of takes.
 
     Raises
     ------
-    KinedexError: a filter does not work, or the takes cannot be read.
+    KinedexError
+        A filter does not work, or the takes cannot be read.
     """
     hasher = hashlib.sha256(f"{store.feature_set.digest} {store.rate_hz!r}".encode())
-    said = []
+    described = []
     for role, where in filters.items():
         takes = store.takes(where).sort("take_id")
         words = store.words(takes["take_id"].to_list())
@@ -57,5 +61,5 @@ def takes_read(store: Store, filters: Mapping[str, str]) -> Reading:
         for index, label in enumerate(takes.select("name", "class").iter_rows()):
             own = np.ascontiguousarray(words.take(index))
             hasher.update(repr((label, len(own))).encode() + own.tobytes())
-        said.append(counted(takes.height, role))
-    return Reading(hasher.hexdigest()[:16], ", ".join(said))
+        described.append(counted(takes.height, role))
+    return Reading(hasher.hexdigest()[:16], ", ".join(described))

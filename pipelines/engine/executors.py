@@ -1,4 +1,4 @@
-"""Executors: how the independent tasks of a stage are spread over cores, or over the machines of a Dask cluster."""
+"""Executors spread the independent tasks of a stage over cores, or over the machines of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.pipelines.engine.worker_processes import begin_worker, deaf_children, single_thread
+from kinedex.pipelines.engine.worker_processes import begin_worker, ctrl_c_blocked, single_thread
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -28,43 +28,49 @@ Result = TypeVar("Result")
 KINDS = ("serial", "processes", "dask")
 
 TRIES = 3
-"""How often a task is started before its workers' deaths are taken to be its own doing."""
+"""A task is started so often before the deaths of its workers are attributed to it."""
 
 ANSWER_SECONDS = 10.0
-"""How long a Dask scheduler may take to answer at first."""
+"""A Dask scheduler may take so long to answer at first."""
 
 PATIENCE_SECONDS = 60.0
-"""How long a Dask cluster may be without any worker, or without its scheduler, before its tasks are given up."""
+"""A Dask cluster may be so long without any worker, or a finished result on its way, before tasks are given up."""
 
 
 class WorkerDied(KinedexError):
-    """A task's workers died again and again; most likely the task itself needs more memory than there is."""
+    """The workers of a task died again and again; most likely the task needs more memory than there is."""
 
 
 class Executor(Protocol):
-    """Anything with a `map` that yields the results in the order of the items."""
+    """The protocol of executors.
+
+    Attributes
+    ----------
+    workers : int
+        The number of tasks that run at a time.
+    """
 
     workers: int
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Apply a function to every item; functions and items must be picklable, and a task may run twice."""
+        """Yield the results in the order of the items; all must be picklable, and a task may run twice."""
         ...
 
     def check(self, store: Path) -> None:
-        """Refuse, before any work is done, workers that cannot see the store."""
+        """Raise a KinedexError if a worker cannot see the store."""
         ...
 
     def close(self) -> None:
-        """Let the workers go."""
+        """End the workers once their tasks are done."""
         ...
 
     def abort(self) -> None:
-        """Let the workers go at once, whatever they are at."""
+        """End the workers at once."""
         ...
 
 
 class SerialExecutor:
-    """One task after the other in this process."""
+    """Runs one task after the other in this process."""
 
     workers = 1
 
@@ -73,20 +79,20 @@ class SerialExecutor:
         return map(function, items)
 
     def check(self, store: Path) -> None:
-        """This process sees the store."""
+        """Do nothing: this process sees the store."""
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there are no workers."""
 
     def abort(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: there are no workers."""
 
 
 class ProcessExecutor:
-    """Tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight.
+    """Runs tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight.
 
-    A worker that dies (killed, out of memory) costs the tasks in flight another try, one at a time, so that a task that
-    kills its worker is found out; after `TRIES` it is refused by name.
+    When a worker dies (killed, out of memory), the tasks in flight are tried again one at a time, so that a task that
+    kills its worker is identified; after `TRIES` deaths the error names it.
     """
 
     def __init__(self, workers: int) -> None:
@@ -94,10 +100,10 @@ class ProcessExecutor:
         self._pool: ProcessPoolExecutor | None = None
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Apply a function to every item; results come in the items' order.
+        """Yield the results of a function in the order of the items.
 
-        For a single item no workers are started. Where there are some it goes to them: Ctrl-C ends them at once, and a
-        kernel in this process only when it is through.
+        For a single item no workers are started. Where there are workers it goes to them: Ctrl-C ends them at once, but
+        a kernel in this process only when it has finished.
         """
         source = iter(items)
         first = list(islice(source, 2))
@@ -117,7 +123,7 @@ class ProcessExecutor:
                 future.cancel()
 
     def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
-        """A task in the pool; in one that is broken already, a task that fails like those that broke it."""
+        """Submit a task; if the pool is broken already, return a future with that error."""
         try:
             return self._put(function, item)
         except BrokenProcessPool as fault:
@@ -126,14 +132,14 @@ class ProcessExecutor:
             return future
 
     def _put(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
-        """Give a task to the pool, which may start workers: they hear nothing of Ctrl-C, from their first moment on."""
-        with deaf_children():
+        """Submit a task to the pool, which may start workers; these ignore Ctrl-C from the start."""
+        with ctrl_c_blocked():
             return self._start().submit(function, item)
 
     def _next(
         self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
     ) -> Iterator[Result]:
-        """The first waiting result; after a worker's death, all that were waiting."""
+        """Yield the first waiting result; after the death of a worker, all that were waiting."""
         try:
             result = waiting[0][1].result()
         except BrokenProcessPool:
@@ -160,16 +166,16 @@ class ProcessExecutor:
         )
 
     def check(self, store: Path) -> None:
-        """Workers of this machine see the store."""
+        """Do nothing: workers of this machine see the store."""
 
     def close(self) -> None:
-        """Wait for what is running and let the workers go."""
+        """Wait for the tasks that run, and end the workers."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 
     def abort(self) -> None:
-        """End the workers at once, whatever they are at."""
+        """End the workers at once, in the middle of their tasks."""
         if self._pool is not None:
             for process in list((self._pool._processes or {}).values()):
                 process.terminate()
@@ -177,22 +183,22 @@ class ProcessExecutor:
 
     def _start(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            # Workers start afresh: a fork of a process with numba, polars or DuckDB threads may hang.
+            # Workers are new processes on every system: a fork of one with numba, polars or DuckDB threads may hang.
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=begin_worker)
         return self._pool
 
 
 class DaskExecutor:
-    """Tasks on a Dask cluster: one made on this machine, or a running one by its scheduler's address.
+    """Runs tasks on a Dask cluster: one made on this machine, or a running one by the address of its scheduler.
 
-    Dask itself tries a task again whose worker died.
+    Dask itself repeats a task whose worker died.
     """
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         from distributed import Client, LocalCluster
 
-        # what it logs of lost connections is said in our own words
+        # our own messages report lost connections
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self._cluster: LocalCluster | None = None
         if scheduler is None:
@@ -214,7 +220,7 @@ class DaskExecutor:
             self.workers = self._slots()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Apply a function to every item; results come in the items' order, two tasks a worker in flight."""
+        """Yield the results of a function in the order of the items; two tasks a worker are in flight."""
         from distributed import KilledWorker
 
         waiting: deque[Future[Result]] = deque()
@@ -226,8 +232,8 @@ class DaskExecutor:
                 if not waiting:
                     return
                 try:
-                    self._wait(waiting[0])
-                    result = waiting.popleft().result()
+                    result = self._result(waiting[0])
+                    waiting.popleft()
                 except KilledWorker as fault:
                     raise WorkerDied(f"Dask workers died again and again on one task: {fault}") from None
                 except CancelledError:
@@ -237,8 +243,22 @@ class DaskExecutor:
             for future in waiting:
                 future.cancel()
 
+    def _result(self, future: Future[Result]) -> Result:
+        """Return the result of a task; if the worker that holds it dies, wait until another one has it."""
+        for _ in range(TRIES):
+            self._wait(future)
+            try:
+                return future.result(timeout=PATIENCE_SECONDS)
+            except TimeoutError:
+                if str(getattr(future, "status", "")) == "error":
+                    raise  # by the task itself
+        raise KinedexError(
+            f"the Dask cluster {self._scheduler or 'of this machine'} finished a task, but its result did not arrive "
+            f"within {TRIES * PATIENCE_SECONDS:.0f} s; look for lost connections in the logs of its workers"
+        )
+
     def _wait(self, future: Future[Any]) -> None:
-        """Wait for a task, however long it takes, as long as there is anyone to do it."""
+        """Wait for a task as long as there are workers to do it."""
         from distributed import wait
 
         seen = time.monotonic()
@@ -252,7 +272,7 @@ class DaskExecutor:
                 raise self._without_workers()
 
     def _slots(self) -> int:
-        """How many tasks the cluster's workers do at a time; 0 where there is none, or no scheduler to ask."""
+        """Return the number of tasks that the workers do at a time; 0 if there are none, or the scheduler is gone."""
         try:
             return sum(worker["nthreads"] for worker in self._client.scheduler_info(n_workers=-1)["workers"].values())
         except (OSError, ValueError, KeyError):
@@ -266,35 +286,47 @@ class DaskExecutor:
         )
 
     def check(self, store: Path) -> None:
-        """Let every worker look for a file that was just written into the store."""
+        """Raise a KinedexError if a worker does not answer, or does not see a file that was just written."""
         store.mkdir(parents=True, exist_ok=True)
         token = store / f".tmp-shared-{secrets.token_hex(4)}"
         token.touch()
         try:
-            seen = self._client.run(_sees, str(token.resolve()), on_error="return")
-            blind = [worker for worker, sees in seen.items() if sees is not True]
-            broken = [fault for fault in seen.values() if isinstance(fault, BaseException)]
-            if broken:
-                raise KinedexError(
-                    f"the Dask workers {', '.join(blind[:3])} cannot do kinedex's work ({broken[0]}); the same kinedex "
-                    "must be installed where they run"
-                )
+            seen = self._ask_workers(_sees, str(token.resolve()))
         finally:
             token.unlink()
+        blind = [worker for worker, sees in seen.items() if sees is not True]
+        broken = [fault for fault in seen.values() if isinstance(fault, BaseException)]
+        if broken:
+            raise KinedexError(
+                f"the Dask workers {', '.join(blind[:3])} cannot do kinedex's work ({broken[0]}); the same kinedex "
+                "must be installed where they run"
+            )
         if blind:
             raise KinedexError(
                 f"the Dask workers {', '.join(blind[:3])} do not see {store.resolve()}: store and source must lie on a "
                 "file system that all of them share, under the same path"
             )
 
+    def _ask_workers(self, function: Callable[[str], bool], argument: str) -> dict[str, object]:
+        """Call a function in every worker, whatever runs there; return results or exceptions by worker."""
+        try:
+            found: dict[str, object] = self._client.sync(
+                self._client._run, function, argument, on_error="return", callback_timeout=PATIENCE_SECONDS
+            )
+        except TimeoutError:
+            raise KinedexError(
+                f"not every Dask worker answered within {PATIENCE_SECONDS:.0f} s; end those that hang, then run again"
+            ) from None
+        return found
+
     def close(self) -> None:
-        """Leave the cluster, and end it where it is our own."""
+        """Disconnect from the cluster, and end it if it was made here."""
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
 
     def abort(self) -> None:
-        """Leave the cluster; what it was doing for us is cancelled."""
+        """Disconnect from the cluster; its tasks for this client are cancelled."""
         self.close()
 
 
@@ -303,27 +335,32 @@ def _sees(path: str) -> bool:
 
 
 def _shown(item: object) -> str:
-    """What a task is about: its own `subject` where it has one."""
+    """Return the subject of a task for messages: its own `subject`, if it has one."""
     text = str(getattr(item, "subject", None) or repr(item))
     return text if len(text) <= 300 else f"{text[:300]}…"
 
 
 def cores() -> int:
-    """The processors that this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def make_executor(kind: str, workers: int | None = None, scheduler: str | None = None) -> Executor:
-    """An executor by name.
+    """Make an executor.
 
     Parameters
     ----------
-    kind: "serial", "processes", or "dask". workers: all cores unless told.
-    scheduler: address of a running Dask scheduler, for "dask" only.
+    kind : {"serial", "processes", "dask"}
+        How tasks are spread.
+    workers : int, optional
+        The number of workers; all cores by default.
+    scheduler : str, optional
+        The address of a running Dask scheduler, for "dask" only.
 
     Raises
     ------
-    ParameterError: an unknown kind, fewer than one worker, or a scheduler without Dask.
+    ParameterError
+        The kind is unknown, there is no worker, or a scheduler is given without Dask.
     """
     if kind not in KINDS:
         raise ParameterError("executor", f"one of {', '.join(KINDS)}", kind)

@@ -1,4 +1,4 @@
-"""The plan: which stages run and why, before anything does; fingerprints tell what has been done already."""
+"""The plan of a run: the stages that run, and why; fingerprints show which stages are up to date."""
 
 from __future__ import annotations
 
@@ -23,10 +23,20 @@ NEVER = "has not run yet"
 
 @dataclass(frozen=True)
 class Step:
-    """One stage of a plan: its fingerprint, the record of the last time it ran, and why it runs (None: it does not).
+    """One stage of a plan.
 
-    parts: what the fingerprint is made of, by name, each a hash. what: the takes that it depends on, in words, where
-    these are not all of the store's.
+    Attributes
+    ----------
+    stage : PipelineStage
+        The stage.
+    parts : dict of str to str
+        The parts of its fingerprint by name, each a hash.
+    record : StageRecord or None
+        The record of the last time it ran.
+    reason : str or None
+        The reason for which it runs; None if it does not.
+    what : str
+        The takes that it reads, in words, if these are not all of the store's.
     """
 
     stage: PipelineStage
@@ -37,16 +47,24 @@ class Step:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of all parts."""
+        """The hash of all parts."""
         return _hash(self.parts)
 
 
 class Planner:
-    """Decides stage by stage, against the store as it stands at that moment, what runs and why.
+    """Decides stage by stage, against the store as it is at that moment, which stages run and why.
 
-    A stage is skipped where the store holds a record with its fingerprint: a hash of the project's sources that it
-    imports, its parameters, what it reads outside the store, the store's takes, and the fingerprints of its inputs.
-    Of a stage that says which takes it reads (its function `reads`) only these count, and not what brought them in.
+    A stage is skipped where the store holds a record with its fingerprint (see `engine.stage.Stage`). Of a stage that
+    has a `reading` only the takes that it reads count, and not the stage that brought them in.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        The pipeline.
+    store_path : Path
+        The store, which need not exist.
+    force : frozenset of str
+        Names of stages that run in any case.
     """
 
     def __init__(self, pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> None:
@@ -60,7 +78,7 @@ class Planner:
         self._done: set[str] = set()
 
     def step(self, stage: PipelineStage) -> Step:
-        """What is to be done about the next stage; stages are asked for in the pipeline's order."""
+        """Return the step of the next stage; stages are asked for in the order of the pipeline."""
         store = _open(self.store_path)
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
         reading = _reading(stage, store)
@@ -79,16 +97,16 @@ class Planner:
         return step
 
     def done(self, step: Step) -> Step:
-        """The step with the store's takes as the stage has left them; for the record of a stage that has just run."""
+        """Return the step of a stage that has just run, with the store's takes as they are now, for its record."""
         self._done.add(step.stage.name)
         if "takes" not in step.parts:
-            return step  # it has read what its parts say
+            return step  # its parts name the takes that it has read
         done = replace(step, parts={**step.parts, "takes": _takes(_open(self.store_path))})
         self._fingerprints[step.stage.name] = done.fingerprint
         return done
 
     def _upstream(self, stage: PipelineStage, reading: Reading | None) -> str | None:
-        """Why a stage runs that nothing has changed for but a stage before it; None where none matters."""
+        """Return the reason for which a stage runs only because an earlier stage does; None if it need not run."""
         for role, name in stage.inputs.items():
             if name in self._running and (reading is None or role != TAKES):
                 return f"{name} runs"
@@ -97,7 +115,7 @@ class Planner:
         return None
 
     def _parts(self, stage: PipelineStage, store: Store | None, reading: Reading | None) -> dict[str, str]:
-        """What a stage's fingerprint is made of."""
+        """Return the parts of the fingerprint of a stage."""
         parts = {
             "code": _code(stage),
             "parameters": _hash(stage.params.model_dump(mode="json")),
@@ -109,11 +127,21 @@ class Planner:
 
 
 def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> list[Step]:
-    """Compare a pipeline with a store, without changing anything.
+    """Return the steps of a pipeline on a store, without changing anything.
 
     Parameters
     ----------
-    force: names of stages that run in any case.
+    pipeline : Pipeline
+        The pipeline.
+    store_path : Path
+        The store, which need not exist.
+    force : frozenset of str
+        Names of stages that run in any case.
+
+    Raises
+    ------
+    KinedexError
+        No stage has a name of `force`, or a file that a stage reads is wrong.
     """
     planner = Planner(pipeline, store_path, force)
     return [planner.step(stage) for stage in pipeline.stages]
@@ -129,13 +157,13 @@ def _open(path: Path) -> Store | None:
 
 
 def _reading(stage: PipelineStage, store: Store | None) -> Reading | None:
-    """What a stage reads of the store's takes; None where it does not say so, so that all of them count."""
+    """Return the takes that a stage reads; None if all takes of the store count."""
     if type(stage.kind).reading is Stage.reading:
         return None
     try:
         return stage.kind.reading(stage.params, store) if store else Reading("", "")
     except KinedexError:
-        # the stage runs, and says what is wrong: by then the takes may be others
+        # the stage runs and reports the fault: by then the takes may be others
         return Reading("cannot be read", "")
 
 
@@ -144,7 +172,7 @@ def _takes(store: Store | None) -> str:
 
 
 def _elsewhere(store: Store, pipeline: str, stage: PipelineStage) -> bool:
-    """Whether a stage of this kind has run in another pipeline."""
+    """Return whether a stage of this kind has run in another pipeline."""
     others = (record for key, record in store.manifest.stages.items() if key.partition("/")[0] != pipeline)
     return any(record.summary.get("uses") == stage.uses for record in others)
 
@@ -156,7 +184,7 @@ def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
         return None
     before = record.summary.get("fingerprint_parts", {})
     changed = [name for name in parts if before.get(name) != parts[name]]
-    said = {
+    phrases = {
         "code": "kinedex itself changed",
         "parameters": "its parameters changed",
         "files": "its files changed",
@@ -164,12 +192,13 @@ def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
         "reading": "the takes that it reads changed",
     }
     return (
-        "; ".join(said.get(name, name.removeprefix("input ") + " changed") for name in changed) or "its inputs changed"
+        "; ".join(phrases.get(name, name.removeprefix("input ") + " changed") for name in changed)
+        or "its inputs changed"
     )
 
 
 def _gone(stage: PipelineStage, store: Store, record: StageRecord) -> str | None:
-    """What a stage left and is no longer there: files that its summary names, or what the stage itself misses."""
+    """Return a sentence about the first result of a stage that no longer exists; None if all exist."""
     if not stage.kind.is_current(store):
         return "what it made is gone or stale"
     missing = [name for name in record.summary.get("files", ()) if not (store.path / name).is_file()]

@@ -1,4 +1,4 @@
-"""Worker processes: how they are set up, and that they hear nothing of Ctrl-C, which is their parent's affair."""
+"""The setup of worker processes: they use one thread a library, ignore Ctrl-C, and end with their parent."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THRE
 
 
 @contextmanager
-def deaf_children() -> Iterator[None]:
-    """Let processes that are started meanwhile never hear Ctrl-C, from their first moment; this one hears it later."""
+def ctrl_c_blocked() -> Iterator[None]:
+    """Block Ctrl-C for processes that are started meanwhile; this process receives it afterwards.
+
+    Where signals cannot be blocked (Windows), workers ignore Ctrl-C only once `begin_worker` runs.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -27,7 +30,7 @@ def deaf_children() -> Iterator[None]:
 
 
 def begin_worker() -> None:
-    """Set a worker process up: one thread a library, deaf to Ctrl-C (its parent ends it), gone with its parent."""
+    """Set a worker process up."""
     single_thread()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -41,6 +44,6 @@ def _follow(sentinel: int) -> None:
 
 
 def single_thread() -> None:
-    """One thread a worker, in every library that would take all cores: the processes are the parallelism."""
+    """Limit libraries that would use all cores to one thread, because the processes are the parallelism."""
     for name in THREADS_OF_LIBRARIES:
         os.environ[name] = "1"

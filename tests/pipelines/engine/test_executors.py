@@ -157,6 +157,14 @@ def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyP
         DaskExecutor(1, "tcp://127.0.0.1:9")
 
 
+def answers(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=1).close()
+    except OSError:
+        return False
+    return True
+
+
 class Cluster:
     """A Dask scheduler and workers as somebody else would start them: processes of their own."""
 
@@ -167,6 +175,10 @@ class Cluster:
             port = free.getsockname()[1]
         self.address = f"tcp://127.0.0.1:{port}"
         self.processes = [self._start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")]
+        deadline = time.monotonic() + 120
+        while not answers(port):
+            assert time.monotonic() < deadline, "the scheduler does not start"
+            time.sleep(0.2)
 
     def add_worker(self) -> subprocess.Popen[bytes]:
         folder = ("--local-directory", str(self.folder))
@@ -217,7 +229,8 @@ def test_a_running_cluster_does_the_work_and_outlives_a_workers_death(
     try:
         with pytest.raises(KinedexError, match=r"has no workers \(any more\); start some with `dask worker tcp://"):
             DaskExecutor(1, cluster.address)
-        monkeypatch.setattr(executors, "PATIENCE_SECONDS", 30.0)
+        monkeypatch.setattr(executors, "PATIENCE_SECONDS", 60.0)
+        monkeypatch.setattr(executors, "ANSWER_SECONDS", 60.0)
         cluster.add_worker()
         cluster.add_worker()
         executor = DaskExecutor(1, cluster.address)
@@ -230,6 +243,36 @@ def test_a_running_cluster_does_the_work_and_outlives_a_workers_death(
         (tmp_path / "died-3").unlink()
         with pytest.raises(KinedexError, match="has no workers"):
             list(executor.map(die_if_told, tasks))
+        executor.close()
+    finally:
+        cluster.close()
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_with_a_finished_result_does_not_stop_the_run_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executors, "PATIENCE_SECONDS", 60.0)
+    monkeypatch.setattr(executors, "ANSWER_SECONDS", 60.0)
+    cluster = Cluster(tmp_path)
+    try:
+        worker = cluster.add_worker()
+        executor = DaskExecutor(1, cluster.address)
+        wait = executor._wait
+
+        def wait_and_kill(future: object) -> None:
+            wait(future)  # type: ignore[arg-type]
+            if worker.poll() is None:
+                worker.kill()
+                worker.wait()
+                monkeypatch.setattr(executors, "PATIENCE_SECONDS", 1.0)
+
+        monkeypatch.setattr(executor, "_wait", wait_and_kill)
+        with pytest.raises(KinedexError, match=r"has no workers|did not arrive"):
+            list(executor.map(square, [3]))
+        cluster.add_worker()
+        monkeypatch.setattr(executors, "PATIENCE_SECONDS", 30.0)
+        assert list(executor.map(square, [3, 4])) == [9, 16]
         executor.close()
     finally:
         cluster.close()
