@@ -129,7 +129,7 @@ def _kept_digests() -> Path:
 
 @dataclass(frozen=True)
 class Code:
-    """What one definition consists of, apart from docstrings, comments and annotations.
+    """The content of one definition, apart from docstrings, comments and annotations.
 
     Attributes
     ----------

@@ -75,7 +75,7 @@ class _Given:
 
     @property
     def place(self) -> str:
-        """Where the user gave it, for messages."""
+        """The place where the user gave it, for messages."""
         return f"--set {self.name}" if self.is_text else f"settings['{self.name}']"
 
     @property

@@ -29,7 +29,7 @@ _log = logging.getLogger("kinedex.engine")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run of a pipeline did.
+    """The outcome of a run of a pipeline.
 
     Attributes
     ----------
