@@ -17,7 +17,7 @@ from kinedex.pipelines.annotation.batches import split_takes
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.code_digest import part_digest
 from kinedex.storage.snapshot.manifest import ResultPart
-from kinedex.storage.store.kept_results import Lasting, lasting
+from kinedex.storage.store.reused_results import ReusedParts, reused_parts
 from kinedex.storage.store.store import Store
 
 PIECE_BYTES = 16_000_000
@@ -102,9 +102,9 @@ class EarlierAnnotations:
         """Return the segments, as rows of a new run."""
         return self._rows(self.store.result("annotations", run=self.run), run)
 
-    def curve_parts(self) -> Lasting:
+    def curve_parts(self) -> ReusedParts:
         """Divide the parts of distance curves into those that stay and those whose rows are written again."""
-        return lasting(self.store, "distance_curves", self.stage, self.searched)
+        return reused_parts(self.store, "distance_curves", self.stage, self.searched)
 
     def curves(self, parts: Iterable[ResultPart], run: str) -> Iterator[pa.Table]:
         """Yield the distance curves of some parts, as rows of a new run, in pieces of `PIECE_BYTES`."""

@@ -1,4 +1,4 @@
-"""Reading frames parts: the words of many takes at once, and the rows of one take."""
+"""Reading of frames parts: the words of many takes at once, and the rows of one take."""
 
 from __future__ import annotations
 
@@ -19,9 +19,23 @@ I64 = npt.NDArray[np.int64]
 
 
 def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) -> TakeWords:
-    """Read the words of the takes asked for (all live ones for None), in order of take_id.
+    """Read the words of takes in order of take_id.
 
     Only the columns take_id and word of the parts and row groups that hold these takes are read.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    manifest : Manifest
+        The version to read.
+    take_ids : sequence of int or None
+        The takes to read; None for all live takes.
+
+    Raises
+    ------
+    StoreError
+        No live take has one of the ids, or a part cannot be read.
     """
     alive = manifest.live_takes
     wanted = alive if take_ids is None else sorted({int(take) for take in take_ids})
@@ -45,7 +59,7 @@ def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) 
 
 
 def _here(part: Part, asked: I64) -> I64 | None:
-    """Those of the takes asked for that are live in a part; None where none is."""
+    """Return the wanted takes that are live in a part; None if there are none."""
     live = np.array(part.live, np.int64)
     places = np.searchsorted(asked, live)
     live, places = live[places < len(asked)], places[places < len(asked)]
@@ -54,7 +68,7 @@ def _here(part: Part, asked: I64) -> I64 | None:
 
 
 def _part_words(store: Path, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
-    """The takes asked for of one part, their lengths, and their words one after the other; no copy of a whole part."""
+    """Return the wanted takes of one part, their lengths, and their words; no copy of a whole part."""
     table = _read(store, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
     ids = table.column("take_id").to_numpy()
     words = words_of(table)
@@ -66,7 +80,7 @@ def _part_words(store: Path, part: Part, takes: I64) -> tuple[I64, I64, npt.NDAr
 
 
 def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
-    """The words of rows of a frames part, uint64; `NO_WORD` where a frame is invalid."""
+    """Return the words of rows of a frames part, uint64; `NO_WORD` where a frame is invalid."""
     words: npt.NDArray[np.uint64] = frames.column("word").fill_null(NO_WORD.item()).to_numpy()
     return words
 

@@ -34,7 +34,7 @@ _NAME = re.compile(r"^(\d{6,})\.json$")
 
 
 def ranges(take_ids: Iterable[int]) -> list[list[int]]:
-    """Ascending ids as half-open ranges, [[first, last + 1], …]: how manifests write them, since ids come in rows."""
+    """Return ascending ids as half-open ranges, [[first, last + 1], …], as manifests write them."""
     found: list[list[int]] = []
     for take in take_ids:
         if found and found[-1][1] == take:
@@ -59,10 +59,24 @@ TakeIds = Annotated[tuple[int, ...], BeforeValidator(_from_ranges)]
 
 @dataclass(frozen=True)
 class Part:
-    """A Parquet file of frames or takes: its path relative to the store, what is in it, and which takes are gone.
+    """A Parquet file of frames or takes.
 
-    `take_ids` ascend. `dropped` are tombstones: takes of this part that were replaced or removed. Their `dropped_rows`
-    rows stay until compaction.
+    Attributes
+    ----------
+    path : str
+        Path relative to the store, with /.
+    rows : int
+        Number of its rows.
+    bytes : int
+        Size of the file.
+    sha256 : str
+        Checksum of the file.
+    take_ids : tuple of int
+        Ids of the takes that were written into it, ascending.
+    dropped : tuple of int
+        Tombstones: ids of takes that were replaced or removed since.
+    dropped_rows : int
+        Number of their rows, which stay until compaction.
     """
 
     path: str
@@ -95,7 +109,23 @@ class Part:
 
 @dataclass(frozen=True)
 class ResultPart:
-    """A Parquet file of results: what one run of one stage ("<pipeline>/<stage>") found."""
+    """A Parquet file of results of one kind, written by one run of one stage.
+
+    Attributes
+    ----------
+    path : str
+        Path relative to the store, with /.
+    rows : int
+        Number of its rows.
+    bytes : int
+        Size of the file.
+    sha256 : str
+        Checksum of the file.
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    run : str
+        Id of the pipeline run.
+    """
 
     path: str
     rows: int
@@ -117,7 +147,23 @@ class ResultPart:
 
 @dataclass(frozen=True)
 class StageRecord:
-    """What a finished stage left: `stage` is "<pipeline>/<stage>", `finished` is ISO 8601 in UTC."""
+    """The record of a finished stage.
+
+    Attributes
+    ----------
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    fingerprint : str
+        Hash of all that its results follow from.
+    run : str
+        Id of the pipeline run.
+    finished : str
+        Time of its end, ISO 8601 in UTC.
+    seconds : float
+        Its duration.
+    summary : dict
+        Facts about its results, as JSON values.
+    """
 
     stage: str
     fingerprint: str
@@ -131,8 +177,31 @@ class StageRecord:
 class Manifest:
     """One version of a store.
 
-    `content` stands for the takes of this version: every change of takes (not of layout, nor of results) makes a new
-    one out of the one before and of what has changed.
+    Attributes
+    ----------
+    format_version : int
+        Version of the store's layout.
+    version : int
+        Number of this version.
+    created : str
+        Time of the commit, ISO 8601 in UTC.
+    feature_set : FeatureSet
+        The feature set of the words.
+    rate_hz : float
+        Analysis frames per second.
+    next_take_id : int
+        The id that the next new take gets.
+    content : str
+        Hash of the takes of this version: every change of takes (not of layout, nor of results) makes a new one out of
+        the one before and of the change.
+    frames : tuple of Part
+        The parts with frames.
+    takes : tuple of Part
+        The parts with rows of takes.
+    results : dict of str to tuple of ResultPart
+        Kind of result → its parts.
+    stages : dict of str to StageRecord
+        "<pipeline>/<stage>" → its record.
     """
 
     format_version: int
@@ -158,16 +227,16 @@ class Manifest:
         return tuple(sorted(take for part in self.frames for take in part.live))
 
     def content_digest(self) -> str:
-        """A hash of what the index depends on: feature set, rate, takes and their frames.
+        """Return a hash of everything that the index depends on: feature set, rate, takes and their frames.
 
-        Neither results count, nor how the takes are laid out in parts: compaction keeps an index valid.
+        Neither results count, nor the layout of takes in parts: compaction keeps an index valid.
         """
         text = json.dumps([self.feature_set.digest, self.rate_hz, self.content], separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
 
 def changed_content(content: str, changes: list[Any]) -> str:
-    """The `Manifest.content` that follows another one after changes of takes, given as JSON values."""
+    """Return the `Manifest.content` that follows another one after changes of takes, given as JSON values."""
     return hashlib.sha256(json.dumps([content, changes], separators=(",", ":")).encode()).hexdigest()
 
 
@@ -175,17 +244,17 @@ _ADAPTER: TypeAdapter[Manifest] = TypeAdapter(Manifest)
 
 
 def now() -> str:
-    """The present moment as manifests write it: ISO 8601, UTC, to the second."""
+    """Return the present time as manifests write it: ISO 8601, UTC, to the second."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def manifest_path(store: Path, version: int) -> Path:
-    """Where the manifest of a version is."""
+    """Return the path of the manifest of a version."""
     return store / FOLDER / f"{version:06d}.json"
 
 
 def versions(store: Path) -> list[int]:
-    """The versions that a store holds, ascending; empty where there is no store."""
+    """Return the versions that a store holds, ascending; empty if there is no store."""
     folder = store / FOLDER
     if not folder.is_dir():
         return []
@@ -195,9 +264,15 @@ def versions(store: Path) -> list[int]:
 def read_newest(store: Path) -> Manifest:
     """Read the newest version of a store.
 
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+
     Raises
     ------
-    StoreError: no store there, a damaged manifest, or another format version.
+    StoreError
+        There is no store, its manifest is damaged, or it has another format version.
     """
     found = versions(store)
     if not found:
@@ -207,7 +282,20 @@ def read_newest(store: Path) -> Manifest:
 
 
 def read_version(store: Path, version: int) -> Manifest:
-    """Read one version of a store; errors as `read_newest`."""
+    """Read one version of a store.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    version : int
+        Number of the version.
+
+    Raises
+    ------
+    StoreError
+        The manifest is missing or damaged, or has another format version.
+    """
     path = manifest_path(store, version)
     content = _content(path)
     try:
@@ -221,7 +309,7 @@ def read_version(store: Path, version: int) -> Manifest:
 
 
 def named_files(store: Path, version: int) -> set[str]:
-    """The paths of the parts that a version names: `read_version` without all the rest; errors as there."""
+    """Return the paths of the parts that a version names, read faster than by `read_version`; errors as there."""
     path = manifest_path(store, version)
     content = _content(path)
     try:
@@ -232,7 +320,7 @@ def named_files(store: Path, version: int) -> set[str]:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """What a manifest file holds, once its format version and its checksum are found to be right."""
+    """Return the content of a manifest file, once its format version and its checksum are found to be right."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as fault:
@@ -267,9 +355,22 @@ def _checksum(content: dict[str, Any]) -> str:
 def publish(store: Path, manifest: Manifest) -> Path:
     """Make a version visible: write it aside, flush it to disk, then give it its name in one step.
 
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    manifest : Manifest
+        The version to publish.
+
+    Returns
+    -------
+    Path
+        The manifest's file.
+
     Raises
     ------
-    StoreError: that version exists already, which means that another writer was at work.
+    StoreError
+        The version exists already, which means that another writer was at work, or the disk is full.
     """
     path = manifest_path(store, manifest.version)
     temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}.json")
@@ -291,7 +392,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
 
 
 def _text(manifest: Manifest) -> str:
-    """The manifest as JSON for people too: a line for each part, each stage, and everything else."""
+    """Return the manifest as JSON that people can read: a line for each part, each stage, and everything else."""
     content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
     content["feature_set"] = manifest.feature_set.encoded
     content["frames"] = [part.encoded for part in manifest.frames]
@@ -312,11 +413,11 @@ def _text(manifest: Manifest) -> str:
 
 
 def _link(temporary: Path, path: Path) -> None:
-    """Give a finished file its name, unless the name is taken; where there are no hard links, the lock must do."""
+    """Give a finished file its name unless the name is taken; file systems without hard links rely on the lock."""
     try:
         os.link(temporary, path)
     except OSError as fault:
-        if fault.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK):
+        if fault.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL):
             raise
         if path.exists():
             raise FileExistsError(path) from None

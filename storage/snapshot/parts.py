@@ -1,8 +1,7 @@
-"""Writing Parquet parts: under a temporary name, flushed to disk, then named after their own content."""
+"""Parquet parts: written under a temporary name, flushed to disk, then named after their own content."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,7 +18,7 @@ import pyarrow.parquet as pq
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.ops.words import NO_WORD
-from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.disk import sync_file, sync_folder, write_errors
 from kinedex.storage.snapshot.manifest import TEMPORARY, Part
 from kinedex.storage.snapshot.schemas import frames_schema
 
@@ -40,7 +39,7 @@ class _Packed:
 
 
 def _table(takes: Sequence[_Packed], schema: pa.Schema) -> pa.Table:
-    """Lay takes out as rows of a frames part, each column in one piece: a piece for every take would cost the most."""
+    """Lay takes out as rows of a frames part, each column in one piece: one piece per take would cost the most."""
     lengths = [len(take.words) for take in takes]
     numbers = np.concatenate([take.numbers for take in takes], axis=1)
     words = np.concatenate([take.words for take in takes])
@@ -58,7 +57,20 @@ def _table(takes: Sequence[_Packed], schema: pa.Schema) -> pa.Table:
 
 
 def joint_positions(frames: pa.Table, joints: Iterable[str]) -> npt.NDArray[np.float32]:
-    """Read joints back from rows of a frames part: float32 (J, 3, T), in metres."""
+    """Return the joint positions in rows of a frames part.
+
+    Parameters
+    ----------
+    frames : pyarrow.Table
+        Rows of a frames part.
+    joints : iterable of str
+        Names of J joints.
+
+    Returns
+    -------
+    float32 array (J, 3, T)
+        Metres, Y up.
+    """
     rows = [
         [field.to_numpy(zero_copy_only=False) for field in frames.column(joint).combine_chunks().flatten()]
         for joint in joints
@@ -67,10 +79,19 @@ def joint_positions(frames: pa.Table, joints: Iterable[str]) -> npt.NDArray[np.f
 
 
 class FramesWriter:
-    """Writes takes one by one into one frames part; any process may: the part counts once it is committed.
+    """A writer of one frames part, take by take; any process may have one: the part counts once it is committed.
 
     Takes come in ascending order of take_id. `close` returns the description that the coordinator hands to
-    `StoreWriter.add_takes`. Left by an exception, it removes what it has written.
+    `StoreWriter.add_takes`. An exception in its `with` block removes the unfinished file.
+
+    Parameters
+    ----------
+    store : str or Path
+        The store's directory.
+    feature_set : FeatureSet
+        The feature set of the words.
+    rate_hz : float, optional
+        Analysis frames per second.
     """
 
     def __init__(self, store: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0) -> None:
@@ -97,10 +118,14 @@ class FramesWriter:
 
         Parameters
         ----------
-        take_id: the take's id in the store.
-        positions: (J, 3, T) in metres, joints in the order of the feature set; stored as float32, NaN where unknown.
-        orientation: (4, T), the root's unit quaternion w, x, y, z.
-        words: uint64 (T,); `NO_WORD`, in an invalid frame, becomes null.
+        take_id : int
+            The take's id in the store.
+        positions : float array (J, 3, T)
+            Metres, joints in the order of the feature set; NaN where unknown. Stored as float32.
+        orientation : float array (4, T)
+            The root's unit quaternion w, x, y, z.
+        words : uint64 array (T,)
+            One word a frame; `NO_WORD`, in an invalid frame, is stored as null.
         """
         joints = len(self.schema) - 4
         if positions.shape != (joints, 3, len(words)):
@@ -147,7 +172,7 @@ class FramesWriter:
             self._write(last=False)
 
     def close(self) -> Part:
-        """Finish the part, give it its name, and say what is in it."""
+        """Finish the part, give it its name, and return its description."""
         self._lay_out()
         self._write(last=True)
         assert self._writer is not None
@@ -216,10 +241,10 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
 
 
 def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> list[Part]:
-    """Write tables of one schema, one after the other as they come, as parts of `folder`; none where no row came.
+    """Write tables of one schema, one after the other as they come, as parts of `folder`; none if no row comes.
 
     A part that has grown to `FULL_BYTES` is closed. Only one piece is in memory at a time; each is a row group of its
-    own (or several, where it is very long).
+    own (or several, if it is very long).
     """
     parts = []
     growing: _Growing | None = None
@@ -251,7 +276,7 @@ class _Growing:
         self._rows = 0
 
     def add(self, piece: pa.Table) -> int:
-        """Write one more piece; returns how many bytes the file has."""
+        """Write one more piece and return the size of the file in bytes."""
         with write_errors(self._store / self._folder):
             if self._writer is None:
                 self._temporary.parent.mkdir(parents=True, exist_ok=True)
@@ -271,7 +296,7 @@ class _Growing:
             self._temporary.unlink(missing_ok=True)
 
     def discard(self) -> None:
-        """Remove what was written."""
+        """Remove the unfinished file."""
         if self._writer is not None and self._writer.is_open:
             # on a full disk not even the end of a file that is thrown away can be written
             with suppress(OSError):
@@ -281,12 +306,10 @@ class _Growing:
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
     """Flush a finished file to disk and name it after its content; the same content gets the same name."""
-    with write_errors(store / folder), open(temporary, "rb") as file:
-        os.fsync(file.fileno())
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        size = os.fstat(file.fileno()).st_size
+    with write_errors(store / folder):
+        size, digest = sync_file(temporary)
         path = temporary.with_name(f"part-{digest[:24]}.parquet")
-        os.replace(temporary, path)
+        _rename(temporary, path)
         sync_folder(path.parent)
     return Part(f"{folder}/{path.name}", rows, size, digest, tuple(take_ids))
 
@@ -299,6 +322,16 @@ def read_errors(file: Path) -> Iterator[None]:
     except (OSError, pa.ArrowException) as fault:
         reason = str(fault).splitlines()[0]
         raise StoreError(f"{file}: the part cannot be read: {reason}; see `kinedex verify`") from None
+
+
+def _rename(temporary: Path, path: Path) -> None:
+    """Give a part its name; where Windows lets nobody replace an open file, the part there has the same content."""
+    try:
+        os.replace(temporary, path)
+    except PermissionError:
+        if os.name != "nt" or not path.is_file():
+            raise
+        temporary.unlink()
 
 
 def part_file(store: Path, path: str) -> Path:

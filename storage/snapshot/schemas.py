@@ -231,16 +231,15 @@ RESULT_KINDS = tuple(_RESULTS)
 
 
 def takes_schema() -> pa.Schema:
-    """The schema of a takes part."""
+    """Return the schema of a takes part."""
     return _TAKES.with_metadata({_METADATA + "kind": "takes", _METADATA + "format_version": str(FORMAT_VERSION)})
 
 
 def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
-    """The schema of a frames part: take and frame, the joints in metres, the root's orientation, the word.
+    """Return the schema of a frames part: take and frame, joints in metres, the root's orientation, the word.
 
-    The word of an invalid frame (one in which a joint was not seen that is known otherwise) is null.
-
-    Its metadata say which bit of the word is which feature, so that a part explains itself to any reader.
+    The word of an invalid frame (one that lacks a joint that the take has otherwise) is null. The metadata name the
+    feature of each bit of the word, so that a part explains itself to any reader.
     """
     point = pa.struct([("x", pa.float32()), ("y", pa.float32()), ("z", pa.float32())])
     quaternion = pa.struct([(axis, pa.float32()) for axis in "wxyz"])
@@ -268,7 +267,7 @@ def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
 
 
 def result_schema(kind: str) -> pa.Schema:
-    """The schema of one kind of result; a KinedexError names the nearest kind."""
+    """Return the schema of one kind of result; a KinedexError about an unknown kind names the nearest one."""
     if kind not in _RESULTS:
         raise KinedexError(f"no kind of result is named '{kind}'{did_you_mean(kind, RESULT_KINDS)}")
     metadata = {_METADATA + "kind": kind, _METADATA + "format_version": str(FORMAT_VERSION)}
@@ -278,9 +277,19 @@ def result_schema(kind: str) -> pa.Schema:
 def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
     """Return the table with exactly the columns of the schema, in order and type.
 
+    Parameters
+    ----------
+    table : pyarrow.Table
+        The table to convert.
+    schema : pyarrow.Schema
+        The columns that it must have.
+    what : str
+        The name of the table in messages.
+
     Raises
     ------
-    StoreError: a column is missing, unknown, or does not convert; the message names it.
+    StoreError
+        A column is missing, unknown, or does not convert; the message names it.
     """
     missing = [name for name in schema.names if name not in table.column_names]
     if missing:
@@ -301,7 +310,7 @@ def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
 
 
 def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
-    """Say what of a part's schema differs from what the store expects; None where nothing does."""
+    """Return the first difference of a part's schema from the one that the store expects; None if there is none."""
     for field in expected:
         position = found.get_field_index(field.name)
         if position < 0:

@@ -49,7 +49,7 @@ AnyPart = TypeVar("AnyPart", Part, ResultPart)
 
 
 class Map(Protocol):
-    """What spreads merges over cores, such as an executor's `map`: results in the order of the items."""
+    """A function that spreads merges over cores, as the `map` of an executor does: results in the items' order."""
 
     def __call__(self, function: Callable[[Merge], Part], items: Iterable[Merge], /) -> Iterator[Part]:
         """Apply the function to every item."""
@@ -58,7 +58,21 @@ class Map(Protocol):
 
 @dataclass(frozen=True)
 class Merge:
-    """One new frames part: the takes that it shall hold, ascending, and the old parts where they lie now."""
+    """The task to write one new frames part.
+
+    Attributes
+    ----------
+    store : Path
+        The store's directory.
+    feature_set : FeatureSet
+        The feature set of the words.
+    rate_hz : float
+        Analysis frames per second.
+    parts : tuple of Part
+        The old parts that hold the takes.
+    take_ids : tuple of int
+        Ids of the takes of the new part, ascending.
+    """
 
     store: Path
     feature_set: FeatureSet
@@ -69,7 +83,7 @@ class Merge:
 
 @dataclass(frozen=True)
 class Compaction:
-    """What a compaction did: how many frames parts became how many, the same of takes, and the bytes it wrote."""
+    """The effect of a compaction: numbers of merged and of new parts, and the bytes that were written."""
 
     frames_before: int
     frames_after: int
@@ -79,28 +93,33 @@ class Compaction:
 
     @property
     def changed(self) -> bool:
-        """Whether there was anything to do."""
+        """True if any part was merged."""
         return self.frames_before + self.takes_before > 0
 
 
 def compact(
     writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Map = map, workers: int = 1
 ) -> Compaction:
-    """Merge what is worth merging in a store, and commit the swap as one version.
+    """Merge small parts of a store and rewrite parts that are mostly tombstones, and commit the swap as one version.
 
     The takes, their ids and the index stay valid. The old files stay too, for readers of older versions, until
-    `storage.store.garbage_collection.collect`. Killed before the commit, the store is what it was.
+    `storage.store.garbage_collection.collect`. If the process is killed before the commit, the store is unchanged.
 
     Parameters
     ----------
-    writer: holds the store's lock; what it was given must be committed.
-    target_bytes: frames parts of this size and above are full.
-    spread: where the merges run; each needs at most about half a gigabyte, whatever the store's size.
-    workers: how many merges run at a time there; a large merge is divided among them.
+    writer : StoreWriter
+        It holds the store's lock; its changes must be committed.
+    target_bytes : int, optional
+        Size from which a frames part is full.
+    spread : Map, optional
+        It runs the merges; each needs at most about half a gigabyte, whatever the store's size.
+    workers : int, optional
+        Number of merges that it runs at a time; a large merge is divided among them.
 
     Raises
     ------
-    StoreError: an old part is damaged or missing, or the disk is full; nothing is changed.
+    StoreError
+        An old part is damaged or missing, or the disk is full; nothing is changed.
     """
     store = writer.store
     groups = worthwhile(store.manifest.frames, target_bytes)
@@ -123,11 +142,14 @@ def compact(
 
 
 def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:
-    """Which parts to merge with which: groups of `FANOUT` and more of one tier, and parts that are mostly tombstones.
+    """Return groups of parts to merge: `FANOUT` and more of one tier, and single parts that are mostly tombstones.
 
     Parameters
     ----------
-    parts: all parts of one kind. full_bytes: live bytes from which a part is left alone (estimated by rows).
+    parts : iterable of Part or ResultPart
+        All parts of one kind.
+    full_bytes : float, optional
+        Size of the live rows, estimated by their number, from which a part is left alone.
     """
     tiers: dict[int, list[AnyPart]] = {}
     alone = []
@@ -147,12 +169,19 @@ def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> li
 
 
 def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
-    """Into how many new parts a merge goes that would make `count` of them, so that no worker waits for another.
+    """Return the number of new parts of a merge, such that no worker waits for another.
 
     Parameters
     ----------
-    fits: how many of the full size there are rows for. worth: how many that climb a tier and fill a row group; of parts
-        that are not full, a merge makes half of `FANOUT` at most, or they would soon have to be merged again.
+    count : int
+        Number of parts that the merge would make of the full size.
+    workers : int
+        Number of merges that run at a time.
+    fits : int
+        Number of full parts that there are rows for.
+    worth : int
+        Number of parts that climb a tier and fill a row group. Of parts that are not full, a merge makes half of
+        `FANOUT` at most, or they would soon have to be merged again.
     """
     if count < workers:
         return max(count, min(workers, worth, FANOUT // 2))
@@ -161,19 +190,19 @@ def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
 
 
 def merge(task: Merge) -> Part:
-    """Write one new frames part; runs in any process, and twice does no harm.
+    """Write one new frames part; it runs in any process, and a second call with the same task does no harm.
 
-    The old parts are read a row group at a time. One whose content does not fit its checksum is refused: it must not
+    The old parts are read a row group at a time. A part whose content does not fit its checksum is refused: it must not
     get a fresh checksum.
     """
     homes = {take: place for place, part in enumerate(task.parts) for take in part.live}
-    stretches = [_stretches(task.store, part) for part in task.parts]
+    row_ranges = [_row_ranges(task.store, part) for part in task.parts]
     groups = _RowGroups([task.store / part.path for part in task.parts])
     with FramesWriter(task.store, task.feature_set, task.rate_hz) as writer:
         for place, takes in groupby(task.take_ids, key=homes.__getitem__):
             ids = list(takes)
-            # takes that follow each other in an old part are copied as one stretch
-            for start, stop, members in _joined(ids, stretches[place]):
+            # takes that follow each other in an old part are copied together
+            for start, stop, members in _joined(ids, row_ranges[place]):
                 writer.add_pieces(members, groups.rows(place, start, stop))
         return writer.close()
 
@@ -214,8 +243,8 @@ def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int)
     return merges
 
 
-def _stretches(store: Path, part: Part) -> dict[int, tuple[int, int]]:
-    """The rows [start, stop) of each live take of a part, once the part is found to be sound."""
+def _row_ranges(store: Path, part: Part) -> dict[int, tuple[int, int]]:
+    """Return the rows [start, stop) of each live take of a part, once the part is found to be sound."""
     path = _sound(store, part)
     try:
         ids = pq.read_table(path, columns=["take_id"]).column("take_id").to_numpy()
@@ -227,7 +256,7 @@ def _stretches(store: Path, part: Part) -> dict[int, tuple[int, int]]:
 
 
 def _sound(store: Path, part: Part) -> Path:
-    """The file of a part whose content fits its checksum."""
+    """Return the file of a part whose content fits its checksum."""
     path = part_file(store, part.path)
     try:
         with open(path, "rb") as content:
@@ -239,12 +268,12 @@ def _sound(store: Path, part: Part) -> Path:
     return path
 
 
-def _joined(ids: list[int], stretches: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
-    """Stretches of rows that follow each other without a gap, with the takes that lie in them."""
-    start, stop = stretches[ids[0]]
+def _joined(ids: list[int], row_ranges: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
+    """Yield ranges of rows that follow each other without a gap, with the takes that lie in them."""
+    start, stop = row_ranges[ids[0]]
     members: list[int] = []
     for take in ids:
-        first, last = stretches[take]
+        first, last = row_ranges[take]
         if first != stop and members:
             yield start, stop, members
             start, members = first, []
@@ -256,7 +285,7 @@ def _joined(ids: list[int], stretches: Mapping[int, tuple[int, int]]) -> Iterato
 
 
 class _RowGroups:
-    """Reads stretches of rows from Parquet files, keeping the row groups that were read last."""
+    """A reader of ranges of rows from Parquet files that keeps the row groups read last."""
 
     def __init__(self, files: list[Path]) -> None:
         self._files = files
@@ -264,7 +293,7 @@ class _RowGroups:
         self._kept: OrderedDict[tuple[int, int], pa.Table] = OrderedDict()
 
     def rows(self, file: int, start: int, stop: int) -> Iterator[pa.Table]:
-        """The rows [start, stop) of a file, in pieces."""
+        """Yield the rows [start, stop) of a file, in pieces."""
         if file not in self._ends:
             self._ends[file] = self._row_group_ends(file)
         ends = self._ends[file]

@@ -1,8 +1,9 @@
-"""Before a writer works: whether it may have a store, and what killed ones have left there."""
+"""Checks before a writer works: the directory is a store with the same words, without leftovers of killed runs."""
 
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from kinedex.catalog.features import FeatureSet
@@ -14,11 +15,11 @@ FOLDERS = (FOLDER, "frames", "takes", "index", "results")
 """The folders of a store."""
 
 _CLOCK_SECONDS = 2.0
-"""How exactly a file system may say when a file was written."""
+"""Accuracy of the times of files in some file systems."""
 
 
 def refuse_foreign(root: Path) -> None:
-    """Refuse a place that holds other things than a store."""
+    """Raise a StoreError if a directory holds other things than a store."""
     if root.exists() and not root.is_dir():
         raise StoreError(f"{root} is a file; a store is a directory")
     if not root.exists() or versions(root):
@@ -32,7 +33,7 @@ def refuse_foreign(root: Path) -> None:
 
 
 def refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, rate_hz: float) -> None:
-    """Refuse a store whose words are made with another feature set, or at another rate."""
+    """Raise a StoreError if the words of a store have another feature set, or another rate."""
     has = manifest.feature_set
     if has.digest != feature_set.digest:
         raise NewStoreError(
@@ -46,7 +47,7 @@ def refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, 
 
 
 def last_opened(lock: Path) -> float:
-    """When a store was last opened for writing, by its lock's file; 0 where it never was."""
+    """Return the time when a store was last opened for writing, by its lock's file; 0 if it never was."""
     try:
         return lock.stat().st_mtime
     except FileNotFoundError:
@@ -54,20 +55,25 @@ def last_opened(lock: Path) -> float:
 
 
 def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
-    """Remove what killed runs have left: unfinished files, and parts that no manifest names.
+    """Remove the leftovers of killed runs: unfinished files, and parts that no manifest names.
 
     Only the holder of the lock may do this: no live writer can be about to commit such a part.
 
     Parameters
     ----------
-    since: when the store was last opened for writing (`last_opened`). Of what was there then nothing was left over, so
-        older parts are not looked up: those that were replaced may be named by none of a thousand newer manifests.
+    root : Path
+        The store's directory.
+    newest : Manifest
+        The newest version.
+    since : float, optional
+        Time when the store was last opened for writing (`last_opened`). Older files are no leftovers, so older parts
+        are not looked up: replaced ones may be named by none of a thousand newer manifests.
     """
     candidates = set()
     for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
         for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
             if name.startswith(TEMPORARY):
-                (root / folder / name).unlink(missing_ok=True)
+                _remove(root / folder / name)
             elif name.startswith("part-") and (root / folder / name).stat().st_mtime > since - _CLOCK_SECONDS:
                 candidates.add(f"{folder}/{name}")
     candidates -= {part.path for part in newest.parts}
@@ -81,4 +87,10 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
             # what a damaged manifest names is not known, so nothing is garbage; `kinedex verify` reports the manifest
             return
     for path in candidates:
-        (root / path).unlink(missing_ok=True)
+        _remove(root / path)
+
+
+def _remove(path: Path) -> None:
+    """Remove a leftover, unless Windows refuses because somebody has it open; the next writer tries again."""
+    with suppress(PermissionError if os.name == "nt" else FileNotFoundError):
+        path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Writing to a store: one writer at a time collects changes and publishes them as one new version."""
+"""The writer of a store: one at a time, it collects changes and publishes them as one new version."""
 
 from __future__ import annotations
 
@@ -64,17 +64,24 @@ class StoreWriter:
     def open(
         cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0, wait_seconds: float = 0.0
     ) -> StoreWriter:
-        """Lock a store for writing; make an empty one where there is none.
+        """Lock a store for writing; make an empty one if there is none.
 
         Parameters
         ----------
-        path: the store. feature_set, rate_hz: what its words are made with; those of the store where it exists.
-        wait_seconds: how long to wait for another writer to finish.
+        path : str or Path
+            The store's directory.
+        feature_set : FeatureSet
+            The feature set of its words, which must be that of an existing store.
+        rate_hz : float, optional
+            Analysis frames per second, which must be those of an existing store.
+        wait_seconds : float, optional
+            Time to wait for another writer to finish.
 
         Raises
         ------
-        StoreError: another writer holds the lock (the message names its process and host); the directory holds other
-            things; the store has another format version, feature set or rate.
+        StoreError
+            Another writer holds the lock (the message names its process and host); the directory holds other things;
+            the store has another format version, feature set or rate.
         """
         root = Path(path)
         refuse_foreign(root)
@@ -118,13 +125,15 @@ class StoreWriter:
 
         Parameters
         ----------
-        takes: one row per take, `takes_schema`, ids from `assign_take_ids`.
-        frames: the frames of exactly these takes: parts that workers have written, or a table sorted by take_id
-            and frame.
+        takes : pyarrow.Table
+            One row per take, `takes_schema`, ids from `assign_take_ids`.
+        frames : pyarrow.Table, Part or sequence of Part
+            The frames of exactly these takes: parts that workers have written, or a table sorted by take_id and frame.
 
         Raises
         ------
-        StoreError: the frames are not those of the takes, or an id was not assigned to its take's name.
+        StoreError
+            The frames are not those of the takes, or an id was not assigned to its take's name.
         """
         takes = conform(takes, takes_schema(), "takes")
         parts = self._frames_parts(takes, frames)
@@ -142,13 +151,20 @@ class StoreWriter:
         self._changes.append(["added", sorted(part.sha256 for part in parts)])
 
     def restate_takes(self, takes: pa.Table) -> None:
-        """Put rows of takes in the place of those that the store has; frames stay, and what is made of them is valid.
+        """Replace rows of takes whose frames stay; everything that was made of the frames remains valid.
 
-        For what says where a take has come from (place and time), on which neither the index nor any stage depends.
+        It serves columns that record where a take has come from (place and time), on which neither the index nor any
+        stage depends.
+
+        Parameters
+        ----------
+        takes : pyarrow.Table
+            The new rows, `takes_schema`.
 
         Raises
         ------
-        StoreError: no live take has one of the ids.
+        StoreError
+            No live take has one of the ids.
         """
         takes = conform(takes, takes_schema(), "takes")
         ids = takes.column("take_id").to_pylist()
@@ -159,7 +175,18 @@ class StoreWriter:
         self._takes.update({take: takes.slice(row, 1) for row, take in enumerate(ids)})
 
     def drop_takes(self, take_ids: Iterable[int]) -> None:
-        """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit."""
+        """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit.
+
+        Parameters
+        ----------
+        take_ids : iterable of int
+            The takes to remove.
+
+        Raises
+        ------
+        StoreError
+            No live take has one of the ids.
+        """
         gone = set(take_ids)
         unknown = gone - set(self._manifest.live_takes)
         if unknown:
@@ -172,16 +199,22 @@ class StoreWriter:
         self._changes.append(["dropped", sorted(gone)])
 
     def swap_parts(self, kind: Literal["frames", "takes"], old: Sequence[Part], new: Sequence[Part]) -> None:
-        """Put parts in the place of others that hold the same live takes, laid out differently.
+        """Replace parts by others that hold the same live takes in another layout.
 
         Parameters
         ----------
-        kind: which parts. old: parts of the version that was committed last. new: written since.
+        kind : str
+            "frames" or "takes".
+        old : sequence of Part
+            Parts of the version that was committed last.
+        new : sequence of Part
+            Parts that were written since.
 
         Raises
         ------
-        StoreError: takes were added or dropped since the last commit, or the new parts do not hold exactly the live
-            takes and rows of the old ones; nothing is changed.
+        StoreError
+            Takes were added or dropped since the last commit, or the new parts do not hold exactly the live takes and
+            rows of the old ones; nothing is changed.
         """
         if self._changes:
             raise StoreError(f"{self.path}: takes have changed since the last commit; commit them first")
@@ -212,20 +245,27 @@ class StoreWriter:
         run: str,
         keep: Iterable[ResultPart] = (),
     ) -> None:
-        """Set a stage's results of one kind, in place of its earlier ones.
+        """Set the results of one kind that a stage has, in place of its earlier ones.
 
         Parameters
         ----------
-        kind: one of `RESULT_KINDS`.
-        tables: columns of `result_schema(kind)`; `run` may be left out. Without rows, the earlier ones are just
-            removed. Several tables, such as a generator makes, are written one by one as they come: what is large need
-            not be in memory at once.
-        stage: "<pipeline>/<stage>". run: the run's id.
-        keep: parts of the stage's earlier results that stay, files and rows as they are (`storage.store.kept_results`).
+        kind : str
+            One of `RESULT_KINDS`.
+        tables : pyarrow.Table or iterable of pyarrow.Table
+            Columns of `result_schema(kind)`; `run` may be missing. Without rows, the earlier results are only removed.
+            Several tables, such as a generator makes, are written one by one as they come, so that they need not fit
+            into memory.
+        stage : str
+            The stage, "<pipeline>/<stage>".
+        run : str
+            Id of the pipeline run.
+        keep : iterable of ResultPart, optional
+            Parts of the stage's earlier results that stay, files and rows as they are (`storage.store.reused_results`).
 
         Raises
         ------
-        StoreError: a table does not fit, a part to keep is not there, or the disk is full; nothing is changed.
+        StoreError
+            A table does not fit, a part to keep is missing, or the disk is full; nothing is changed.
         """
         result_schema(kind)
         stay = {part.path for part in keep}
@@ -239,20 +279,26 @@ class StoreWriter:
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
 
     def forget_stage(self, stage: str) -> None:
-        """Remove a stage's record, so that nothing takes it for done while it runs again."""
+        """Remove a stage's record, so that it does not count as done while it runs again."""
         left = {name: record for name, record in self._manifest.stages.items() if name != stage}
         self._manifest = replace(self._manifest, stages=left)
 
     def record_stage(self, record: StageRecord) -> None:
-        """Note that a stage is done; its earlier record goes."""
+        """Record that a stage is done, in place of its earlier record."""
         self._manifest = replace(self._manifest, stages={**self._manifest.stages, record.stage: record})
 
     def commit(self) -> Manifest:
-        """Publish everything since the last commit as one new version; without changes, none is made.
+        """Publish all changes since the last commit as one new version; without changes, none is made.
+
+        Returns
+        -------
+        Manifest
+            The newest version.
 
         Raises
         ------
-        StoreError: the next version exists already, so somebody got around the lock; nothing is published.
+        StoreError
+            The next version exists already, so that another writer has evaded the lock; nothing is published.
         """
         pending = self._manifest
         if self._takes:
@@ -276,7 +322,7 @@ class StoreWriter:
         return pending
 
     def close(self) -> None:
-        """Let the next writer in; what was not committed is dropped."""
+        """Release the lock; changes that were not committed are dropped."""
         self._lock.release()
 
     def __enter__(self) -> StoreWriter:
@@ -346,9 +392,9 @@ def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
 
 
 def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, int]) -> tuple[Part, ...]:
-    """These parts with more tombstones; a part without any live take is left out.
+    """Return the parts with more tombstones, except for parts without any live take.
 
-    `rows` is how many each of the takes has there.
+    `rows` maps each of the takes to the number of its rows.
     """
     gone = set(take_ids)
     result = []

@@ -1,0 +1,76 @@
+"""Reuse of results: the parts that stay as they are when a stage puts new ones beside them.
+
+Results of takes, such as distance curves, grow with an archive. If a run reuses the results of an earlier one for most
+takes, the new version of the store names the old parts again. Only parts some of whose takes go or are computed anew
+are rewritten, and small ones, before there are many of them (by the tiers of `storage.store.compaction`). A part is
+full at `storage.snapshot.parts.FULL_BYTES`, so that a change of one take rewrites little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from kinedex.storage.snapshot.manifest import ResultPart
+from kinedex.storage.snapshot.parts import FULL_BYTES, part_file, read_errors
+from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.compaction import worthwhile
+
+
+@dataclass(frozen=True)
+class ReusedParts:
+    """The parts of a stage's results whose rows still hold, at least in part.
+
+    Attributes
+    ----------
+    stay : tuple of ResultPart
+        Parts that `StoreWriter.put_results` is to keep.
+    again : tuple of ResultPart
+        Parts whose valid rows are to be put again with the new ones.
+    """
+
+    stay: tuple[ResultPart, ...]
+    again: tuple[ResultPart, ...]
+
+
+def reused_parts(store: Snapshot, kind: str, stage: str, take_ids: Collection[int]) -> ReusedParts:
+    """Divide the parts of a stage's results into those that stay and those whose rows are put again.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The store that has the results.
+    kind : str
+        A kind of results with a column `take_id`.
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    take_ids : collection of int
+        The takes whose rows still hold.
+
+    Raises
+    ------
+    StoreError
+        A part is missing or cannot be read.
+    """
+    wanted = set(take_ids)
+    whole, again = [], []
+    for part in store.manifest.results.get(kind, ()) if wanted else ():
+        if part.stage == stage:
+            held = _takes_of(store, part)
+            if held <= wanted:
+                whole.append(part)
+            elif held & wanted:
+                again.append(part)
+    small = {part.path for group in worthwhile(whole, FULL_BYTES) for part in group}
+    stay = tuple(part for part in whole if part.path not in small)
+    return ReusedParts(stay, (*again, *(part for part in whole if part.path in small)))
+
+
+def _takes_of(store: Snapshot, part: ResultPart) -> set[int]:
+    file = part_file(store.path, part.path)
+    with read_errors(file):
+        column = pq.read_table(file, columns=["take_id"]).column("take_id")
+    return set(pc.unique(column).to_pylist())
