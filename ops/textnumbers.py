@@ -88,7 +88,7 @@ def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     value = float(mantissa)
     status = 0
     if digits > 18 or mantissa > _EXACT or (mantissa > 0 and (exponent < -22 or exponent > 22)):
-        status = 2  # the mantissa of more than 18 digits may have overflowed: only the text itself tells
+        status = 2  # the mantissa of more than 18 digits may have overflowed: only the text itself is exact
     elif mantissa == 0:
         pass
     elif exponent < 0:

@@ -41,5 +41,5 @@ def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
     share, weight = hits / total, z * z / total
     middle = (share + weight / 2) / (1 + weight)
     half = z * math.sqrt(share * (1 - share) / total + weight / (4 * total)) / (1 + weight)
-    # the ends of nothing and of all are exact, whatever rounding makes of them
+    # the ends of none and of all are exact, without rounding errors
     return middle - half if hits else 0.0, middle + half if hits < total else 1.0
