@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 STAMP = "kernels.json"
-"""What the sources were when kernels were last compiled: by file its size, time of change and sha256."""
+"""The file that records the sources at the last compilation: size, time of change and sha256 of each."""
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 

@@ -15,7 +15,7 @@ I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
 OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME = range(9)
-"""What `parse_frames` and `parse_rows` can find: see `Fault`."""
+"""The faults that `parse_frames` and `parse_rows` report: see `Fault`."""
 
 _EXACT = 2**53  # integers up to here are exact in a double, and so are the powers of ten up to 22:
 _POWERS = np.array([10.0**i for i in range(23)])  # one multiplication or division of the two rounds correctly

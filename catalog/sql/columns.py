@@ -1,4 +1,4 @@
-"""What a view says about itself: its columns, their types and meanings, and a query that runs."""
+"""The description of a view: its columns, their types and meanings, and a query that runs."""
 
 from __future__ import annotations
 

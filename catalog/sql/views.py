@@ -1,4 +1,4 @@
-"""What analysts query: the views and macros of a store, as SQL text with the words that explain them."""
+"""The views and macros of a store that analysts query, as SQL text with their descriptions."""
 
 from __future__ import annotations
 

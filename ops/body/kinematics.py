@@ -18,7 +18,7 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
-"""What a channel does to its node: turn about an axis, move along one, or lengthen the bone."""
+"""The effects of a channel on its node: rotation about an axis, translation along one, or a longer bone."""
 
 BLOCK = 128  # frames per block; the matrices of a whole body then fit into the second-level cache
 

@@ -28,7 +28,7 @@ CACHED_BITMAPS = 256
 """The number of bitmaps of keyframes that stay in memory; it exceeds the keyframes of any one query."""
 
 INNER = {"cache": True, "nogil": True, "no_cpython_wrapper": True}
-"""How to compile kernels that only other kernels call: without a wrapper for Python they are a sixth faster."""
+"""Options for kernels that only other kernels call: without a wrapper for Python they are a sixth faster."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 
 FOLDER = "manifest"
 TEMPORARY = ".tmp-"
-"""How the names of unfinished files begin; readers ignore them, the next writer removes them."""
+"""The prefix of the names of unfinished files; readers ignore them, the next writer removes them."""
 
 MOST_TAKES = 100_000_000
 """More takes than a part may name: a wrong manifest must not fill the memory."""

@@ -40,7 +40,7 @@ TARGET_BYTES = 100_000_000
 """A frames part of this size is full: it is not merged any more."""
 
 FANOUT = 8
-"""How many parts of one tier are merged; also the ratio of the tiers' sizes."""
+"""The number of parts of one tier that are merged; also the ratio of the tiers' sizes."""
 
 KEPT_ROWS = 2 * ROW_GROUP
 """Most rows of the old parts that a merge holds in memory: some 90 MB. A single row group or take may be larger."""

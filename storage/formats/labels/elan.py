@@ -87,7 +87,7 @@ class _Annotation:
 
 @dataclass
 class _Document:
-    """What is gathered while an EAF file is read; the methods are called by the parser."""
+    """Collect the contents of an EAF file; the parser calls the methods."""
 
     path: str
     parser: expat.XMLParserType

@@ -37,7 +37,7 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
 
 
 def any_ground_truth(pattern: str, roots: Iterable[str | Path]) -> bool:
-    """Whether a pattern finds label files; parameters and errors as `ground_truth_files`, but none found is none."""
+    """Return True if a pattern finds label files; parameters and errors are those of `ground_truth_files`."""
     return bool(_found(*_places(pattern, roots)))
 
 

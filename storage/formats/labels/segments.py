@@ -83,9 +83,12 @@ class ManualSegment:
 
 @dataclass(frozen=True)
 class LabelFile:
-    """What a label file says: the takes that somebody looked at, and the stretches of them that were labelled.
+    """The contents of a label file: the takes that were labelled, and their segments.
 
-    takes: names, each once, in the file's order; a take without any segment is one in which nothing was found.
+    Attributes
+    ----------
+    takes : sequence of str
+        Names, each once, in the file's order; a take without any segment has no motion of the classes.
     """
 
     path: str

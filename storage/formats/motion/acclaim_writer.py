@@ -23,7 +23,7 @@ _BLOCK = 4096  # frames formatted at once
 
 @dataclass(frozen=True)
 class Dialect:
-    """How one capture studio writes its files.
+    """The conventions by which one capture studio writes its files.
 
     newline: end of line. length: the ASF's unit, a divisor of inches. decimals: digits behind the point.
     scientific: write numbers with an exponent. remarks: comment lines at the head of both files, Latin-1.

@@ -25,7 +25,7 @@ BODY = (
 """The joints that all SMPL bodies begin with, in their order."""
 
 FACE = ("jaw", "left_eye", "right_eye")
-"""What SMPL-X has after these."""
+"""The joints that SMPL-X has after these."""
 
 HANDS = tuple(
     f"{side}_{finger}{i}"
@@ -77,7 +77,7 @@ def model_path(given: str, gender: str) -> Path:
 
 
 def model_digest(given: str | None) -> str:
-    """What takes depend on that are read with a body model: its files by path, size and time."""
+    """Return the files of a body model by path, size and time: takes depend on them."""
     if given is None:
         return ""
     stamps = {str(path): _stamp(path) for path in (model_path(given, gender) for gender in GENDERS)}

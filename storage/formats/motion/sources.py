@@ -45,7 +45,7 @@ class SourceFile:
 
     @property
     def absolute(self) -> Path:
-        """Where the file lies."""
+        """Return the place of the file."""
         return Path(self.root) / (self.on_disk or self.path)
 
     @property
@@ -69,7 +69,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Scan:
-    """What a source root holds: motion files and skeleton files, each sorted by path.
+    """The files of a source root: motion files and skeleton files, each sorted by path.
 
     unread: the motion files of formats that kinedex does not read, see `UNREAD`.
     refused: what might be motion files but cannot be looked at, or leads out of the root.
@@ -81,7 +81,7 @@ class Scan:
     refused: tuple[Refused, ...] = ()
 
     def hidden(self, path: str) -> bool:
-        """Whether a path lies where the scan could not look, so that nothing is known of it."""
+        """Return True if a path lies in a folder that the scan could not read."""
         return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
 
     @cached_property
@@ -281,7 +281,7 @@ def _shared_prefix(a: str, b: str) -> int:
 
 
 def path_groups(path: str, patterns: Sequence[re.Pattern[str]]) -> Mapping[str, str] | None:
-    """What a path says: the named groups of the first pattern that it matches, or None where none does."""
+    """Return the named groups of the first pattern that a path matches, or None where none does."""
     for pattern in patterns:
         found = pattern.search(path)
         if found:
