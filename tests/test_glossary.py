@@ -56,7 +56,7 @@ def headings(source: str) -> dict[str, dict[str, str]]:
 
 def source_of(text: str, at: int) -> str:
     """Return the paper that a reference at this place belongs to: the one that was named last before it."""
-    before = text[max(at - 200, 0) : at + 15].lower()
+    before = text[max(at - 400, 0) : at + 15].lower()
     named = {name: before.rfind(name.lower()) for name in ("Thesis", "Diploma thesis", "Keyframe paper")}
     if named["Diploma thesis"] >= 0 and named["Thesis"] == named["Diploma thesis"] + len("diploma "):
         return "Diploma thesis"

@@ -20,7 +20,7 @@ from kinedex.ops.words import NO_WORD, U64, bits
 F64 = npt.NDArray[np.float64]
 
 SPLITS = 2
-"""How often all postures are divided: 2 gives four. Chosen on clips of excluded actors (`studies.decoding`)."""
+"""The number of divisions of all postures: 2 gives four. Chosen on clips of excluded actors (`studies.decoding`)."""
 
 _ROUNDS = 20
 _LEAST = 0.05  # while postures are learned, no feature is surer than this
