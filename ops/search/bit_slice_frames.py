@@ -23,7 +23,7 @@ def mark_followed(follow, onward):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def match(bits, height, index, granules, at, rows, flips, spare, kept):  # type: ignore[no-untyped-def]
+def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # type: ignore[no-untyped-def]
     """Find the frames of a keyframe, and return whether there are any.
 
     Parameters
@@ -44,7 +44,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, kept):  # type:
         All bits where the keyframe asks for the feature to be off, none where it asks for it to be on.
     spare : uint64 array (3, n or more)
         Working memory.
-    kept : uint64 array (n or more,)
+    remaining : uint64 array (n or more,)
         Is filled with the bitmap of the frames.
 
     Returns
@@ -54,7 +54,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, kept):  # type:
     many = np.uint64(0)
     where, chosen, some = spare[0], spare[1], spare[2]
     for i in range(np.uint64(len(index))):
-        kept[i] = NO_BITS
+        remaining[i] = NO_BITS
         chosen[many], where[many] = i, index[i] * height
         many += np.uint64(granules[index[i] - at] != 0)
     for four in range(0, len(rows), 4):
@@ -72,7 +72,7 @@ def match(bits, height, index, granules, at, rows, flips, spare, kept):  # type:
                 some[i] &= found & (bits[word + three] ^ flip_three) & (bits[word + last] ^ flip_last)
     any_left = NO_BITS
     for i in range(many):
-        kept[chosen[i]] = some[i]
+        remaining[chosen[i]] = some[i]
         any_left |= some[i]
     return any_left != NO_BITS
 
@@ -177,12 +177,12 @@ def _move(bitmap, size, moved, follow, by):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def add_ranges(kept, index, follow, first, take, gaps, ranges, n):  # type: ignore[no-untyped-def]
+def add_ranges(remaining, index, follow, first, take, gaps, ranges, n):  # type: ignore[no-untyped-def]
     """Add the segments of the first bitmap, each from its start to the farthest end of a hit that begins in it.
 
     Parameters
     ----------
-    kept : uint64 array (K, n or more)
+    remaining : uint64 array (K, n or more)
         The remaining frames of all keyframes, from `complete`.
     index : int64 array (b,)
         The blocks of all windows.
@@ -206,11 +206,11 @@ def add_ranges(kept, index, follow, first, take, gaps, ranges, n):  # type: igno
     """
     room = 0
     for i in range(np.uint64(len(index))):
-        room += count_bits(kept[0, i] & ~(kept[0, i] << np.uint64(1)))
+        room += count_bits(remaining[0, i] & ~(remaining[0, i] << np.uint64(1)))
     hits = np.empty((room, 3), np.int64)
-    many = _segments(kept[0], follow, hits)
+    many = _segments(remaining[0], follow, hits)
     for k in range(len(gaps)):
-        _farthest(kept[k + 1], gaps[k, 1], hits, many)
+        _farthest(remaining[k + 1], gaps[k, 1], hits, many)
     for hit in range(many):
         block = hits[hit, 0] >> SHIFT
         while first[take + 1] <= index[block]:

@@ -121,7 +121,7 @@ def _search(bits, coarse, first, left, features, query, begin, end, chunk):  # t
         span += gaps[k, 1]
     room = 0
     candidates = np.empty((count, 0), np.uint64)
-    kept, spare = np.empty((count, 0), np.uint64), np.empty((3, 0), np.uint64)
+    remaining, spare = np.empty((count, 0), np.uint64), np.empty((3, 0), np.uint64)
     index, follow = np.empty(0, np.int64), np.empty(0, np.int32)
     take = begin
     while take < end:
@@ -130,7 +130,7 @@ def _search(bits, coarse, first, left, features, query, begin, end, chunk):  # t
         if size > room:
             room = max(size, min(first[end] - first[begin], chunk))
             candidates = np.empty((count, room // 8 + 2), np.uint64)
-            kept, spare = np.empty((count, room), np.uint64), np.empty((3, room + 8), np.uint64)
+            remaining, spare = np.empty((count, room), np.uint64), np.empty((3, room + 8), np.uint64)
             index, follow = np.empty(room, np.int64), np.empty(room, np.int32)
         blocks = first[take], first[stop]
         if coarse_starts(coarse, features, blocks, coarse_rows, edges, order, gaps, candidates, spare):
@@ -142,13 +142,15 @@ def _search(bits, coarse, first, left, features, query, begin, end, chunk):  # t
                 if alive:
                     asked = slice(edges[k], edges[k + 1])
                     wanted = rows[asked], flips[asked]
-                    alive = match(bits, features + 1, here, granules[k], at, *wanted, spare, kept[k])
+                    alive = match(bits, features + 1, here, granules[k], at, *wanted, spare, remaining[k])
             if alive:
                 mark_followed(after, spare[2])
             for k in range(count - 2, -1, -1):
-                alive = alive and complete(kept[k], kept[k + 1], after, longest, gaps[k, 0], gaps[k, 1], spare)
+                alive = alive and complete(
+                    remaining[k], remaining[k + 1], after, longest, gaps[k, 0], gaps[k, 1], spare
+                )
             if alive:
-                ranges, n = add_ranges(kept, here, after, first, take, gaps, ranges, n)
+                ranges, n = add_ranges(remaining, here, after, first, take, gaps, ranges, n)
         take = stop
     return ranges[:n].copy(), True
 

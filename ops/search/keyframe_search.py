@@ -86,12 +86,12 @@ def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) ->
     if not lists:
         raise ParameterError("lists", "at least one keyframe list", 0)
     bounds = checked_gaps(gaps, len(lists))
-    kept = [lists[-1]]
+    remaining = [lists[-1]]
     for segments, (low, high) in zip(reversed(lists[:-1]), bounds[::-1].tolist(), strict=True):
         # frame n reaches the frames n + low to n + high: the admissible range of Eq. 3.11, seen from its far end
-        reaching = _joined(kept[-1] - np.array([high, low]))
-        kept.append(_intersection(segments, reaching))
-    return kept[::-1]
+        reaching = _joined(remaining[-1] - np.array([high, low]))
+        remaining.append(_intersection(segments, reaching))
+    return remaining[::-1]
 
 
 def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
@@ -118,13 +118,13 @@ def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
     ParameterError
         If there is no list, the number of gaps is not K - 1, or a gap is not a range.
     """
-    kept = completable_frames(lists, gaps)
-    frames = kept[0][:, 1] - 1
-    for segments, (_, high) in zip(kept[1:], checked_gaps(gaps, len(lists)).tolist(), strict=True):
+    remaining = completable_frames(lists, gaps)
+    frames = remaining[0][:, 1] - 1
+    for segments, (_, high) in zip(remaining[1:], checked_gaps(gaps, len(lists)).tolist(), strict=True):
         farthest = frames + high
         nearest = np.searchsorted(segments[:, 0], farthest, side="right") - 1
         frames = np.minimum(segments[nearest, 1] - 1, farthest)
-    return _joined(np.stack([kept[0][:, 0], frames + 1], axis=1))
+    return _joined(np.stack([remaining[0][:, 0], frames + 1], axis=1))
 
 
 def _joined(segments: I64) -> I64:

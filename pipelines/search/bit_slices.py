@@ -152,9 +152,9 @@ class SlicedWords:
                 place.append(self.shards[number].places[take])
                 ranges.append(frames)
         places, united = np.concatenate(place), np.concatenate(ranges)
-        kept = places >= 0
-        if not kept.all():
-            places, united = places[kept], united[kept]
+        wanted = places >= 0
+        if not wanted.all():
+            places, united = places[wanted], united[wanted]
         if (places[1:] < places[:-1]).any():
             # the takes of several shards interleave; no take is in two of them
             order = np.argsort(places, kind="stable")

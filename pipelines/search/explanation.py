@@ -268,9 +268,11 @@ def _keyframe_reports(
     feature_set: FeatureSet,
 ) -> list[KeyframeReport]:
     """Return the reports of the keyframes of one alternative, from their lists and the times of making them."""
-    kept = completable_frames([segments for segments, _ in made], chain.bounds)
+    remaining = completable_frames([segments for segments, _ in made], chain.bounds)
     reports = []
-    for keyframe, at, (segments, spent), surviving in zip(chain.keyframes, _numbers(chain), made, kept, strict=True):
+    for keyframe, at, (segments, spent), surviving in zip(
+        chain.keyframes, _numbers(chain), made, remaining, strict=True
+    ):
         inverted = lists[keyframe.set]
         words = inverted.matching(keyframe.mask, keyframe.value)
         report = KeyframeReport(

@@ -66,8 +66,8 @@ class SearchedTakes:
         """Return those of the takes that the filter of a query leaves."""
         if query.takes is None:
             return self
-        kept = self.chosen(store, query)
-        return SearchedTakes(self.ids[kept], [self.names[i] for i in np.flatnonzero(kept)], self.frames[kept])
+        chosen = self.chosen(store, query)
+        return SearchedTakes(self.ids[chosen], [self.names[i] for i in np.flatnonzero(chosen)], self.frames[chosen])
 
 
 _NO_COLUMN = re.compile(r'column "?([^"\n]+?)"? not found')
@@ -172,9 +172,9 @@ def ranges_of_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, take
         return ranges
     counts = np.diff(ranges.offsets)
     chosen = takes.chosen(store, query)
-    kept = np.repeat(chosen, counts)
+    selected = np.repeat(chosen, counts)
     offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts * chosen)])
-    return TakeRanges(offsets, ranges.ranges[kept])
+    return TakeRanges(offsets, ranges.ranges[selected])
 
 
 def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
@@ -202,11 +202,11 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
         If another process writes to the store.
     """
     column = hits.schema.get_field_index("saved_as")
-    kept = hits.set_column(column, hits.schema.field(column), pa.repeat(name, hits.num_rows))
+    saved = hits.set_column(column, hits.schema.field(column), pa.repeat(name, hits.num_rows))
     with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:
-        writer.put_results("hits", kept, stage=f"search/{name}", run=run)
+        writer.put_results("hits", saved, stage=f"search/{name}", run=run)
         writer.commit()
-    return kept
+    return saved
 
 
 def hits_table(
