@@ -1,4 +1,4 @@
-"""The description of a view: its columns, their types and meanings, and a query that runs."""
+"""Descriptions of views: columns with types and meanings, and a query that runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a view: its DuckDB type and what it holds."""
+    """A column of a view: its name, DuckDB type and meaning."""
 
     name: str
     type: str
@@ -20,9 +20,21 @@ class Column:
 class View:
     """A relation that analysts query by name.
 
-    origin: "index" (a table of the published index), "parts" (read from the store's Parquet files), "results"
-    (likewise, the rows of all live runs) or "derived" (made of other views by `body`). example: a query that runs on
-    any store.
+    Attributes
+    ----------
+    name : str
+        Its name.
+    origin : str
+        "index" (a table of the published index), "parts" (read from the store's Parquet files), "results" (likewise,
+        the rows of all live runs) or "derived" (made of other views by `body`).
+    summary : str
+        Its purpose in one sentence.
+    columns : tuple of Column
+        Its columns.
+    example : str
+        A query that runs on any store.
+    body : str
+        The SELECT of a derived view.
     """
 
     name: str
@@ -34,6 +46,6 @@ class View:
 
 
 def columns(text: str) -> tuple[Column, ...]:
-    """Columns as lines of name, type and meaning, with two spaces or more between them."""
+    """Parse columns from lines of name, type and meaning, with two spaces or more between them."""
     rows = (re.split(r"\s{2,}", line.strip(), maxsplit=2) for line in text.strip().splitlines())
     return tuple(Column(name, kind, meaning) for name, kind, meaning in rows)

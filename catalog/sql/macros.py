@@ -7,10 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Macro:
-    """A macro: arguments as (name, default or None, meaning), its SQL, and an example that runs on any store.
+    """A macro of SQL.
 
-    table: whether it stands in FROM; otherwise it is an expression. needs: "index" macros are stored in the index file,
-    "frames" and "results" macros exist where a store is opened with kinedex.
+    Attributes
+    ----------
+    name : str
+        Its name.
+    arguments : tuple of (str, str or None, str)
+        Name, default and meaning of each argument.
+    summary : str
+        Its purpose in one sentence.
+    body : str
+        Its SQL.
+    example : str
+        A query that runs on any store.
+    table : bool
+        True if it stands in FROM; otherwise it is an expression.
+    needs : str
+        "index" macros are stored in the index file; "frames" and "results" macros exist where kinedex opens a store.
     """
 
     name: str
@@ -28,7 +42,7 @@ class Macro:
         return f"{self.name}({', '.join(arguments)})"
 
     def sql(self, *, temporary: bool = False) -> str:
-        """The statement that makes the macro."""
+        """Return the statement that makes the macro."""
         kind = "TEMP MACRO" if temporary else "MACRO"
         return f"CREATE {kind} {self.signature} AS {'TABLE ' if self.table else ''}{self.body}"
 
@@ -41,12 +55,12 @@ _REFUSE = """error('no {what} ' || coalesce({said}, 'NULL') || coalesce(' (did y
 
 
 def _refuse(what: str, said: str, view: str, name: str) -> str:
-    """The error that an unknown name is: with the nearest, where one is near, and where all of them stand."""
+    """Return the error expression for an unknown name, with the nearest name and the view that lists all."""
     return _REFUSE.format(what=what, said=f"CAST({said} AS VARCHAR)", view=view, name=name)
 
 
 def _number(feature: str) -> str:
-    """The number of a feature that is given by name, as 7, or as F7."""
+    """Return the expression for the number of a feature that is given by name, as 7, or as F7."""
     return f"""coalesce(
     (SELECT wanted.number FROM features AS wanted
      WHERE CAST({feature} AS VARCHAR) IN (wanted.name, CAST(wanted.number AS VARCHAR), 'F' || wanted.number)),
@@ -54,7 +68,7 @@ def _number(feature: str) -> str:
 
 
 def _take(name: str) -> str:
-    """The id of a take that is given by name; NULL for NULL."""
+    """Return the expression for the id of a take that is given by name; NULL for NULL."""
     return f"""CASE WHEN {name} IS NOT NULL THEN coalesce(
     (SELECT wanted.take_id FROM takes AS wanted WHERE wanted.name = {name}),
     {_refuse("take is named", name, "takes", "name")}) END"""

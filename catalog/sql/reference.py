@@ -18,7 +18,7 @@ ORIGINS = {
 
 
 def reference() -> str:
-    """The reference as Markdown: every macro and every view, with arguments or columns and an example."""
+    """Return the reference as Markdown: every macro and view, with arguments or columns and an example."""
     parts = ["## Macros\n"]
     parts += [_macro(macro) for macro in MACROS]
     for origin, title in ORIGINS.items():
@@ -28,7 +28,7 @@ def reference() -> str:
 
 
 def renewed(page: str) -> str:
-    """A page with its reference, between the two marks, as it should be."""
+    """Return a page with a new reference between its two marks."""
     before, rest = page.split(BEGIN)
     after = rest.split(END)[1]
     return f"{before}{BEGIN}\n\n{reference()}\n{END}{after}"

@@ -1,4 +1,4 @@
-"""The views and macros of a store that analysts query, as SQL text with their descriptions."""
+"""The views and macros of a store, as SQL text with the words that explain them."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth:
 
 
 def help_rows(*, index_only: bool = False) -> list[tuple[str, str, str, str]]:
-    """The rows of the view `help`: (name, call, summary, example); `index_only`: of what the index itself holds."""
+    """Return the rows of the view `help` (name, call, summary, example); `index_only` for those in the index file."""
     rows = [
         (view.name, f"FROM {view.name}", view.summary, view.example)
         for view in VIEWS

@@ -1,4 +1,4 @@
-"""Audacity's label tracks: a line a label, start, stop and text, apart by tabs, in seconds."""
+"""The label tracks of Audacity: a line a label, with start, stop and text apart by tabs, in seconds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kinedex.storage.formats.labels.texts import lines_of, parse_seconds, read_t
 
 
 def write(labels: TakeLabels) -> str:
-    """A label track, six digits after the point, as Audacity writes them."""
+    """Return a label track, with six digits after the point, as Audacity writes them."""
     rows = [f"{labels.seconds(one.start):.6f}\t{labels.seconds(one.stop):.6f}\t{one.label}\n" for one in labels.labels]
     return "".join(rows)
 
@@ -18,11 +18,17 @@ def write(labels: TakeLabels) -> str:
 def read(path: str | Path) -> LabelFile:
     """Read a label track of the take that the file is named after.
 
-    Lines that begin with a backslash give frequencies to the label above them, and are left alone.
+    Lines that begin with a backslash give frequencies to the label above them, and are ignored.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
 
     Raises
     ------
-    SourceError: file and line of what is no label, of one without text, and of a point in time (start = stop).
+    SourceError
+        A line is no label, has no text, or is a point in time (start = stop); the error names the line.
     """
     take, found = Path(path).stem, []
     for line, text in enumerate(lines_of(read_text(path)), 1):

@@ -25,7 +25,7 @@ _TYPE = '    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="cla
 
 
 def write(labels: TakeLabels) -> str:
-    """An EAF file: a tier for each class, because annotations of one tier must not overlap.
+    """Return an EAF file: a tier for each class, because annotations of one tier must not overlap.
 
     Every annotation's value is its class. Where labels of one class overlap, the later one is in a further tier, named
     after the class and a number.
@@ -56,7 +56,7 @@ def write(labels: TakeLabels) -> str:
 
 
 def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
-    """Labels by tier, in which none overlap; the first tier of a class bears its name."""
+    """Divide labels into tiers without overlaps; the first tier of a class bears its name."""
     classes = {one.label for one in labels}
     rows: dict[str, list[list[Label]]] = {name: [] for name in sorted(classes)}
     for one in sorted(labels, key=lambda one: (one.start, one.stop)):
@@ -87,7 +87,7 @@ class _Annotation:
 
 @dataclass
 class _Document:
-    """Collect the contents of an EAF file; the parser calls the methods."""
+    """The content of an EAF file while it is read; the parser calls the methods."""
 
     path: str
     parser: expat.XMLParserType
@@ -159,7 +159,7 @@ class _Document:
         return int(text)
 
     def labels(self) -> LabelFile:
-        """The annotations as segments, by time."""
+        """Return the annotations as segments, by time."""
         take = self.take or Path(self.path).stem
         found = sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
         return LabelFile.of_take(self.path, take, found)
@@ -191,15 +191,21 @@ class _Document:
 def read(path: str | Path) -> LabelFile:
     """Read the annotations of an EAF file.
 
-    An annotation's class is its value; where that is empty, the name of its tier: files that have a tier for each class
-    and files that have one tier of values are both read as they are meant. Tiers that depend on another tier
-    (PARENT_REF) say more about its annotations and are left alone. The take is the one of kinedex's own property, or
-    else the one that the file is named after.
+    An annotation's class is its value, or the name of its tier if the value is empty: so files with a tier for each
+    class and files with one tier of values are both read correctly. Tiers that depend on another tier (PARENT_REF)
+    describe its annotations further and are ignored. The take is that of kinedex's own property, or else the one that
+    the file is named after.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
 
     Raises
     ------
-    SourceError: file and line of what is no XML or no EAF, of a document type declaration (none is followed, no entity
-        is expanded), and of a time that is missing or out of order.
+    SourceError
+        The file is no XML or no EAF, has a document type declaration (none is followed, no entity is expanded), or a
+        time is missing or out of order; the error names the line.
     """
     data = read_bytes(path)
     parser = expat.ParserCreate()

@@ -1,4 +1,4 @@
-"""The formats of label files by their endings: which there are, writing takes, reading ground truth."""
+"""The formats of label files by their endings, and the files that hold labels of takes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,19 @@ from kinedex.storage.formats.labels.segments import LabelFile, TakeLabels, check
 
 @dataclass(frozen=True)
 class Format:
-    """A format of label files: how the labels of takes become a text, what a file says, and whether one
-    file holds several takes."""
+    """A format of label files.
+
+    Attributes
+    ----------
+    title : str
+        Name of the format.
+    write : callable
+        Returns the text of a file with the labels of takes.
+    read : callable
+        Reads the labels of a file.
+    several : bool
+        True if one file can hold several takes.
+    """
 
     title: str
     write: Callable[[Sequence[TakeLabels]], str]
@@ -46,11 +57,17 @@ ENDINGS = ", ".join(f".{name} ({form.title})" for name, form in FORMATS.items())
 
 
 def read_labels(path: str | Path) -> LabelFile:
-    """Read a label file in the format that its ending says.
+    """Read a label file in the format of its ending.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
 
     Raises
     ------
-    SourceError: an unknown ending; or file and line of what is not as the format has it.
+    SourceError
+        The ending is unknown, or the file is damaged; the error names the line.
     """
     ending = Path(path).suffix.lower().removeprefix(".")
     if ending not in FORMATS:
@@ -65,19 +82,26 @@ def write_labels(
 
     Parameters
     ----------
-    form: a key of `FORMATS`, in letters of either case; None: as the name of a file ends, CSV for a folder.
-    output: a file where its name ends as the format's do; a folder where it does not, where it is one, or where a slash
-        is at its end. Folders are made where missing, and the files in them bear the takes' names.
-    force: put new files in the place of old ones.
+    takes : sequence of TakeLabels
+        The labels.
+    form : str or None
+        A key of `FORMATS`, in letters of either case; None for the format of the file's ending, CSV for a folder.
+    output : str or Path
+        A file if its name ends as the format's files do; a folder if it does not, exists as one, or has a slash at its
+        end. Missing folders are made, and the files in them bear the takes' names.
+    force : bool, optional
+        Replace existing files.
 
     Returns
     -------
-    The files, each of them whole.
+    list of Path
+        The files, each of them whole.
 
     Raises
     ------
-    KinedexError: an unknown format, files that are there already (none is written then), several takes for one file of
-        a format that holds one, a name that cannot be written, or a file that cannot.
+    KinedexError
+        The format is unknown, files exist already (none is written then), a file of a format for one take would hold
+        several, or a name or a file cannot be written.
     """
     folder = str(output).endswith("/") or Path(output).is_dir()
     kind = _format(form, output, folder)
@@ -117,7 +141,7 @@ def _format(form: str | None, output: str | Path, folder: bool) -> str:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Name the file that is wanted, and what is in its way, where it cannot be written."""
+    """Turn an error of the operating system into one that names the file and the obstacle."""
     try:
         yield
     except OSError as fault:

@@ -1,4 +1,4 @@
-"""Ground truth: manual segments from label files, found by a pattern and read with the line of every fault."""
+"""Ground truth: files of manual segments, found by a pattern."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
 
     Parameters
     ----------
-    pattern: a glob relative to each source root, such as "**/ground_truth.csv", or an absolute path or glob.
-    roots: the folders that the archive's takes come from.
+    pattern : str
+        A glob relative to each source root, such as "**/ground_truth.csv", or an absolute path or glob.
+    roots : iterable of str or Path
+        The folders that the archive's takes come from.
 
     Raises
     ------
-    KinedexError: none found, or a root is gone; the message says where was looked.
+    KinedexError
+        There is no such file, or a root is gone; the message names the places that were searched.
     """
     folders, below = _places(pattern, roots)
     found = _found(folders, below)
@@ -37,12 +40,12 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
 
 
 def any_ground_truth(pattern: str, roots: Iterable[str | Path]) -> bool:
-    """Return True if a pattern finds label files; parameters and errors are those of `ground_truth_files`."""
+    """Return whether a pattern finds label files; parameters and errors as `ground_truth_files`."""
     return bool(_found(*_places(pattern, roots)))
 
 
 def _places(pattern: str, roots: Iterable[str | Path]) -> tuple[list[Path], str]:
-    """The folders to look below, and the glob relative to them."""
+    """Return the folders to search, and the glob relative to them."""
     path = Path(pattern).expanduser()
     if path.is_absolute():
         return [Path(path.anchor)], str(path.relative_to(path.anchor))
@@ -60,13 +63,19 @@ def _found(folders: Sequence[Path], pattern: str) -> list[Path]:
 
 
 def read_ground_truth(path: str | Path) -> LabelFile:
-    """Read takes and their manual segments from a label file: CSV, JSON, ELAN, WebVTT or Audacity, as its ending says.
+    """Read takes and their manual segments from a label file: CSV, JSON, ELAN, WebVTT or Audacity.
 
-    Where a format does not carry the take's name, the file bears it. Frames are of the source rate, from 0, and
-    half-open; seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).
+    In a format without take names, the file's name is the take's. Frames are of the source rate, from 0, and half-open;
+    seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
 
     Raises
     ------
-    SourceError: file and line of what is not as the format has it.
+    SourceError
+        The file is damaged; the error names the line.
     """
     return read_labels(path)

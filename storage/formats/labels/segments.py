@@ -1,4 +1,4 @@
-"""Labelled stretches of takes, as they go into label files and as they come out of them."""
+"""Labelled ranges of takes, as label files hold them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NEVER = {"Cc", "Cs", "Zl", "Zp"}
 
 @dataclass(frozen=True)
 class Label:
-    """Source frames [start, stop) of a take that bear a class; what else is known of them, None where it is not."""
+    """A class for the source frames [start, stop) of a take; its other fields are None if they are not known."""
 
     label: str
     start: int
@@ -26,9 +26,20 @@ class Label:
 
 @dataclass(frozen=True)
 class TakeLabels:
-    """The labels of one take, by start; its source rate and length, which turn frames into seconds.
+    """The labels of one take.
 
-    made: when the labels were made, as ISO 8601 in UTC, for formats that carry a date.
+    Attributes
+    ----------
+    take : str
+        The take's name.
+    rate_hz : float
+        Frames per second of the source file.
+    frames : int
+        Frames of the source file.
+    labels : tuple of Label
+        The labels, by start.
+    made : str
+        Time when the labels were made, ISO 8601 in UTC, for formats that carry a date.
     """
 
     take: str
@@ -38,20 +49,36 @@ class TakeLabels:
     made: str = "1970-01-01T00:00:00+00:00"
 
     def seconds(self, frame: int) -> float:
-        """The time at which a source frame begins; frame 0 begins at 0."""
+        """Return the time at which a source frame begins; frame 0 begins at 0."""
         return frame / self.rate_hz
 
     def milliseconds(self, frame: int) -> int:
-        """The same, to the nearest millisecond."""
+        """Return the time at which a source frame begins, to the nearest millisecond."""
         return math.floor(1000 * self.seconds(frame) + 0.5)
 
 
 @dataclass(frozen=True)
 class ManualSegment:
-    """A stretch of a take that a person labelled, and where it stands in its file.
+    """A range of a take that a person labelled, and its place in its file.
 
-    start, stop: half-open, source frames; or seconds where `in_seconds`. line: from 1; place: the element, where a
-    format has no lines to speak of.
+    Attributes
+    ----------
+    take : str
+        The take's name.
+    label : str
+        The class.
+    start : float
+        First source frame, or second if `in_seconds`.
+    stop : float
+        Source frame after the last, or second if `in_seconds`.
+    path : str
+        The label file.
+    line : int, optional
+        Line in the file, from 1.
+    in_seconds : bool
+        True if start and stop are seconds.
+    place : str
+        The element of the file, in formats whose lines mean little.
     """
 
     take: str
@@ -64,31 +91,36 @@ class ManualSegment:
     place: str = ""
 
     def source_frames(self, rate_hz: float) -> tuple[int, int]:
-        """The source frames [start, stop); seconds become the nearest frame, a half the later one."""
+        """Return the source frames [start, stop); seconds become the nearest frame, a half the later one."""
         if not self.in_seconds:
             return int(self.start), int(self.stop)
         return math.floor(self.start * rate_hz + 0.5), math.floor(self.stop * rate_hz + 0.5)
 
     @property
     def where(self) -> str:
-        """File, line and element, for people."""
+        """File, line and element in one text."""
         return (
             self.path + (f":{self.line}" if self.line is not None else "") + (f": {self.place}" if self.place else "")
         )
 
     def error(self, message: str) -> SourceError:
-        """An error that names the segment's file and line."""
+        """Return an error that names the segment's file and line."""
         return SourceError(self.path, f"{self.place}: {message}" if self.place else message, line=self.line)
 
 
 @dataclass(frozen=True)
 class LabelFile:
-    """The contents of a label file: the takes that were labelled, and their segments.
+    """The content of a label file.
 
     Attributes
     ----------
-    takes : sequence of str
-        Names, each once, in the file's order; a take without any segment has no motion of the classes.
+    path : str
+        The file.
+    takes : tuple of str
+        Names of the takes that were labelled, each once, in the file's order; a take without any segment is one in
+        which nothing was found.
+    segments : tuple of ManualSegment
+        The labelled ranges.
     """
 
     path: str
@@ -97,17 +129,14 @@ class LabelFile:
 
     @classmethod
     def of_take(cls, path: object, take: str, segments: Sequence[ManualSegment]) -> LabelFile:
-        """A file of a single take."""
+        """Return the content of a file of a single take."""
         return cls(str(path), tuple(dict.fromkeys(one.take for one in segments)) or (take,), tuple(segments))
 
 
 def check_writable(labels: TakeLabels) -> None:
-    """Refuse names that some format would not give back.
+    """Raise a KinedexError for names that some format would not give back.
 
-    Raises
-    ------
-    KinedexError: the take's name or a label is empty, begins or ends with a space, or has characters that end lines
-        or that XML does not know.
+    Such names are empty, begin or end with a space, or have characters that end lines or that XML does not know.
     """
     for what, text in (("take", labels.take), *(("class", one.label) for one in labels.labels)):
         odd = any(unicodedata.category(letter) in _NEVER or letter in "\ufffe\uffff" for letter in text)

@@ -24,7 +24,7 @@ _MOST_DIGITS = 15
 
 
 def write_csv(takes: Sequence[TakeLabels]) -> str:
-    """A CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
+    """Return a CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
 
     A take without labels has a row of its name alone.
     """
@@ -37,7 +37,7 @@ def write_csv(takes: Sequence[TakeLabels]) -> str:
 
 
 def write_json(takes: Sequence[TakeLabels]) -> str:
-    """A JSON file of the labels of takes, with the rate and length of each."""
+    """Return a JSON file of the labels of takes, with the rate and length of each."""
     content = [
         {
             "take": labels.take,
@@ -68,16 +68,22 @@ def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
 
 
 def read_csv(path: str | Path) -> LabelFile:
-    """Read a CSV file with a header and the columns take, class, start, stop; further columns are left alone.
+    """Read a CSV file with a header and the columns take, class, start, stop; further columns are ignored.
 
     start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
-    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, says that somebody
-    looked at the take. UTF-8, with or without a byte order mark.
+    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, records that
+    somebody looked at the take. The text is UTF-8, with or without a byte order mark.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
 
     Raises
     ------
-    SourceError: file and line of a missing column, an empty name, a frame that is no whole number, or a segment
-        that does not end after it starts.
+    SourceError
+        A column is missing, a name is empty, a frame is no whole number, or a segment does not end after its start; the
+        error names the line.
     """
     try:
         rows = list(_csv_rows(str(path), csv.DictReader(io.StringIO(read_text(path), newline=""))))
@@ -88,7 +94,7 @@ def read_csv(path: str | Path) -> LabelFile:
 
 
 def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, ManualSegment | None]]:
-    """The take of each row, and its segment where it has one."""
+    """Yield the take of each row, and its segment if it has one."""
     header = [(name or "").strip() for name in reader.fieldnames or ()]
     if not header:
         raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
@@ -136,13 +142,19 @@ def _second(path: str, line: int, name: str, text: str) -> float:
 
 
 def read_json(path: str | Path) -> LabelFile:
-    """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}, further keys left alone.
+    """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}; further keys are ignored.
 
     start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds.
 
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
     Raises
     ------
-    SourceError: the line of what is no JSON; the element ("takes[0].segments[3]") that is not as it should be.
+    SourceError
+        The file is no JSON (the error names the line), or an element is wrong (it names it: "takes[0].segments[3]").
     """
     try:
         content = json.loads(read_text(path), parse_constant=_no_number)

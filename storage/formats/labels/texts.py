@@ -1,4 +1,4 @@
-"""Reading label files as text: decoding, lines, and times, with the file and line of every fault."""
+"""Label files as text: decoding, lines and times, with the file and line of every fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SECONDS = re.compile(r"[0-9]{1,9}(?:\.[0-9]{1,20})?|\.[0-9]{1,20}", re.ASCII)
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """The bytes of a file; a SourceError where it cannot be read."""
+    """Return the bytes of a file; a SourceError reports that it cannot be read."""
     try:
         return Path(path).read_bytes()
     except OSError as fault:
@@ -22,7 +22,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def read_text(path: str | Path) -> str:
-    """A file as UTF-8 text, without a byte order mark; a SourceError where it is none."""
+    """Return a file as UTF-8 text, without a byte order mark; a SourceError reports another encoding."""
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as fault:
@@ -30,17 +30,17 @@ def read_text(path: str | Path) -> str:
 
 
 def lines_of(text: str) -> list[str]:
-    """Lines, however they end (LF, CR LF, CR)."""
+    """Split a text into lines, whatever ends them (LF, CR LF, CR)."""
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def shown(text: str) -> str:
-    """A text to quote in a message, cut to a length that can be read."""
+    """Shorten a text for a message."""
     return text if len(text) <= 40 else f"{text[:40]}… ({len(text)} characters)"
 
 
 def parse_seconds(text: str) -> float | None:
-    """A time in seconds from 0 with a decimal point, None where the text is none."""
+    """Parse a time in seconds from 0 with a decimal point; None if the text is none."""
     if not _SECONDS.fullmatch(text):
         return None
     value = float(text)

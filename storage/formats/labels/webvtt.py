@@ -1,4 +1,4 @@
-"""WebVTT: subtitles of which every cue is a label; video players show them."""
+"""WebVTT: subtitles of which every cue is a label, which video players show."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TAKE = "kinedex take: "
 
 
 def write(labels: TakeLabels) -> str:
-    """A WebVTT file: a cue a label, numbered, and the take's name in a note."""
+    """Return a WebVTT file: a numbered cue for each label, and the take's name in a note."""
     blocks = ["WEBVTT\n", f"NOTE\n{_TAKE}{_escaped(labels.take)}\n"]
     blocks += [
         f"{number}\n{_clock(labels.milliseconds(one.start))} --> {_clock(labels.milliseconds(one.stop))}\n"
@@ -30,12 +30,19 @@ def write(labels: TakeLabels) -> str:
 def read(path: str | Path) -> LabelFile:
     """Read the cues of a WebVTT file: their text, without tags, is the class; each line of a cue is a label.
 
-    The take is the one of kinedex's own note, or else the one that the file is named after. Other notes, styles and
-    regions are left alone.
+    The take is that of kinedex's own note, or else the one that the file is named after. Other notes, styles and
+    regions are ignored.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
 
     Raises
     ------
-    SourceError: file and line of a missing WEBVTT, of a cue without times or text, and of times out of order.
+    SourceError
+        The first line is not WEBVTT, a cue has no times or no text, or times are out of order; the error names the
+        line.
     """
     lines = lines_of(read_text(path))
     if not re.fullmatch(r"WEBVTT(?:[ \t].*)?", lines[0]):

@@ -1,4 +1,4 @@
-"""Writes Acclaim files: ASF skeletons and AMC motion, in the dialects that real archives are written in."""
+"""The writer of Acclaim files: ASF skeletons and AMC motion, in the dialects of real archives."""
 
 from __future__ import annotations
 
@@ -23,10 +23,20 @@ _BLOCK = 4096  # frames formatted at once
 
 @dataclass(frozen=True)
 class Dialect:
-    """The conventions by which one capture studio writes its files.
+    """The conventions of a capture studio's files.
 
-    newline: end of line. length: the ASF's unit, a divisor of inches. decimals: digits behind the point.
-    scientific: write numbers with an exponent. remarks: comment lines at the head of both files, Latin-1.
+    Attributes
+    ----------
+    newline : str
+        End of line.
+    length : float
+        The ASF's unit, a divisor of inches.
+    decimals : int
+        Digits behind the point.
+    scientific : bool
+        Write numbers with an exponent.
+    remarks : tuple of str
+        Comment lines at the head of both files, Latin-1.
     """
 
     newline: str = "\n"
@@ -41,7 +51,14 @@ def write_asf(path: Path, body: Body, name: str, dialect: Dialect) -> None:
 
     Parameters
     ----------
-    path: the file. body: lengths in metres. name: the skeleton's name. dialect: how it is written.
+    path : Path
+        The file.
+    body : Body
+        The body, lengths in metres.
+    name : str
+        Name of the skeleton.
+    dialect : Dialect
+        Dialect of the file.
     """
     lines = [f"# {remark}" for remark in dialect.remarks]
     lines += [
@@ -76,12 +93,19 @@ def write_amc(path: Path, columns: Columns, table: F64, dialect: Dialect) -> int
 
     Parameters
     ----------
-    path: the file. columns: name and dofs of every line of a frame, the root's first three being its place.
-    table: float64 (T, n), metres and degrees. dialect: how it is written.
+    path : Path
+        The file.
+    columns : sequence of (str, tuple of str)
+        Bone and dofs of every line of a frame; the root's first three are its place.
+    table : float64 array (T, n)
+        Metres and degrees.
+    dialect : Dialect
+        Dialect of the file.
 
     Returns
     -------
-    The file's size in bytes.
+    int
+        The file's size in bytes.
     """
     if table.ndim != 2 or table.shape[1] != sum(len(dofs) for _, dofs in columns):
         raise ParameterError("table", "one column for every dof", table.shape)
@@ -104,7 +128,7 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def _frames(values: F64, first: int, columns: Columns, dialect: Dialect) -> bytes:
-    """Format frames: every line as wide as it can get, and a mask that says which bytes are written."""
+    """Format frames: every line as wide as it can get, and a mask of the bytes that are written."""
     frames = len(values)
     numbers = np.arange(first, first + frames, dtype=np.int64)
     texts, kept = (_scientific if dialect.scientific else _fixed)(values, dialect.decimals)

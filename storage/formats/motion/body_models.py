@@ -1,4 +1,4 @@
-"""Body models: where the joints of a figure are at rest, from files of the user's own, since none may be shipped."""
+"""Body models: the joints of a figure at rest, from files of the user, since none may be shipped."""
 
 from __future__ import annotations
 
@@ -55,8 +55,16 @@ _MOST_SHAPES = 16  # AMASS has as many; models have up to 400
 class BodyModel:
     """The joints of a figure at rest, in metres, standing along Y and facing +Z.
 
-    names: every joint after its parent. parents: indices, −1 for the first. joints: float64 (J, 3), of the mean shape.
-    shapes: float64 (J, 3, B), what each of B shape parameters adds; B is 0 where the model has one shape only.
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the J joints, every joint after its parent.
+    parents : tuple of int
+        Index of each joint's parent; −1 for the first.
+    joints : float64 array (J, 3)
+        Joints of the mean shape.
+    shapes : float64 array (J, 3, B)
+        Change of the joints by each of B shape parameters; B is 0 if the model has one shape only.
     """
 
     names: tuple[str, ...]
@@ -65,19 +73,19 @@ class BodyModel:
     shapes: F64
 
     def rest(self, shape: F64) -> F64:
-        """The joints (J, 3) of a figure of some shape (betas)."""
+        """Return the joints (J, 3) of a figure of some shape (betas)."""
         count = min(len(shape), self.shapes.shape[2])
         moved: F64 = self.joints + self.shapes[:, :, :count] @ shape[:count]
         return moved
 
 
 def model_path(given: str, gender: str) -> Path:
-    """The file of a body model: `{gender}` in what was given stands for male, female or neutral."""
+    """Return the file of a body model; `{gender}` in the setting stands for male, female or neutral."""
     return Path(given.replace("{gender}", gender)).expanduser()
 
 
 def model_digest(given: str | None) -> str:
-    """Return the files of a body model by path, size and time: takes depend on them."""
+    """Return path, size and time of the files of a body model, on which takes depend that are read with it."""
     if given is None:
         return ""
     stamps = {str(path): _stamp(path) for path in (model_path(given, gender) for gender in GENDERS)}
@@ -87,13 +95,21 @@ def model_digest(given: str | None) -> str:
 def load_body_model(given: str, gender: str) -> BodyModel:
     """Read a body model.
 
-    .npz: the model itself (`v_template`, `J_regressor`, perhaps `shapedirs`), or `joints` (J, 3) of it, perhaps with
-    `names` and `shapes` (J, 3, B). .csv: columns joint, x, y, z. .yaml: `joints: {pelvis: [x, y, z], …}`. Without names
-    the joints are the 22, 24 (SMPL), 52 (SMPL-H) or 55 (SMPL-X) in the usual order.
+    An .npz holds the model itself (`v_template`, `J_regressor`, perhaps `shapedirs`), or its `joints` (J, 3), perhaps
+    with `names` and `shapes` (J, 3, B). A .csv has the columns joint, x, y, z. A .yaml has `joints: {pelvis: [x, y, z],
+    …}`. Without names the joints are the 22, 24 (SMPL), 52 (SMPL-H) or 55 (SMPL-X) in the usual order.
+
+    Parameters
+    ----------
+    given : str
+        Path of the file, perhaps with `{gender}`.
+    gender : str
+        "male", "female" or "neutral".
 
     Raises
     ------
-    SourceError: there is no such file, or what is wrong with it.
+    SourceError
+        There is no such file, or it is damaged.
     """
     path = model_path(given, gender)
     return _load(str(path), _stamp(path))
@@ -189,7 +205,7 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str, axes: int) -> F64:
 
 
 def _model(path: Path, names: tuple[str, ...], joints: F64, shapes: F64) -> BodyModel:
-    """The joints of SMPL in their order, by name; others are left out."""
+    """Return the model of the joints of SMPL in their order, by name; other joints are ignored."""
     if not names:
         if len(joints) not in _NAMED:
             counts = ", ".join(map(str, _NAMED))

@@ -367,7 +367,7 @@ def _free(name: str, mark: str, used: dict[str, int]) -> str:
 
 
 def _chain(joints: Iterable[_Joint]) -> tuple[tuple[k.Node, ...], npt.NDArray[np.bool_]]:
-    """The joints as nodes, and which channels are rotations."""
+    """Return the joints as nodes, and a mask of the channels that are rotations."""
     nodes = []
     rotations: list[bool] = []
     for joint in joints:

@@ -1,4 +1,4 @@
-"""Arrays in NPY and NPZ files, read without trust: nothing in them is run, and no header is believed."""
+"""Arrays of NPY and NPZ files, read without trust: no code in them runs, and no header is believed."""
 
 from __future__ import annotations
 
@@ -19,11 +19,19 @@ MOST_BYTES = 2 << 30
 
 
 def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArray[Any]], list[str]]:
-    """The wanted arrays of an NPZ file, as far as they are there, and the names of all that there are.
+    """Return the wanted arrays of an NPZ file that exist, and the names of all its arrays.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    wanted : iterable of str
+        Names of arrays.
 
     Raises
     ------
-    SourceError: it cannot be read, or an array's header does not fit its bytes.
+    SourceError
+        The file cannot be read, or an array's header does not fit its bytes.
     """
     try:
         with zipfile.ZipFile(path) as packed:
@@ -40,12 +48,7 @@ def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArra
 
 
 def load_array(path: Path) -> npt.NDArray[Any]:
-    """The array of an NPY file.
-
-    Raises
-    ------
-    SourceError: it cannot be read, or its header does not fit its bytes.
-    """
+    """Return the array of an NPY file; a SourceError reports a file that cannot be read or is cut off."""
     try:
         with path.open("rb") as file:
             return _array(path, file, "the file", path.stat().st_size)
@@ -56,7 +59,7 @@ def load_array(path: Path) -> npt.NDArray[Any]:
 
 
 def array_names(path: Path) -> list[str]:
-    """The names of an NPZ file's arrays; none of a file that cannot be read."""
+    """Return the names of an NPZ file's arrays; none of a file that cannot be read."""
     try:
         with zipfile.ZipFile(path) as packed:
             return [name.removesuffix(".npy") for name in packed.namelist()]
@@ -65,7 +68,7 @@ def array_names(path: Path) -> list[str]:
 
 
 def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
-    """An array in the NPY format of `size` bytes in all, once its header is found to fit them."""
+    """Return an array in the NPY format of `size` bytes in all, once its header is found to fit them."""
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(file)
@@ -89,5 +92,5 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
 
 
 def _letters(texts: npt.NDArray[np.str_]) -> npt.NDArray[np.uint32]:
-    """The numbers of the letters of texts, which Python does not look at before it fails on them."""
+    """Return the code points of texts, which Python does not check before it fails on them."""
     return np.ascontiguousarray(texts.astype(texts.dtype.newbyteorder("="))).view(np.uint32)

@@ -1,4 +1,4 @@
-"""Sources: the motion files of an archive, their skeleton files, and what their paths say."""
+"""Sources: the motion files of an archive, their skeleton files, and the groups that their paths name."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import stat
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,16 +26,26 @@ UNREAD = {
 
 
 def readable(text: str) -> str:
-    """A text with what is not UTF-8 in it (Python's stand-ins for such bytes of a file name) written as \\xNN."""
-    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    r"""Return a text in which the bytes of a file name that are not UTF-8 (Python's surrogates) stand as \xNN."""
+    return text.encode("utf-8", sys.getfilesystemencodeerrors()).decode("utf-8", "backslashreplace")
 
 
 @dataclass(frozen=True)
 class SourceFile:
-    """One motion file of an archive: its path relative to the source root (with /), size, and time of change.
+    r"""One motion file of an archive.
 
-    `path` is text that can be written anywhere; bytes of the file's name that are not UTF-8 stand in it as \\xNN, and
-    `on_disk` is then the path as the file system has it.
+    Attributes
+    ----------
+    root : str
+        The source root.
+    path : str
+        Path relative to the root, with /, as text that can be written anywhere: bytes that are not UTF-8 stand as \xNN.
+    size : int
+        Size in bytes.
+    mtime_ns : int
+        Time of the last change, in nanoseconds since 1970.
+    on_disk : str
+        The path as the file system has it, if `path` differs.
     """
 
     root: str
@@ -45,7 +56,7 @@ class SourceFile:
 
     @property
     def absolute(self) -> Path:
-        """Return the place of the file."""
+        """The absolute path of the file."""
         return Path(self.root) / (self.on_disk or self.path)
 
     @property
@@ -55,13 +66,13 @@ class SourceFile:
 
     @property
     def format(self) -> str:
-        """The file's ending in small letters, without the dot: "amc" or "bvh" of a motion file."""
+        """The file's ending in lower case, without the dot, such as "amc"."""
         return os.path.splitext(self.path)[1][1:].lower()
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A file or folder of an archive that is not read: its path relative to the source root, and why."""
+    """A file or folder of an archive that is not read: its path relative to the source root, and the reason."""
 
     path: str
     fault: SourceError
@@ -69,10 +80,18 @@ class Refused:
 
 @dataclass(frozen=True)
 class Scan:
-    """The files of a source root: motion files and skeleton files, each sorted by path.
+    """The content of a source root, each tuple sorted by path.
 
-    unread: the motion files of formats that kinedex does not read, see `UNREAD`.
-    refused: what might be motion files but cannot be looked at, or leads out of the root.
+    Attributes
+    ----------
+    motions : tuple of SourceFile
+        Motion files.
+    skeletons : tuple of SourceFile
+        Skeleton files.
+    unread : tuple of SourceFile
+        Motion files of formats that kinedex does not read, see `UNREAD`.
+    refused : tuple of Refused
+        Possible motion files that cannot be read or lie outside the root.
     """
 
     motions: tuple[SourceFile, ...]
@@ -81,7 +100,7 @@ class Scan:
     refused: tuple[Refused, ...] = ()
 
     def hidden(self, path: str) -> bool:
-        """Return True if a path lies in a folder that the scan could not read."""
+        """Return whether a path lies where the scan had no access, so that nothing is known of it."""
         return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
 
     @cached_property
@@ -89,7 +108,7 @@ class Scan:
         return _by_folder(self.skeletons)
 
     def skeleton_of(self, motion: SourceFile) -> SourceFile:
-        """The skeleton file that belongs to one of the motion files, by the rule of `skeleton_of`."""
+        """Return the skeleton file that belongs to a motion file, by the rule of `skeleton_of`."""
         return _nearest(motion, self._skeletons_in)
 
     @cached_property
@@ -103,7 +122,7 @@ class Scan:
         return hasher.hexdigest()[:16]
 
     def unread_lines(self) -> list[str]:
-        """One line for every format that is there and not read: how many files, and the way out."""
+        """Return a line for every format that is not read: the number of files, and the way out."""
         counts = Counter(f".{file.format}" for file in self.unread)
         return [
             f"{count} {'file' if count == 1 else 'files'} of a format not read ({ending}): {UNREAD[ending]}"
@@ -112,15 +131,21 @@ class Scan:
 
 
 def scan(root: str | Path) -> Scan:
-    """List the motion files (`MOTIONS`) and skeleton files (.asf) below a source root, in any letter case.
+    """List the motion files and skeleton files (.asf) below a source root, in any letter case.
 
-    Folders are not entered by way of links, so links that form a loop do no harm; a folder that a link leads to inside
-    the root is found where it is. Links to files are followed inside the root. What leads out of it, leads nowhere, or
-    cannot be looked at is refused by name: nothing outside the root is read, and nothing is left out silently.
+    Links to folders are not followed, so that loops of links do no harm; a linked folder inside the root is found at
+    its own place. Links to files are followed inside the root. Links that lead out of it or nowhere, and files without
+    access, are refused by name: nothing outside the root is read, and nothing is skipped silently.
+
+    Parameters
+    ----------
+    root : str or Path
+        The source root.
 
     Raises
     ------
-    StoreError: the root is no folder, or its own path is not UTF-8.
+    StoreError
+        The root is no folder, or its own path is not UTF-8.
     """
     root = Path(os.path.realpath(Path(root).expanduser()))
     if readable(str(root)) != str(root):
@@ -146,7 +171,7 @@ def scan(root: str | Path) -> Scan:
 
 
 def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
-    """Every entry below the root that is no folder, as its folder and its name; what cannot be entered is refused."""
+    """Yield folder and name of every entry below the root that is no folder; refuse folders without access."""
 
     def refuse(path: str, message: str) -> None:
         shown = readable(Path(path).relative_to(root).as_posix())
@@ -168,7 +193,7 @@ _BRING_IN = "copy what it leads to into the source, or ingest that folder as a s
 
 
 def _below(root: Path, folder: str, name: str) -> str:
-    """The path of an entry relative to the root, with /."""
+    """Return the path of an entry relative to the root, with /."""
     return os.path.join(folder, name)[len(os.path.join(root, "")) :].replace(os.sep, "/")
 
 
@@ -194,12 +219,7 @@ def _source_file(root: Path, folder: str, name: str) -> SourceFile:
 
 
 def checksum(path: Path) -> str:
-    """The SHA-256 of a file, in hexadecimal.
-
-    Raises
-    ------
-    SourceError: it cannot be read.
-    """
+    """Return the SHA-256 of a file, in hexadecimal; a SourceError reports that it cannot be read."""
     hasher = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -211,14 +231,22 @@ def checksum(path: Path) -> str:
 
 
 def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFile:
-    """The skeleton file that belongs to a motion file.
+    """Return the skeleton file that belongs to a motion file.
 
-    The same stem, else the longest common name prefix, in the motion's folder; then the same in the folders above, up
-    to the source root. Letter case does not count.
+    It has the same stem, else the longest common name prefix, in the motion's folder; then likewise in the folders
+    above, up to the source root. Letter case does not count.
+
+    Parameters
+    ----------
+    motion : SourceFile
+        The motion file.
+    skeletons : iterable of SourceFile
+        All skeleton files.
 
     Raises
     ------
-    SourceError: none, or a tie; the message names the candidates.
+    SourceError
+        No file fits, or several do; the message names the candidates.
     """
     return _nearest(motion, _by_folder(skeletons))
 
@@ -241,7 +269,7 @@ def _by_folder(skeletons: Iterable[SourceFile]) -> dict[str, _Folder]:
 
 
 def _nearest(motion: SourceFile, folders: Mapping[str, _Folder]) -> SourceFile:
-    """See `skeleton_of`; a skeleton of the motion's own name is found without a look at the others."""
+    """Find a skeleton as `skeleton_of` does; one of the motion's own name is found without a look at the others."""
     stem = motion.stem.casefold()
     at = os.path.dirname(motion.path)
     seen: list[str] = []
@@ -270,7 +298,7 @@ _NO_SKELETONS = _Folder()
 
 
 def _alike(stem: str, folder: _Folder) -> list[SourceFile]:
-    """The skeletons of a folder whose stems share the longest beginning with another, if they share any."""
+    """Return the skeletons of a folder whose stems share the longest beginning with another."""
     shared = {other: _shared_prefix(stem, other) for other in folder.of_stem}
     longest = max(shared.values(), default=0)
     return [s for other, length in shared.items() if length == longest > 0 for s in folder.of_stem[other]]
@@ -281,7 +309,7 @@ def _shared_prefix(a: str, b: str) -> int:
 
 
 def path_groups(path: str, patterns: Sequence[re.Pattern[str]]) -> Mapping[str, str] | None:
-    """Return the named groups of the first pattern that a path matches, or None where none does."""
+    """Return the named groups of the first pattern that a path matches; None if it matches none."""
     for pattern in patterns:
         found = pattern.search(path)
         if found:
