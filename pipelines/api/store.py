@@ -35,7 +35,7 @@ _SHOWN_TAKES = 10
 _BESIDE_HITS = ("run", "saved_as")
 
 
-def open_store(path: str | os.PathLike[str]) -> Store:
+def open_store(path: str | os.PathLike[str], files: Iterable[str | os.PathLike[str]] = ()) -> Store:
     """Open the newest version of a store for reading.
 
     The store keeps showing this version, whatever is written meanwhile; open it again to see what is new.
@@ -44,6 +44,8 @@ def open_store(path: str | os.PathLike[str]) -> Store:
     ----------
     path : str or os.PathLike
         The directory of the store, or an open store.
+    files : iterable of str or os.PathLike, optional
+        Folders whose files SQL may read as well, with ``read_csv`` for example. SQL reads the store alone without them.
 
     Returns
     -------
@@ -61,7 +63,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
     >>> len(store) == store.takes().height
     True
     """
-    return Store(open_stored_takes(Path(path)))
+    return Store(open_stored_takes(Path(path), [Path(folder) for folder in files]))
 
 
 class Store:

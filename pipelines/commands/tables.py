@@ -36,6 +36,10 @@ def sql(
     path: Annotated[
         bool, typer.Option("--path", help="Print the path of the index file, which any DuckDB client opens.")
     ] = False,
+    allow_files: Annotated[
+        list[Path] | None,
+        typer.Option("--allow-files", metavar="DIR", help="A folder whose files SQL may read; may be repeated."),
+    ] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
 ) -> None:
@@ -51,7 +55,10 @@ def sql(
         raise KinedexError("give the SQL as an argument or with --file, not both")
     if file is not None:
         query = _statement_of(file)
-    opened = open_store(store)
+    for folder in allow_files or ():
+        if not folder.is_dir():
+            raise KinedexError(f"--allow-files {folder}: no such folder")
+    opened = open_store(store, allow_files or ())
     if query is None and sys.stdin.isatty():
         from kinedex.pipelines.console.sql_prompt import run_prompt
         from kinedex.pipelines.console.terminal import make_console

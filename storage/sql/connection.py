@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Sequence
+from pathlib import Path
 
 import pyarrow as pa
 
@@ -15,10 +17,13 @@ from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
-from kinedex.storage.sql.queries import UnknownName, Unreadable, interruptible_query
+from kinedex.storage.sql.queries import Unreadable, interruptible_query
+from kinedex.storage.sql.read_only import UnknownName
 
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """The names of all views and macros."""
+
+_MACROS = frozenset(macro.name for macro in MACROS)
 
 INDEXED = frozenset(
     view.name for view in VIEWS if view.origin == "index" and view.name not in ("takes", "features", "help")
@@ -69,15 +74,19 @@ class Connections:
     ----------
     store : Snapshot
         The version of the store to query.
+    files : sequence of Path, optional
+        Folders (or files) outside the store that queries may read.
     """
 
-    def __init__(self, store: Snapshot) -> None:
+    def __init__(self, store: Snapshot, files: Sequence[Path] = ()) -> None:
         self._store = store
+        self.reads_files = bool(files)
         self._lock = threading.Lock()
         self._first = duck.connect()
         try:
             self.indexed = _attach_index(self._first, store)
             _define(self._first, store, self.indexed)
+            duck.allow_only(self._first, [store.path, *files])
             duck.lock_settings(self._first)
         except BaseException:
             self._first.close()
@@ -173,7 +182,9 @@ def _attach_index(connection: duck.Connection, store: Snapshot) -> bool:
     return False
 
 
-def run_query(store: Snapshot, connection: duck.Connection, text: str, parameters: duck.Parameters) -> pa.Table:
+def run_query(
+    store: Snapshot, connection: duck.Connection, text: str, parameters: duck.Parameters, *, files: bool = False
+) -> pa.Table:
     """Run one reading query on a connection of `Connections`.
 
     Parameters
@@ -186,6 +197,8 @@ def run_query(store: Snapshot, connection: duck.Connection, text: str, parameter
         The query, as in `storage.sql.queries.read_query`.
     parameters : sequence or dict, optional
         Values for its `?`, or for its `$name`.
+    files : bool, optional
+        If True, it may read the files that the connection's settings allow.
 
     Raises
     ------
@@ -193,7 +206,7 @@ def run_query(store: Snapshot, connection: duck.Connection, text: str, parameter
         The query is refused or fails; the message names what is missing or damaged in the store.
     """
     try:
-        return interruptible_query(connection, text, parameters)
+        return interruptible_query(connection, text, parameters, _MACROS, files=files)
     except UnknownName as fault:
         raise _explain_unknown(store, fault) from None
     except Unreadable as fault:

@@ -5,7 +5,7 @@ DuckDB and polars are imported when they are first used: a keyframe search from 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kinedex.storage.sql.connection import Connections
 
 
-def open_store(path: str | Path) -> Store:
+def open_store(path: str | Path, files: Iterable[str | Path] = ()) -> Store:
     """Open the newest version of a store for reading.
 
     The store that is returned keeps showing this version whatever writers do meanwhile; open it again for theirs.
@@ -34,6 +34,9 @@ def open_store(path: str | Path) -> Store:
     ----------
     path : str or Path
         The store's directory.
+    files : iterable of str or Path, optional
+        Folders outside the store whose files SQL may read, with `read_csv` for example. SQL reads the store alone
+        without them.
 
     Raises
     ------
@@ -41,7 +44,7 @@ def open_store(path: str | Path) -> Store:
         There is no store, it is damaged, or it has another format version.
     """
     root = Path(path)
-    return Store(root, read_newest(root))
+    return Store(root, read_newest(root), tuple(Path(place) for place in files))
 
 
 class Store(Snapshot):
@@ -56,10 +59,13 @@ class Store(Snapshot):
         The store's directory.
     manifest : Manifest
         The version to read.
+    files : tuple of Path, optional
+        Folders outside the store whose files SQL may read.
     """
 
-    def __init__(self, path: Path, manifest: Manifest) -> None:
+    def __init__(self, path: Path, manifest: Manifest, files: tuple[Path, ...] = ()) -> None:
         super().__init__(path, manifest)
+        self._files = files
         self._lock = Lock()
         self._connections: Connections | None = None
 
@@ -150,7 +156,7 @@ class Store(Snapshot):
         Parameters
         ----------
         query : str
-            A statement that only reads; it may read other files too (with `read_csv`, for example).
+            A statement that only reads. It reads the store alone, and the folders that `open_store` was given.
         params : sequence or dict, optional
             Values for its `?` (a sequence) or its `$name` (a dict).
         polars : bool, optional
@@ -164,7 +170,7 @@ class Store(Snapshot):
         from kinedex.storage.sql.connection import run_query
 
         with self._connection() as connection:
-            table = run_query(self, connection, query, params)
+            table = run_query(self, connection, query, params, files=bool(self._files))
         return _data_frame(table) if polars else table
 
     @contextmanager
@@ -179,7 +185,7 @@ class Store(Snapshot):
                 known.close()
                 known = None
             if known is None:
-                known = Connections(self)
+                known = Connections(self, self._files)
             self._connections = known
             connection = known.take()
         try:
@@ -202,9 +208,9 @@ class Store(Snapshot):
     ) -> None:
         self.close()
 
-    def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest]]:
+    def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...]]]:
         # a worker gets the same version and opens its own connections
-        return Store, (self.path, self.manifest)
+        return Store, (self.path, self.manifest, self._files)
 
 
 def _data_frame(table: pa.Table) -> pl.DataFrame:

@@ -116,9 +116,20 @@ def test_settings_of_queries_are_locked_whatever_gets_around_the_words(store: St
     assert not (tmp_path / "log").exists()
 
 
-def test_queries_may_read_other_files(store: Store, tmp_path: Path) -> None:
-    (tmp_path / "actors.csv").write_text("actor,age\nbd,31\n")
-    assert store.sql(f"FROM read_csv('{tmp_path / 'actors.csv'}')").to_pylist() == [{"actor": "bd", "age": 31}]
+def test_queries_read_other_files_only_in_folders_that_were_opened(store: Store, tmp_path: Path) -> None:
+    opened, closed = tmp_path / "opened", tmp_path / "closed"
+    for folder in (opened, closed):
+        folder.mkdir()
+        (folder / "actors.csv").write_text("actor,age\nbd,31\n")
+    wanted = [{"actor": "bd", "age": 31}]
+    for query in ("FROM read_csv('{}/actors.csv')", "FROM '{}/actors.csv'", "FROM read_csv('{}/*.csv')"):
+        with pytest.raises(KinedexError, match=r"--allow-files DIR.*files=\[…\]"):
+            store.sql(query.format(opened))
+        with open_store(store.path, files=[opened]) as other:
+            assert other.sql(query.format(opened)).to_pylist() == wanted
+            with pytest.raises(KinedexError, match=r"disabled by configuration|Cannot access"):
+                other.sql(query.format(closed))
+            assert pickle.loads(pickle.dumps(other)).sql(query.format(opened)).to_pylist() == wanted
 
 
 def test_a_name_is_never_a_variable_of_the_program(store: Store) -> None:

@@ -1,0 +1,367 @@
+"""Power loss: the writes of a traced run, replayed up to every moment with what was not flushed lost or out of order.
+
+A child process commits three versions of a store under `strace`. The trace is a list of writes, renames, removals and
+flushes. For a crash after any of them, a file's content is sure up to its last flush, and a name is sure once its
+folder was flushed after it; the rest may be on the disk or not. Of each moment several such disks are made and opened:
+the store must show the last version whose commit had returned, or the one that was being committed, whole.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.verification import verify
+
+CHILD = """
+import sys
+from pathlib import Path
+
+import kinedex
+from tests.pipelines.archives import write_archive
+
+source, store, acknowledged = (Path(text) for text in sys.argv[1:])
+steps = [{"x_1.amc": 60, "x_2.amc": 80}, {"x_3.amc": 70, "x_1.amc": 90}, {"x_4.amc": 50}]
+for number, files in enumerate(steps, 1):
+    write_archive(source, files, 10 * number)
+    kinedex.run_pipeline("ingest", store, settings={"source": str(source)})
+    (acknowledged / str(number)).write_text("done")
+"""
+"""Each step commits takes, builds the index and records both stages; a file tells the trace when it has returned."""
+
+CALLS = (
+    "open,openat,creat,write,pwrite64,writev,pwritev,lseek,rename,renameat,renameat2,unlink,unlinkat,fsync,fdatasync,"
+    "ftruncate,truncate,mkdir,mkdirat,rmdir,link,linkat,fallocate,copy_file_range,sendfile"
+)
+_LINE = re.compile(r"^(?P<pid>\d+)\s+(?P<rest>.*)$")
+_CALL = re.compile(r"^(?P<name>\w+)\((?P<given>.*)\)\s+=\s+(?P<result>-?\d+)(?:<(?P<opened>[^>]*)>)?")
+_TEXT = re.compile(r'"((?:\\x[0-9a-f]{2})*)"')
+_DESCRIPTOR = re.compile(r"^(?:(\d+)|AT_FDCWD)(?:<((?:\\x[0-9a-f]{2})*)>)?")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One traced call on a file of the store: its kind, the path, and what it did."""
+
+    kind: str
+    path: str
+    other: str = ""
+    offset: int = 0
+    data: bytes = b""
+
+
+@dataclass
+class Inode:
+    """The content of a file that is sure to be on the disk, and what has been written since its last flush."""
+
+    flushed: bytes = b""
+    pending: list[Step] = field(default_factory=list)
+
+
+class Trace:
+    """Reads the lines of `strace -f -y -xx` into steps."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = str(root)
+        self._offsets: dict[tuple[str, str], int] = {}
+        self._unfinished: dict[str, str] = {}
+        self.unknown: set[str] = set()
+
+    def steps(self, text: str) -> Iterator[Step]:
+        """Yield the steps of a trace in order."""
+        for line in text.splitlines():
+            found = _LINE.match(line)
+            if found is None:
+                continue
+            pid, rest = found["pid"], found["rest"]
+            if rest.endswith("<unfinished ...>"):
+                self._unfinished[pid] = rest.removesuffix("<unfinished ...>")
+                continue
+            if rest.startswith("<... "):
+                rest = self._unfinished.pop(pid, "") + rest.partition("resumed>")[2]
+            call = _CALL.match(rest)
+            if call is not None and int(call["result"]) >= 0:
+                yield from self._step(call["name"], call["given"], int(call["result"]), call["opened"] or "")
+
+    def _step(self, name: str, given: str, result: int, opened: str) -> Iterator[Step]:
+        paths = [_decoded(text) for text in _TEXT.findall(given)]
+        if name in ("open", "openat", "creat"):
+            path = _decoded(opened)
+            self._offsets[str(result), path] = 0
+            if self._inside(path) and ("O_CREAT" in given or name == "creat"):
+                yield Step("open", path, data=b"new" if "O_TRUNC" in given or name == "creat" else b"")
+            return
+        if name in ("rename", "renameat", "renameat2", "link", "linkat"):
+            if self._inside(paths[0]) or self._inside(paths[1]):
+                yield Step("link" if name.startswith("link") else "rename", paths[0], paths[1])
+        elif name in ("unlink", "unlinkat", "rmdir", "mkdir", "mkdirat"):
+            folder = _DESCRIPTOR.match(given) if name.endswith("at") else None
+            path = os.path.join(_decoded(folder[2] or ""), paths[0]) if folder else paths[0]
+            if self._inside(path):
+                kind = "rmdir" if name == "rmdir" or "AT_REMOVEDIR" in given else name.removesuffix("at")
+                yield Step(kind, path)
+        elif name == "truncate":
+            if self._inside(paths[0]):
+                yield Step("truncate", paths[0], offset=int(given.rsplit(",", 1)[1]))
+        else:
+            yield from self._on_descriptor(name, given, result)
+
+    def _on_descriptor(self, name: str, given: str, result: int) -> Iterator[Step]:
+        descriptor = _DESCRIPTOR.match(given)
+        if descriptor is None or descriptor[1] is None:
+            return
+        path = _decoded(descriptor[2] or "").removesuffix(" (deleted)")
+        place = descriptor[1], path
+        if not self._inside(path):
+            return
+        if name in ("fsync", "fdatasync"):
+            yield Step("flush", path)
+        elif name == "lseek":
+            self._offsets[place] = result
+        elif name == "ftruncate":
+            yield Step("truncate", path, offset=int(given.rsplit(",", 1)[1]))
+        elif name == "pwrite64":
+            data = _bytes(given)[:result]
+            yield Step("write", path, offset=int(given.rsplit(",", 1)[1]), data=data)
+        elif name in ("write", "writev"):
+            at = self._offsets.get(place, 0)
+            yield Step("write", path, offset=at, data=_bytes(given)[:result])
+            self._offsets[place] = at + result
+        elif name != "fallocate":
+            self.unknown.add(name)
+
+    def _inside(self, path: str) -> bool:
+        return path == self._root or path.startswith(self._root + os.sep)
+
+
+def _decoded(text: str) -> str:
+    return os.fsdecode(bytes.fromhex(text.replace("\\x", ""))) if "\\x" in text else text
+
+
+def _bytes(given: str) -> bytes:
+    return b"".join(bytes.fromhex(text.replace("\\x", "")) for text in _TEXT.findall(given))
+
+
+class Disk:
+    """What a disk holds for sure, and what it may hold besides."""
+
+    def __init__(self) -> None:
+        self.folders: set[str] = set()
+        self.sure: dict[str, Inode] = {}
+        self.now: dict[str, Inode] = {}
+        self.pending: list[Step] = []
+        self._made: dict[int, Inode] = {}
+
+    def apply(self, step: Step) -> None:
+        """Carry out a step."""
+        if step.kind == "write" or step.kind == "truncate":
+            if step.path in self.now:
+                self.now[step.path].pending.append(step)
+        elif step.kind == "flush":
+            self._flush(step.path)
+        elif step.kind == "open":
+            if step.path not in self.now:
+                self._entry(step)
+            elif step.data:
+                self.now[step.path].pending.append(Step("truncate", step.path))
+        else:
+            self._entry(step)
+
+    def _entry(self, step: Step) -> None:
+        self.pending.append(step)
+        if step.kind == "open":
+            self._made[id(step)] = self.now[step.path] = Inode()
+        elif step.kind == "link":
+            self._made[id(step)] = self.now[step.other] = self.now[step.path]
+        else:
+            _change(self.now, self.folders, step, {})
+
+    def _flush(self, path: str) -> None:
+        if path in self.now:
+            inode = self.now[path]
+            inode.flushed, inode.pending = _written(inode.flushed, inode.pending), []
+            return
+        left = []
+        for step in self.pending:  # a flushed folder has the entries that were made in it
+            if os.path.dirname(step.other or step.path) == path:
+                _change(self.sure, set(), step, self._made)
+            else:
+                left.append(step)
+        self.pending = left
+
+    def states(self, chance: random.Random, several: int) -> Iterator[dict[str, bytes]]:
+        """Yield files as a crash may leave them: nothing unflushed, all of it, names without content, and mixtures."""
+        for share_names, share_data in (
+            (0.0, 0.0),
+            (1.0, 1.0),
+            (1.0, 0.0),
+            *[(chance.random(), chance.random())] * several,
+        ):
+            names = dict(self.sure)
+            for step in self.pending:
+                if chance.random() < share_names:
+                    _change(names, set(), step, self._made)
+            yield {path: self._content(inode, share_data, chance) for path, inode in names.items()}
+
+    def _content(self, inode: Inode, share: float, chance: random.Random) -> bytes:
+        kept = [step for step in inode.pending if chance.random() < share]
+        return _written(inode.flushed, kept)
+
+
+def _change(names: dict[str, Inode], folders: set[str], step: Step, made: dict[int, Inode]) -> None:
+    if step.kind == "open":
+        names[step.path] = made[id(step)]
+    elif step.kind == "mkdir":
+        folders.add(step.path)
+    elif step.kind == "unlink":
+        names.pop(step.path, None)
+    elif step.kind == "link":
+        names[step.other] = made[id(step)]
+    elif step.kind == "rename":
+        moved = {path: inode for path, inode in names.items() if _under(path, step.path)}
+        for path in moved:
+            del names[path]
+        names.update({step.other + path.removeprefix(step.path): inode for path, inode in moved.items()})
+
+
+def _under(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder + os.sep)
+
+
+def _written(content: bytes, steps: list[Step]) -> bytes:
+    whole = bytearray(content)
+    for step in steps:
+        if step.kind == "truncate":
+            del whole[step.offset :]
+            whole.extend(bytes(step.offset - len(whole)))
+        else:
+            whole.extend(bytes(max(0, step.offset - len(whole))))
+            whole[step.offset : step.offset + len(step.data)] = step.data
+    return bytes(whole)
+
+
+def contents(path: Path) -> tuple[tuple[str, str], ...]:
+    """Return the names of the takes of a store, each with its words."""
+    with open_store(path) as store:
+        rows = store.takes().select("name", "take_id").sort("name").rows()
+        return tuple((name, store.words([number]).take(0).tobytes().hex()) for name, number in rows)
+
+
+def traced(folder: Path) -> tuple[list[Step], Path, Path]:
+    """Run the child under strace; return the steps, the folder of the store, and that of the acknowledgements."""
+    source, store, acknowledged = folder / "source", folder / "store", folder / "acknowledged"
+    acknowledged.mkdir()
+    log = folder / "trace"
+    command = ["strace", "-f", "-y", "-xx", "-s", "100000000", "-e", f"trace={CALLS}", "-o", str(log)]
+    child = [sys.executable, "-c", CHILD, *map(str, (source, store, acknowledged))]
+    subprocess.run([*command, *child], check=True, timeout=300)
+    trace = Trace(folder)
+    steps = [step for step in trace.steps(log.read_text()) if not _under(step.path, str(source))]
+    if trace.unknown:
+        raise AssertionError(f"calls that the model does not know: {sorted(trace.unknown)}")
+    return steps, store, acknowledged
+
+
+@dataclass
+class Outcome:
+    """How many crashes were tried, by what the store was afterwards."""
+
+    crashes: int = 0
+    states: int = 0
+    versions: dict[str, int] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+
+def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1) -> Outcome:
+    """Crash after every step of the traced run, or every so many of them, and open what each disk may hold.
+
+    Parameters
+    ----------
+    folder : Path
+        An empty folder to work in.
+    seed : int
+        Seed of the mixtures.
+    several : int
+        Mixtures of each moment, besides nothing, everything, and names without content.
+    every : int
+        Crash after each step whose number is a multiple of this.
+
+    Returns
+    -------
+    Outcome
+        The counts, and a line for every disk on which the store was torn.
+    """
+    steps, store, acknowledged = traced(folder)
+    after = [*_versions(folder, steps, store, acknowledged)]
+    disk, chance, outcome, done = Disk(), random.Random(seed), Outcome(), 0
+    tried: dict[int, str] = {}
+    for number, step in enumerate(steps):
+        if _under(step.path, str(acknowledged)):
+            done = max(done, int(Path(step.path).name))
+            continue
+        disk.apply(step)
+        if number % every:
+            continue
+        outcome.crashes += 1
+        for files in disk.states(chance, several):
+            inside = {path: content for path, content in files.items() if _under(path, str(store))}
+            key = hash((done, frozenset(inside.items())))
+            if key not in tried:
+                tried[key] = _opened(folder / "crashed", store, inside, after[done : done + 2])
+                outcome.states += 1
+                if tried[key] not in ("before", "after"):
+                    outcome.faults.append(f"after step {number} ({step.kind} {step.path}): {tried[key]}")
+                outcome.versions[tried[key][:40]] = outcome.versions.get(tried[key][:40], 0) + 1
+    return outcome
+
+
+def _versions(folder: Path, steps: list[Step], store: Path, acknowledged: Path) -> Iterator[object]:
+    """Yield what the store holds before the first commit and after each acknowledged one."""
+    disk, seen = Disk(), 0
+    yield ()
+    for step in steps:
+        if _under(step.path, str(acknowledged)):
+            if int(Path(step.path).name) > seen:
+                seen = int(Path(step.path).name)
+                names = {path: _written(inode.flushed, inode.pending) for path, inode in disk.now.items()}
+                yield contents(_laid_out(folder / "whole", store, names))
+            continue
+        disk.apply(step)
+
+
+def _laid_out(place: Path, store: Path, files: dict[str, bytes]) -> Path:
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    for path, content in files.items():
+        if _under(path, str(store)):
+            file = place / Path(path).relative_to(store)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+    return place
+
+
+def _opened(place: Path, store: Path, files: dict[str, bytes], expected: list[object]) -> str:
+    """Open a store as a crash has left it: "before" or "after" the commit that was on its way, or what is wrong."""
+    _laid_out(place, store, files)
+    try:
+        found: object = contents(place)
+        with open_store(place) as opened:
+            damage = [str(finding) for finding in verify(opened) if finding.fault]
+    except StoreError as fault:
+        found, damage = (), [] if not expected[0] else [f"cannot be opened: {fault}"]
+    except KinedexError as fault:
+        return f"fails: {fault}"
+    if damage:
+        return damage[0]
+    if found == expected[0]:
+        return "before"
+    return "after" if found in expected[1:] else "takes of neither version"

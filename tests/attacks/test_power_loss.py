@@ -1,0 +1,19 @@
+"""After a power loss a store shows its last version or the one that was being committed, whole."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.attacks.power_loss import attack
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("strace") is None, reason="no strace on this machine")
+def test_unflushed_writes_tear_no_version(tmp_path: Path) -> None:
+    outcome = attack(tmp_path, every=29)
+    assert outcome.faults == []
+    assert outcome.crashes >= 30
+    assert {"before", "after"} <= set(outcome.versions)
