@@ -140,7 +140,7 @@ def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_
     (wave,) = (row for row in rows(store) if row["name"] == "wave")
     assert wave["warnings"][1:] == [  # type: ignore[index]
         "skeleton mapping 'mixamo' has no lfingers; these features are off: F14 lhand_fast, F34 lhand_lowered",
-        "without lfingers these features look at the other joints only: F17 rfoot_raised, F18 lfoot_raised, "
+        "without lfingers these features use the other joints only: F17 rfoot_raised, F18 lfoot_raised, "
         "F33 rhand_lowered, F37 body_low",
     ]
     words = store.words([wave["take_id"]]).words  # type: ignore[list-item]

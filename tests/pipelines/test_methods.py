@@ -341,7 +341,7 @@ def test_a_click_on_a_segment_of_the_page_shows_the_motion(line: Comparing) -> N
     assert 'id="motions"' not in line.file("html")
     assert "--set compare_methods.embed=all" in line.file("html")
     line.compare([BEST], [{"name": "eve"}], embed=["eve_2"])
-    assert "1 of the 2 takes with a timeline (eve_2), as asked for" in Reading(line.file("html")).text
+    assert "1 of the 2 takes with a timeline (eve_2), as requested" in Reading(line.file("html")).text
 
 
 @pytest.mark.parametrize(
