@@ -1,4 +1,4 @@
-"""Where the tests find the real data, and what they do without it."""
+"""Fixtures for real data; tests that need it are skipped where it is missing."""
 
 from __future__ import annotations
 

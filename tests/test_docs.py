@@ -65,7 +65,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def _anchors(text: str) -> set[str]:
-    """What links to the titles of a page are called; of titles that are alike, the later ones are numbered."""
+    """Return the anchors of the headings of a page; repeated headings are numbered."""
     names = [
         re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
         for title in re.findall(r"^#+ (.*)$", text, re.MULTILINE)

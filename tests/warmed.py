@@ -1,4 +1,4 @@
-"""What the process imports that others are forked from: modules and compiled code are then loaded once for all."""
+"""Modules that a parent process imports before it forks, so that modules and compiled code are loaded once."""
 
 from __future__ import annotations
 

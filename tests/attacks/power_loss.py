@@ -152,7 +152,7 @@ def _bytes(given: str) -> bytes:
 
 
 class Disk:
-    """What a disk holds for sure, and what it may hold besides."""
+    """A model of a disk: the content that is certainly on it, and the content that may be on it as well."""
 
     def __init__(self) -> None:
         self.folders: set[str] = set()
@@ -273,7 +273,7 @@ def traced(folder: Path) -> tuple[list[Step], Path, Path]:
 
 @dataclass
 class Outcome:
-    """How many crashes were tried, by what the store was afterwards."""
+    """Counts of simulated crashes by the state of the store afterwards."""
 
     crashes: int = 0
     states: int = 0

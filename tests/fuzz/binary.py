@@ -140,7 +140,7 @@ def c3d_header(data: bytes, random: Random) -> bytes:
 
 
 def c3d_parameter(data: bytes, random: Random) -> bytes:
-    """What follows the name of a C3D parameter (where the next is, type, dimensions, value) has another byte or two."""
+    """Change a byte or two after the name of a C3D parameter (offset of the next, type, dimensions, value)."""
     found = list(_C3D_NAME.finditer(data, 512, 8192))
     if not found:
         return data

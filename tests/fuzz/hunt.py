@@ -50,7 +50,7 @@ class Finding:
 
 @dataclass
 class Report:
-    """What came of the hunt on one target."""
+    """The result of fuzzing one target: numbers of cases, failures and times."""
 
     target: str
     cases: int = 0
@@ -95,7 +95,7 @@ def hunt(target: Target, seed: int, seconds: float, folder: Path, first: int = 0
 
 
 def _kind(outcome: str) -> str:
-    """What is the same for the same defect: the error and the place it was raised at, without its numbers."""
+    """Return a key of a defect: the type of the error and the lines that raised it, without numbers."""
     places = [line.strip() for line in outcome.splitlines() if line.strip().startswith("File ")]
     return " ".join((outcome.strip().splitlines()[-1].split(":")[0], *places[-2:]))
 
@@ -126,7 +126,7 @@ class _Child:
         theirs.close()
 
     def wait_until_ready(self) -> float:
-        """How many seconds it took to import, compile and read the seeds."""
+        """Wait until the child has imported, compiled and read the seeds; return the seconds that this took."""
         begin = time.monotonic()
         message = self._pipe.recv()
         if message != "ready":
@@ -164,7 +164,7 @@ class _Child:
         return True
 
     def _core_seconds(self) -> float:
-        """What the child has used of a core's time so far; the clock's where the system does not say."""
+        """Return the CPU seconds that the child has used so far, or wall-clock seconds on systems without /proc."""
         try:
             fields = Path(f"/proc/{self._process.pid}/stat").read_text().rsplit(")", 1)[1].split()
         except OSError:
@@ -212,7 +212,7 @@ def limit_memory(further: int) -> None:
 
 
 def attempt(target: Target, path: Path, data: bytes) -> str:
-    """How the reading of one file goes: "read", "refused", or the traceback of what should not have happened."""
+    """Read one file and return "read", "refused", or the traceback of an unexpected error."""
     path.write_bytes(data)
     try:
         return "read" if target.read(path) else "refused"

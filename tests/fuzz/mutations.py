@@ -32,7 +32,7 @@ def _span(data: bytes, random: Random) -> tuple[int, int]:
 
 
 def _swap(data: bytes, pattern: re.Pattern[bytes], choices: Sequence[bytes], random: Random) -> bytes:
-    """One match of a pattern becomes one of some texts."""
+    """Replace one match of a pattern with one of some texts."""
     found = list(pattern.finditer(data, *_window(data, random)))
     if not found:
         return data
@@ -41,13 +41,13 @@ def _swap(data: bytes, pattern: re.Pattern[bytes], choices: Sequence[bytes], ran
 
 
 def _window(data: bytes, random: Random) -> tuple[int, int]:
-    """A stretch to look for something in: the beginning, where headers are, as often as all the rest."""
+    """Choose an interval of the data: the beginning, where headers are, as often as all the rest."""
     start = 0 if random.random() < 0.5 else random.randrange(len(data) + 1)
     return start, start + 2000
 
 
 def flip_bytes(data: bytes, random: Random) -> bytes:
-    """A few bytes are others."""
+    """Change a few bytes."""
     changed = bytearray(data)
     for _ in range(random.choice(_SIZES[:5])):
         if changed:
@@ -56,7 +56,7 @@ def flip_bytes(data: bytes, random: Random) -> bytes:
 
 
 def flip_bits_of_beginning(data: bytes, random: Random) -> bytes:
-    """One bit of the first bytes, where headers are."""
+    """Flip one bit of the first bytes, where headers are."""
     changed = bytearray(data)
     if changed:
         changed[random.randrange(min(len(changed), 200))] ^= 1 << random.randrange(8)
@@ -70,24 +70,24 @@ def insert_bytes(data: bytes, random: Random) -> bytes:
 
 
 def remove_bytes(data: bytes, random: Random) -> bytes:
-    """A stretch is missing."""
+    """Remove an interval."""
     start, stop = _span(data, random)
     return data[:start] + data[stop:]
 
 
 def repeat_bytes(data: bytes, random: Random) -> bytes:
-    """A stretch stands there again and again."""
+    """Repeat an interval several times."""
     start, stop = _span(data, random)
     return data[:stop] + data[start:stop] * random.choice((1, 2, 50, 2000)) + data[stop:]
 
 
 def truncate(data: bytes, random: Random) -> bytes:
-    """The file is cut off."""
+    """Cut the file off."""
     return data[: random.randrange(len(data) + 1)]
 
 
 def truncate_a_little(data: bytes, random: Random) -> bytes:
-    """The file's last bytes are missing."""
+    """Remove the file's last bytes."""
     return data[: -random.randint(1, 60)]
 
 
@@ -109,7 +109,7 @@ def swap_spaces(data: bytes, random: Random) -> bytes:
 
 
 def change_lines(data: bytes, random: Random) -> bytes:
-    """A line is missing, stands twice, or in another place."""
+    """Remove, double or move a line."""
     lines = data.splitlines(keepends=True)
     if len(lines) < 2:
         return data
@@ -130,18 +130,18 @@ def change_lines(data: bytes, random: Random) -> bytes:
 
 
 def change_number(data: bytes, random: Random) -> bytes:
-    """A number is none, or a huge one."""
+    """Replace a number with text that is not one, or with a huge one."""
     return _swap(data, _NUMBER, NUMBERS, random)
 
 
 def change_all_numbers(data: bytes, random: Random) -> bytes:
-    """Many numbers are others."""
+    """Replace many numbers with another one."""
     new, share = random.choice(NUMBERS), random.choice((1.0, 0.1, 0.01))
     return _NUMBER.sub(lambda found: new if random.random() < share else found[0], data)
 
 
 def scale_number(data: bytes, random: Random) -> bytes:
-    """A number gets more digits or another exponent."""
+    """Give a number more digits or another exponent."""
     found = list(_NUMBER.finditer(data, *_window(data, random)))
     if not found:
         return data
@@ -152,7 +152,7 @@ def scale_number(data: bytes, random: Random) -> bytes:
 
 
 def change_word(data: bytes, random: Random) -> bytes:
-    """A word is another word of the file, or written in other letters."""
+    """Replace a word with another word of the file, or change its case."""
     found = list(_WORD.finditer(data, *_window(data, random)))
     if not found:
         return data
@@ -163,7 +163,7 @@ def change_word(data: bytes, random: Random) -> bytes:
 
 
 def other_encoding(data: bytes, random: Random) -> bytes:
-    """The text in an encoding that nobody expects, or letters that this encoding does not have."""
+    """Encode the text in an unexpected encoding, or insert letters that the encoding lacks."""
     text = data.decode("latin-1")
     match random.randrange(7):
         case 0:
@@ -184,14 +184,14 @@ def other_encoding(data: bytes, random: Random) -> bytes:
 
 
 def long_line(data: bytes, random: Random) -> bytes:
-    """Somewhere stands a line, a word or a number of very many bytes."""
+    """Insert a line, a word or a number of very many bytes somewhere."""
     at = random.randrange(len(data) + 1)
     what = random.choice((b"x", b"9", b" ", b"1 ", b"\n", b"\t", b"0.5,", b"#", b"-", b'"', b",", b"a_x,", b"\r"))
     return data[:at] + what * random.choice((10_000, 200_000)) + data[at:]
 
 
 def join(data: bytes, random: Random) -> bytes:
-    """The file a second time, from somewhere to somewhere."""
+    """Insert an interval of the file a second time, anywhere."""
     start, stop = sorted(random.randrange(len(data) + 1) for _ in range(2))
     at = random.randrange(len(data) + 1)
     return data[:at] + data[start:stop] + data[at:]
@@ -211,14 +211,14 @@ TEXT: tuple[Mutation, ...] = (
 
 
 def insert_word(data: bytes, random: Random, words: Sequence[bytes]) -> bytes:
-    """A word of the format's own somewhere, mostly at a line's beginning."""
+    """Insert a word of the format, mostly at the beginning of a line."""
     places = [found.end() for found in _LINE_END.finditer(data, *_window(data, random))]
     at = random.choice(places) if places and random.random() < 0.8 else random.randrange(len(data) + 1)
     return data[:at] + random.choice(words) + random.choice((b"", b" ", b"\n")) + data[at:]
 
 
 def nest(data: bytes, random: Random, pairs: Sequence[tuple[bytes, bytes]]) -> bytes:
-    """Something nested very deeply, closed again or not; `pairs` open and close it."""
+    """Insert very deep nesting, closed again or not; `pairs` open and close it."""
     opening, closing = random.choice(pairs)
     depth = random.choice((3, 100, 990, 1100, 12_000))
     at = random.choice([found.end() for found in _LINE_END.finditer(data, *_window(data, random))] or [0])
@@ -226,7 +226,7 @@ def nest(data: bytes, random: Random, pairs: Sequence[tuple[bytes, bytes]]) -> b
 
 
 def mutate(data: bytes, mutations: Sequence[Mutation], random: Random, largest: int) -> bytes:
-    """One to four mutations, one after the other; fewer are likelier. The result has at most `largest` bytes."""
+    """Apply one to four mutations in turn; fewer are likelier. The result has at most `largest` bytes."""
     for _ in range(random.choice((1, 1, 1, 2, 2, 3, 4))):
         data = random.choice(mutations)(data, random)[:largest]
     return data

@@ -181,7 +181,7 @@ def body_model() -> bytes:
 
 
 def body_models() -> dict[str, bytes]:
-    """What a body model may be: a table of joints, or the model itself, small."""
+    """Return small body models of both kinds: a table of joints, and a model with its regressor."""
     random = np.random.default_rng(2)
     model = {"v_template": random.normal(0, 1, (30, 3)), "J_regressor": random.uniform(0, 0.1, (len(BODY), 30))}
     return {"table": body_model(), "model": _zipped(model | {"shapedirs": random.normal(0, 0.1, (30, 3, 5))})}

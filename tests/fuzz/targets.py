@@ -1,4 +1,4 @@
-"""What is fuzzed: each reader with small valid files, how these are mutated, and what must hold of its results."""
+"""Targets of the fuzzer: every reader with small valid files, their mutations, and conditions on its results."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Target:
     largest: int = 1 << 20
 
     def read(self, path: Path) -> bool:
-        """Whether a file comes in; False where it is refused as it should be.
+        """Read a file; return False where the reader refuses it with an error of kinedex.
 
         Raises
         ------
@@ -197,7 +197,7 @@ def check_body_model(path: Path) -> None:
 
 
 def check_csv(path: Path) -> None:
-    """Whether a table is one of positions, and what it says then."""
+    """Recognise a table of positions, and check the motion that is read from it."""
     if is_positions_csv(path):
         check_motion(path)
 

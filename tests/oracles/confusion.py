@@ -1,4 +1,4 @@
-"""What is taken for what, frame by frame, with sets and fractions."""
+"""An oracle of the confusion of classes, frame by frame, with sets and fractions."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def bring_in(store: Path, source: Path, **params: object) -> dict[str, object]:
 
 
 def indexed(store: Path) -> Generation | None:
-    """What stands as the index of the store's takes; None where it is stale."""
+    """Return the index generation of a store; None where it is stale."""
     opened = open_store(store)
     found = current_generation(opened.path, opened.manifest)
     return None if found is None else read_generation(found)

@@ -1,4 +1,4 @@
-"""What is learned again when takes come, change or go: only what was learned from them."""
+"""When takes are added, changed or removed, only results that were learned from them are learned again."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from tests.pipelines.study import study
 
 
 def unpacked(motion: Motion) -> np.ndarray:
-    """What the player makes of a motion: (J, 3, T), NaN where nothing is known."""
+    """Decode a motion as the player does: (J, 3, T), NaN where no position is known."""
     steps = np.frombuffer(zlib.decompress(base64.b64decode(motion.data)), "<i2")
     rows = np.cumsum(steps.reshape(72, -1), axis=1, dtype=np.int16)
     return np.where(rows == UNSEEN, np.nan, rows * motion.unit_m).reshape(24, 3, -1)

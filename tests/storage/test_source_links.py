@@ -1,4 +1,4 @@
-"""What a scan makes of links, loops, names that are no text, and what it cannot look at."""
+"""A scan of a source folder with links, loops, names that are not valid text, and unreadable folders."""
 
 from __future__ import annotations
 

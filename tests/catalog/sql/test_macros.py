@@ -54,7 +54,7 @@ def rows(store: Store, query: str, params: object = None) -> list[tuple[object, 
 
 
 def holds(word: int, pose: str) -> bool:
-    """Whether a pose holds in a frame, read word by word."""
+    """Return true where a frame meets a pose, which is read term by term."""
     if word == INVALID:
         return False
     wanted = []

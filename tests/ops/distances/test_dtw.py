@@ -19,7 +19,7 @@ FEATURES = 5
 
 
 def single_bound(columns: int) -> float:
-    """How far a distance in float32 can be from the exact one, by the proof in `grid_step`."""
+    """Return the largest error of a distance in float32, by the proof in `grid_step`."""
     return grid_step(columns) / 2 + 2.0**-24
 
 

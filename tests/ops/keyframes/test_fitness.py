@@ -46,7 +46,7 @@ def queries(draw: st.DrawFn) -> Individual:
 
 
 def retrieved(frames: TrainingFrames, query: Individual) -> np.ndarray:
-    """Which clips the kernels find a hit in."""
+    """Return a Boolean per clip: true where the kernels find a hit in it."""
     space = new_workspace(frames, len(query))
     find_bitmaps(frames.on, frames.off, frames.valid, query.masks, query.values, len(query), space)
     retrieve(len(query), query.lows, query.highs, query.lows, query.highs, frames.first, 0, space)

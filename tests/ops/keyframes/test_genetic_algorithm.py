@@ -298,7 +298,7 @@ def test_tuned_gaps_are_no_worse_and_leave_the_keyframes_alone() -> None:
 
 
 def check_consensus(given: TrainingTask, runs: list[LearningRun], evolution: EvolutionSettings) -> Consensus:
-    """What holds for the consensus of any runs."""
+    """Find the consensus of runs and check the properties that every consensus has."""
     found = find_consensus(given, runs, evolution, 1, 5)
     ranks = [run.rank for run in runs]
     assert found.median == np.median(ranks)

@@ -45,7 +45,7 @@ def by_take(found: I64, takes: int) -> list[list[tuple[int, int]]]:
 
 
 def matches_in(take: U64, masks: list[int], values: list[int]) -> list[list[bool]]:
-    """Which frames meet each keyframe; an invalid one meets none, whatever is a wildcard."""
+    """Return a list per keyframe, true at frames that meet it; an invalid frame meets none, not even wildcards."""
     return [
         [word != int(NO_WORD) and word & mask == value for word in take.tolist()]
         for mask, value in zip(masks, values, strict=True)

@@ -1,4 +1,4 @@
-"""Where the bones of a synthetic body are, by the naive twin of forward kinematics."""
+"""Positions of a synthetic body's bones, computed by the oracle of forward kinematics."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes"
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
+    """The exit status and the output of a command."""
 
     returncode: int
     stdout: str

@@ -78,7 +78,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 
 
 def forget() -> None:
-    """What a new process would not know."""
+    """Clear the caches of modules and plugins, as in a new process."""
     from kinedex.catalog import plugins
 
     importlib.invalidate_caches()

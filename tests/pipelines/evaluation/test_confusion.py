@@ -1,4 +1,4 @@
-"""What is taken for what: every label of either side is counted once, and none twice."""
+"""Tests of the confusion of classes: every label of either side is counted exactly once."""
 
 from __future__ import annotations
 

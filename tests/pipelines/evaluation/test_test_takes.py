@@ -1,4 +1,4 @@
-"""How takes are divided into folds: nothing is left out without a word."""
+"""Tests of the division of takes into folds: every excluded take is reported."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def write_bvh(path: Path, *, frames: int = 40, **changes: str) -> Path:
 
 
 def inks(path: Path, left: float = 0.0, right: float = 1.0) -> dict[str, int]:
-    """How many pixels of each side's colour a part of a picture has."""
+    """Count the pixels of each side's colour in a part of a picture."""
     with Image.open(path) as image:
         pixels = np.asarray(image.convert("RGB"))[70:].astype(int)
     part = pixels[:, round(left * pixels.shape[1]) : round(right * pixels.shape[1])]

@@ -1,4 +1,4 @@
-"""What is said of training clips."""
+"""Tests of the warnings about training clips."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reader of a store sees."""
+"""Tests of reading a store."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a writer may do, and that nothing half-done is ever seen."""
+"""Tests of writing a store: a commit is seen whole or not at all."""
 
 from __future__ import annotations
 

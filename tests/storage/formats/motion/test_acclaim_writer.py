@@ -1,4 +1,4 @@
-"""What is written as Acclaim files comes back when they are read."""
+"""Motions that are written as Acclaim files are the same when they are read again."""
 
 from __future__ import annotations
 

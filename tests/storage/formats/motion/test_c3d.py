@@ -207,7 +207,7 @@ def _patched(data: bytes, at: int, form: str, value: float) -> bytes:
 
 
 def _value(data: bytes, name: bytes) -> int:
-    """Where a parameter's dimensions, or the value of one without, stand: after name, way to the next, kind, count."""
+    """Return the offset of a parameter's dimensions (or its value): after name, offset of the next, type and count."""
     return data.index(name) + len(name) + 4
 
 

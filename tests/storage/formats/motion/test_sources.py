@@ -1,4 +1,4 @@
-"""Which skeleton belongs to a motion, what a path says, and what a source root holds."""
+"""Tests of a source root: its files, the skeleton of each motion, and the metadata in paths."""
 
 from __future__ import annotations
 
