@@ -18,7 +18,7 @@ THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """The usual thresholds of intersection over union."""
 
 
-class Found(NamedTuple):
+class Detection(NamedTuple):
     """An automatic segment of one class.
 
     Parameters
@@ -27,7 +27,7 @@ class Found(NamedTuple):
     start, stop : int
         The half-open range of frames.
     confidence : float
-        How sure the segment is: higher is surer.
+        The confidence of the segment; higher is more certain.
     """
 
     take: str
@@ -36,7 +36,7 @@ class Found(NamedTuple):
     confidence: float
 
 
-class Known(NamedTuple):
+class TrueSegment(NamedTuple):
     """A manual segment of one class.
 
     Parameters
@@ -57,7 +57,7 @@ def overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
     return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0])) if both > 0 else 0.0
 
 
-def average_precision(found: Sequence[Found], known: Sequence[Known], threshold: float) -> float:
+def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], threshold: float) -> float:
     """Return the average precision of one class's segments.
 
     The surest segment chooses first: the manual segment of its take that it overlaps most, of those that no surer one
@@ -66,8 +66,8 @@ def average_precision(found: Sequence[Found], known: Sequence[Known], threshold:
 
     Parameters
     ----------
-    found : sequence of Found
-    known : sequence of Known
+    found : sequence of Detection
+    known : sequence of TrueSegment
     threshold : float
         In (0, 1].
 
@@ -90,7 +90,7 @@ def average_precision(found: Sequence[Found], known: Sequence[Known], threshold:
             raise ParameterError(name, "segments with start < stop", empty[0])
     if not known:
         return math.nan
-    free: dict[str, list[Known]] = {}
+    free: dict[str, list[TrueSegment]] = {}
     for one in known:
         free.setdefault(one.take, []).append(one)
     right = np.zeros(len(found))
@@ -107,15 +107,15 @@ def average_precision(found: Sequence[Found], known: Sequence[Known], threshold:
     return float((best * right).sum() / len(known))
 
 
-def boundary_errors(found: Sequence[Found], known: Sequence[Known]) -> npt.NDArray[np.int64]:
+def boundary_errors(found: Sequence[Detection], known: Sequence[TrueSegment]) -> npt.NDArray[np.int64]:
     """Return how far automatic boundaries are from manual ones.
 
     Every manual segment that an automatic one of its take overlaps is compared with the one that overlaps it most.
 
     Parameters
     ----------
-    found : sequence of Found
-    known : sequence of Known
+    found : sequence of Detection
+    known : sequence of TrueSegment
 
     Returns
     -------

@@ -15,11 +15,11 @@ from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.folds import Material, NoFoldsError, make_folds
-from kinedex.pipelines.evaluation.grid import Cell, Found, cells_table, known_cells, remarks_of, run_cells
+from kinedex.pipelines.evaluation.grid import Cell, SegmentsByTake, cells_table, known_cells, remarks_of, run_cells
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.evaluation.label_files import NONE, GroundTruthParameters, ground_truth, not_labelled
-from kinedex.pipelines.evaluation.method_scores import Judgement, counts_of, fates, judge
-from kinedex.pipelines.evaluation.preparation import Known, make_cell, method_remarks, with_templates
+from kinedex.pipelines.evaluation.method_scores import MethodScores, counts_of, judge, segment_outcomes
+from kinedex.pipelines.evaluation.preparation import StudyMaterial, make_cell, method_remarks, with_templates
 from kinedex.pipelines.evaluation.queries import QueryLearner
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters, Method, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study, Threshold
@@ -162,7 +162,7 @@ def compare_methods(context: StageContext, plan: Plan) -> Study | None:
     )
 
 
-def _known(context: StageContext, params: ComparisonParameters, store: Store) -> Known:
+def _known(context: StageContext, params: ComparisonParameters, store: Store) -> StudyMaterial:
     """Return the classes, and how templates and queries are learned."""
     learned_with = context.params_of("templates", TemplateParameters)
     labelled = set(store.takes()["class"].drop_nulls().unique())
@@ -177,10 +177,10 @@ def _known(context: StageContext, params: ComparisonParameters, store: Store) ->
             names = few([method.name for method in params.methods if method.learned_queries])
             raise KinedexError(f"queries of {names} are to be learned, so the pipeline needs a stage 'learn_keyframes'")
         learner = QueryLearner(context, context.params_of("keyframes", KeyframeParameters))
-    return Known(store, classes, learned_with, {}, learner)
+    return StudyMaterial(store, classes, learned_with, {}, learner)
 
 
-def _folds(plan: Plan, split: Split, known: Known) -> list[Fold]:
+def _folds(plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
     """Make the folds of a split."""
     store, group = known.store, plan.params.divide_by
     training, clips = training_material(store, known.learned_with.model_copy(update={"where": split.train}))
@@ -207,12 +207,12 @@ def _swept(params: ComparisonParameters) -> list[Method]:
     return [method.at(tau) for method in curves.values() for tau in params.taus]
 
 
-def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, Found]:
+def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTake]:
     """Run the cells that are not in the store yet, and store them."""
     known = known_cells(context.open().result("method_cells", pipeline=context.pipeline))
     distinct = list({cell.key: cell for cell in cells}.values())
 
-    def save(found: Mapping[str, Found]) -> None:
+    def save(found: Mapping[str, SegmentsByTake]) -> None:
         with context.writer() as writer:
             table = cells_table(cells, found, context.run)
             writer.put_results("method_cells", table, stage=context.key(), run=context.run)
@@ -232,28 +232,28 @@ def _result(
     split: Split,
     folds: Sequence[Fold],
     cells: Mapping[tuple[str, str, str], Cell],
-    found: Mapping[str, Found],
+    found: Mapping[str, SegmentsByTake],
     classes: Classes,
 ) -> SplitResult:
     """Judge all methods in a split."""
 
-    def outcome(method: Method) -> Found:
+    def outcome(method: Method) -> SegmentsByTake:
         keys = [cells[split.name, fold.name, method.name].key for fold in folds]
         return {name: segments for key in keys for name, segments in found[key].items()}
 
-    exams = [exam for fold in folds for exam in fold.exams]
+    test_takes = [test_take for fold in folds for test_take in fold.test_takes]
     outcomes = {method.name: outcome(method) for method in params.methods}
-    judged: dict[str, Judgement] = {name: judge(one, exams, classes.names) for name, one in outcomes.items()}
+    judged: dict[str, MethodScores] = {name: judge(one, test_takes, classes.names) for name, one in outcomes.items()}
     sweep = [
         Threshold(
-            method.curve_name, float(method.tau), pooled(counts_of(outcome(method), exams, classes.names).values())
+            method.curve_name, float(method.tau), pooled(counts_of(outcome(method), test_takes, classes.names).values())
         )
         for method in _swept(params)
     ]
     used = [cells[split.name, fold.name, method.name] for fold in folds for method in params.methods]
     labelled = {one.annotator.classes[index] for one in used for index in one.annotator.class_index.tolist()}
-    lacking = sorted({label for exam in exams for label, _, _ in exam.truth} - labelled)
+    lacking = sorted({label for test_take in test_takes for label, _, _ in test_take.truth} - labelled)
     notes = [f"without a template, so their segments cannot be found: {few(lacking)}"] if lacking else []
     notes += remarks_of(used)
-    met = tuple(fates(outcomes, exams))
+    met = tuple(segment_outcomes(outcomes, test_takes))
     return SplitResult(split, tuple(folds), dict(outcomes), judged, tuple(sweep), met, tuple(notes))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.pipelines.evaluation.grid import Segment
-from kinedex.pipelines.evaluation.test_takes import Exam
+from kinedex.pipelines.evaluation.test_takes import TestTake
 
 Bool = npt.NDArray[np.bool_]
 
@@ -56,7 +56,7 @@ class Confusion:
 
 
 @dataclass(frozen=True)
-class Confused:
+class ConfusedClass:
     """Frames of one class with the label of another class, or none, and their share of the class."""
 
     label: str
@@ -65,14 +65,16 @@ class Confused:
     share: float
 
 
-def confusion(outcome: Mapping[str, Sequence[Segment]], exams: Sequence[Exam], classes: Sequence[str]) -> Confusion:
+def confusion(
+    outcome: Mapping[str, Sequence[Segment]], test_takes: Sequence[TestTake], classes: Sequence[str]
+) -> Confusion:
     """Count the frames of all takes by their manual and automatic labels.
 
     Parameters
     ----------
     outcome : mapping of str to sequence of Segment
         The automatic segments of each take, by its name.
-    exams : sequence of Exam
+    test_takes : sequence of TestTake
         The takes with their ground truth.
     classes : sequence of str
         All labels of either side.
@@ -80,9 +82,9 @@ def confusion(outcome: Mapping[str, Sequence[Segment]], exams: Sequence[Exam], c
     place = {label: index for index, label in enumerate(classes)}
     size = len(classes)
     frames = np.zeros((size + 2, size + 2))
-    for exam in exams:
-        true = _marked([(place[label], start, stop) for label, start, stop in exam.truth], exam, size)
-        mine = _marked([(place[one.label], one.start, one.stop) for one in outcome[exam.name]], exam, size)
+    for test_take in test_takes:
+        true = _marked([(place[label], start, stop) for label, start, stop in test_take.truth], test_take, size)
+        mine = _marked([(place[one.label], one.start, one.stop) for one in outcome[test_take.name]], test_take, size)
         frames += _of_take(true, mine)
     return Confusion(tuple(classes), frames)
 
@@ -106,20 +108,22 @@ def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
     return frames
 
 
-def _marked(segments: Sequence[tuple[int, int, int]], exam: Exam, labels: int) -> Bool:
+def _marked(segments: Sequence[tuple[int, int, int]], test_take: TestTake, labels: int) -> Bool:
     """Return the frames of each class, bool (labels, L)."""
-    marked = np.zeros((labels, exam.frames), np.bool_)
+    marked = np.zeros((labels, test_take.frames), np.bool_)
     for label, start, stop in segments:
         marked[label, start:stop] = True
     return marked
 
 
-def confusions(found: Confusion, most: int) -> list[Confused]:
+def confusions(found: Confusion, most: int) -> list[ConfusedClass]:
     """Return the largest confusions by frames; none below half a percent of its row."""
     greatest = []
     for i, label in enumerate(found.rows):
         total = float(found.frames[i].sum())
         for j, other in enumerate(found.columns):
             if i != j and total and found.frames[i, j] >= 0.005 * total:
-                greatest.append(Confused(label, other, float(found.frames[i, j]), float(found.frames[i, j]) / total))
+                greatest.append(
+                    ConfusedClass(label, other, float(found.frames[i, j]), float(found.frames[i, j]) / total)
+                )
     return sorted(greatest, key=lambda one: (-one.frames, one.label, one.taken_for))[:most]

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS
-from kinedex.pipelines.evaluation.written_evaluations import Scored
+from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
 
 LEAST = 0.005
 """A measure that changes by less than this is the same."""
@@ -52,7 +52,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Alone:
+class Unshared:
     """The takes and classes that only one of two evaluations has."""
 
     takes: tuple[str, ...] = ()
@@ -75,9 +75,9 @@ class Comparison:
         The changes of each class and take.
     common : int, optional
         The number of takes that both have; None where neither names its takes.
-    only_a, only_b : Alone
+    only_a, only_b : Unshared
         Takes and classes of one side only, which are excluded.
-    other_truth : Alone
+    other_truth : Unshared
         Takes and classes whose manual labels differ.
     settings : tuple of (str, object, object)
         The parameters that differ: name, value in A, value in B; None where one has no such parameter.
@@ -90,9 +90,9 @@ class Comparison:
     classes: tuple[Change, ...]
     takes: tuple[Change, ...]
     common: int | None
-    only_a: Alone
-    only_b: Alone
-    other_truth: Alone = Alone()
+    only_a: Unshared
+    only_b: Unshared
+    other_truth: Unshared = Unshared()
     settings: tuple[tuple[str, object, object], ...] = ()
 
     @property
@@ -104,7 +104,7 @@ class Comparison:
             _measure_verdict(*one)
             for one in zip((F_FRAMES, F_SEGMENTS), (self.overall.f1, self.overall.f2), self._ends, strict=True)
         ]
-        if self.other_truth != Alone():
+        if self.other_truth != Unshared():
             parts.append("but A and B were judged against different ground truth")
         return "; ".join(parts)
 
@@ -127,12 +127,12 @@ class Comparison:
         )
 
 
-def compared(a: Scored, b: Scored, names: tuple[str, str]) -> Comparison:
+def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -> Comparison:
     """Compare two evaluations.
 
     Parameters
     ----------
-    a, b : Scored
+    a, b : MethodEvaluation
         The evaluations.
     names : tuple of str
         The names of A and B.
@@ -149,7 +149,7 @@ def compared(a: Scored, b: Scored, names: tuple[str, str]) -> Comparison:
         len(both) if a.takes or b.takes else None,
         _alone(a, b),
         _alone(b, a),
-        Alone() if apart else _other_truth(a, b),
+        Unshared() if apart else _other_truth(a, b),
         _settings(a, b),
     )
 
@@ -187,8 +187,8 @@ def _measure_verdict(name: str, pair: Pair, ends: tuple[float, float]) -> str:
     return f"{name} is {how} by {abs(by):.3f}{sure}{'' if certain else ', which may be chance'}"
 
 
-def _alone(one: Scored, other: Scored) -> Alone:
-    return Alone(
+def _alone(one: MethodEvaluation, other: MethodEvaluation) -> Unshared:
+    return Unshared(
         tuple(sorted(set(one.takes) - set(other.takes))),
         tuple(
             name
@@ -198,7 +198,7 @@ def _alone(one: Scored, other: Scored) -> Alone:
     )
 
 
-def _other_truth(a: Scored, b: Scored) -> Alone:
+def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> Unshared:
     """Return takes and classes of both whose numbers of manual frames or segments differ.
 
     Classes are compared only where both evaluations are of the same takes.
@@ -208,14 +208,14 @@ def _other_truth(a: Scored, b: Scored) -> Alone:
         return tuple(name for name in ours if name in theirs and _manual(ours[name]) != _manual(theirs[name]))
 
     same_takes = set(a.takes) == set(b.takes)
-    return Alone(differ(a.takes, b.takes), differ(a.classes, b.classes) if same_takes else ())
+    return Unshared(differ(a.takes, b.takes), differ(a.classes, b.classes) if same_takes else ())
 
 
 def _manual(counts: Counts) -> tuple[int, int]:
     return counts.frames_manual, counts.segments_manual
 
 
-def _settings(a: Scored, b: Scored) -> tuple[tuple[str, object, object], ...]:
+def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, object, object], ...]:
     """Return the settings that differ, without those that do not matter to A or B."""
     idle = {*NAMES, *(ROW_DOES_WITHOUT if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
     return tuple(

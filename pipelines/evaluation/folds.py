@@ -93,14 +93,14 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
         tested = tested.filter(pl.col("name").is_in(truth.takes))
     parts = _parts(split, tested.sort("name"))
     folds = [_fold(split, name, takes, material) for name, takes in parts]
-    usable = [fold for fold in folds if fold.clips and fold.exams]
+    usable = [fold for fold in folds if fold.clips and fold.test_takes]
     if not usable:
         raise NoFoldsError(f"split '{split.name}': no fold has both clips to learn from and takes to annotate")
     remarks = (*remarks, *_in_no_fold(split, tested, parts), *_missing(split, folds))
     if split.clips_as_takes:
         used = {fold.name for fold in usable}
         clips = sum(takes.height for name, takes in parts if name in used)
-        remarks += (how_clips_are_used(split, clips, [exam for fold in usable for exam in fold.exams]),)
+        remarks += (how_clips_are_used(split, clips, [test_take for fold in usable for test_take in fold.test_takes]),)
     return [replace(fold, remarks=(*remarks, *fold.remarks)) for fold in usable]
 
 
@@ -131,7 +131,7 @@ def _missing(split: Split, folds: Sequence[Fold]) -> list[str]:
             why = f"of {split.leave_out} {fold.name}" if split.leave_out is not None else "takes of this fold"
             remarks.append(
                 f"{fold.name}: all training clips are {why}, so there is no such fold; not annotated: "
-                f"{counted(len(fold.exams), 'take')} ({few([exam.name for exam in fold.exams])})"
+                f"{counted(len(fold.test_takes), 'take')} ({few([test_take.name for test_take in fold.test_takes])})"
             )
     return remarks
 
@@ -181,12 +181,12 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> 
     if split.leave_out is not None and not trained & excluded:
         remarks.append(f"{name}: no training clip is of {split.leave_out} {name}, so all are learned from")
     if split.clips_as_takes:
-        exams = laid_out(split, name, tested, material.classes, material.group)
+        test_takes = laid_out(split, name, tested, material.classes, material.group)
         if split.orders > 1:
             remarks.append(
                 f"clips are laid out in {split.orders} orders, so takes share clips: intervals are narrower than those "
                 "of as many takes of their own"
             )
     else:
-        exams = as_they_are(tested, material.place(tested), material.group)
-    return Fold(split.name, name, clips, tuple(exams), tuple(remarks))
+        test_takes = as_they_are(tested, material.place(tested), material.group)
+    return Fold(split.name, name, clips, tuple(test_takes), tuple(remarks))

@@ -21,7 +21,7 @@ from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.evaluation.scheme import Method
-from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
+from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 
@@ -73,10 +73,10 @@ class Task:
 
     store: Path
     annotator: Annotator
-    exams: tuple[Exam, ...]
+    test_takes: tuple[TestTake, ...]
 
 
-Found = dict[str, tuple[Segment, ...]]
+SegmentsByTake = dict[str, tuple[Segment, ...]]
 """The segments of a cell, by the name of the take."""
 
 
@@ -85,9 +85,9 @@ def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
     hasher = hashlib.sha256()
     checksums = dict(store.takes().select("take_id", "checksum").iter_rows())
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
-    for exam in fold.exams:
-        parts = [str(checksums[take_id]) for take_id in exam.take_ids]
-        hasher.update(json.dumps([exam.name, exam.frames, parts]).encode())
+    for test_take in fold.test_takes:
+        parts = [str(checksums[take_id]) for take_id in test_take.take_ids]
+        hasher.update(json.dumps([test_take.name, test_take.frames, parts]).encode())
     hasher.update(setting_digest(annotator, False, code_digest(CODE, type(annotator.method))).encode())
     return hasher.hexdigest()[:32]
 
@@ -96,10 +96,10 @@ def run_cells(
     cells: Sequence[Cell],
     store: Path,
     executor: Executor,
-    known: Mapping[str, Found],
-    save: Callable[[Mapping[str, Found]], None],
+    known: Mapping[str, SegmentsByTake],
+    save: Callable[[Mapping[str, SegmentsByTake]], None],
     advance: Callable[[int], None],
-) -> dict[str, Found]:
+) -> dict[str, SegmentsByTake]:
     """Compute the cells that are not known yet; the outcome does not depend on the workers.
 
     Parameters
@@ -110,7 +110,7 @@ def run_cells(
         The folder of the store, which workers open.
     executor : Executor
         The workers.
-    known : mapping of str to Found
+    known : mapping of str to SegmentsByTake
         The segments of cells that were computed before, by key.
     save : callable
         Stores finished cells; called every `SAVE_SECONDS`.
@@ -119,14 +119,14 @@ def run_cells(
 
     Returns
     -------
-    dict of str to Found
+    dict of str to SegmentsByTake
         The segments of each cell, by key.
     """
     wanted = {cell.key: cell for cell in cells}
     finished = {key: known[key] for key in wanted if key in known}
     advance(len(finished))
     todo = [cell for key, cell in wanted.items() if key not in finished]
-    pieces = {cell.key: list(_pieces(cell.fold.exams)) for cell in todo}
+    pieces = {cell.key: list(_pieces(cell.fold.test_takes)) for cell in todo}
     tasks = [Task(store, cell.annotator, piece) for cell in todo for piece in pieces[cell.key]]
     results = executor.map(annotate_task, tasks)
     stored = time.monotonic()
@@ -139,17 +139,19 @@ def run_cells(
     return finished
 
 
-def annotate_task(task: Task) -> Found:
+def annotate_task(task: Task) -> SegmentsByTake:
     """Annotate some takes, in a worker."""
-    ids = sorted({take_id for exam in task.exams for take_id in exam.take_ids})
+    ids = sorted({take_id for test_take in task.test_takes for take_id in test_take.take_ids})
     words = open_store(task.store).words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
-    laid_out = [np.concatenate([words.take(place[take_id]) for take_id in exam.take_ids]) for exam in task.exams]
+    laid_out = [
+        np.concatenate([words.take(place[take_id]) for take_id in test_take.take_ids]) for test_take in task.test_takes
+    ]
     offsets = np.cumsum([0, *(len(one) for one in laid_out)])
     together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out))
     annotator = task.annotator
     return {
-        task.exams[one.take_id].name: tuple(
+        task.test_takes[one.take_id].name: tuple(
             Segment(annotator.classes[segment.class_index], segment.start, segment.stop, float(segment.confidence))
             for segment in one.segments
         )
@@ -157,20 +159,20 @@ def annotate_task(task: Task) -> Found:
     }
 
 
-def _pieces(exams: Sequence[Exam]) -> Iterator[tuple[Exam, ...]]:
+def _pieces(test_takes: Sequence[TestTake]) -> Iterator[tuple[TestTake, ...]]:
     """Divide takes into tasks of about `BATCH_FRAMES` frames; a longer take is a task of its own."""
-    piece: list[Exam] = []
+    piece: list[TestTake] = []
     frames = 0
-    for exam in exams:
-        if piece and frames + exam.frames > BATCH_FRAMES:
+    for test_take in test_takes:
+        if piece and frames + test_take.frames > BATCH_FRAMES:
             yield tuple(piece)
             piece, frames = [], 0
-        piece.append(exam)
-        frames += exam.frames
+        piece.append(test_take)
+        frames += test_take.frames
     yield tuple(piece)
 
 
-def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> pa.Table:
+def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run: str) -> pa.Table:
     """Return finished cells as results of the kind `method_cells`: a row for each take of each.
 
     Cells of one key have the same outcome under several names (a threshold of the sweep that a method has as well,
@@ -183,16 +185,16 @@ def cells_table(cells: Sequence[Cell], found: Mapping[str, Found], run: str) -> 
             "split": cell.fold.split,
             "fold": cell.fold.name,
             "method": cell.method.name,
-            "take": exam.name,
-            "frames": exam.frames,
-            "classes": [one.label for one in found[cell.key][exam.name]],
-            "starts": [one.start for one in found[cell.key][exam.name]],
-            "stops": [one.stop for one in found[cell.key][exam.name]],
-            "confidences": [one.sure for one in found[cell.key][exam.name]],
+            "take": test_take.name,
+            "frames": test_take.frames,
+            "classes": [one.label for one in found[cell.key][test_take.name]],
+            "starts": [one.start for one in found[cell.key][test_take.name]],
+            "stops": [one.stop for one in found[cell.key][test_take.name]],
+            "confidences": [one.sure for one in found[cell.key][test_take.name]],
         }
         for cell in cells
         if cell.key in found
-        for exam in cell.fold.exams
+        for test_take in cell.fold.test_takes
     ]
     return pa.Table.from_pylist(rows, schema=result_schema("method_cells"))
 
@@ -210,9 +212,9 @@ def remarks_of(cells: Sequence[Cell]) -> list[str]:
     ]
 
 
-def known_cells(table: pa.Table) -> dict[str, Found]:
+def known_cells(table: pa.Table) -> dict[str, SegmentsByTake]:
     """Return the segments of stored cells, by key."""
-    known: dict[str, Found] = {}
+    known: dict[str, SegmentsByTake] = {}
     for row in table.to_pylist():
         columns = (row["classes"], row["starts"], row["stops"], row["confidences"])
         known.setdefault(row["cell"], {})[row["take"]] = tuple(Segment(*one) for one in zip(*columns, strict=True))

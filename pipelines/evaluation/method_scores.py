@@ -1,4 +1,4 @@
-"""Judgement of a method in a split: counts, average precision, boundaries, and intervals of them."""
+"""Scores of a method in a split: counts, average precision, boundaries, and intervals of them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from kinedex.ops.evaluation.detection import (
     THRESHOLDS,
-    Found,
-    Known,
+    Detection,
+    TrueSegment,
     average_precision,
     bootstrap,
     boundary_errors,
@@ -21,7 +21,7 @@ from kinedex.ops.evaluation.detection import (
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.pipelines.evaluation.confusion import Confusion, confusion
 from kinedex.pipelines.evaluation.grid import Segment
-from kinedex.pipelines.evaluation.test_takes import Exam
+from kinedex.pipelines.evaluation.test_takes import TestTake
 
 I64 = npt.NDArray[np.int64]
 
@@ -32,7 +32,7 @@ Outcome = Mapping[str, Sequence[Segment]]
 
 
 @dataclass(frozen=True)
-class Fate:
+class SegmentOutcome:
     """The outcome of a manual segment.
 
     Attributes
@@ -62,8 +62,8 @@ class Fate:
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """The judgement of a method in a split.
+class MethodScores:
+    """The scores of a method in a split.
 
     Attributes
     ----------
@@ -98,72 +98,79 @@ class Judgement:
     joined_boundaries: I64
 
 
-def counts_of(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str]) -> dict[tuple[str, str], Counts]:
+def counts_of(
+    outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str]
+) -> dict[tuple[str, str], Counts]:
     """Return the counts of every take and class (thesis, Section 5.4)."""
     counts = {}
-    for exam in exams:
-        for label in labels_of(exams, classes):
-            mine = [(one.start, one.stop) for one in outcome[exam.name] if one.label == label]
-            counts[exam.name, label] = compare(
-                mine, [(start, stop) for name, start, stop in exam.truth if name == label]
+    for test_take in test_takes:
+        for label in labels_of(test_takes, classes):
+            mine = [(one.start, one.stop) for one in outcome[test_take.name] if one.label == label]
+            counts[test_take.name, label] = compare(
+                mine, [(start, stop) for name, start, stop in test_take.truth if name == label]
             )
     return counts
 
 
-def labels_of(exams: Sequence[Exam], classes: Sequence[str]) -> list[str]:
+def labels_of(test_takes: Sequence[TestTake], classes: Sequence[str]) -> list[str]:
     """Return the classes in their order, then labels that only the ground truth has."""
-    return list(dict.fromkeys([*classes, *sorted({label for exam in exams for label, _, _ in exam.truth})]))
+    return list(
+        dict.fromkeys([*classes, *sorted({label for test_take in test_takes for label, _, _ in test_take.truth})])
+    )
 
 
-def judge(outcome: Outcome, exams: Sequence[Exam], classes: Sequence[str], draws: int = 1000) -> Judgement:
+def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str], draws: int = 1000) -> MethodScores:
     """Judge the segments that a method has found in all takes of a split.
 
     Parameters
     ----------
     outcome : mapping of str to sequence of Segment
         The segments of each take, by its name.
-    exams : sequence of Exam
+    test_takes : sequence of TestTake
         The takes of all folds.
     classes : sequence of str
         The classes in the order of the tables.
     draws : int
         The number of draws of the bootstrap over takes.
     """
-    labels = labels_of(exams, classes)
-    counts = counts_of(outcome, exams, classes)
-    by_take = {exam.name: pooled(counts[exam.name, label] for label in labels) for exam in exams}
-    groups = sorted({exam.group for exam in exams})
+    labels = labels_of(test_takes, classes)
+    counts = counts_of(outcome, test_takes, classes)
+    by_take = {test_take.name: pooled(counts[test_take.name, label] for label in labels) for test_take in test_takes}
+    groups = sorted({test_take.group for test_take in test_takes})
     every = list(by_take.values())
     measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in INTERVAL_OF}
-    class_precision = {label: _precision(outcome, exams, label) for label in labels}
-    one_piece = joined(outcome, exams)
+    class_precision = {label: _precision(outcome, test_takes, label) for label in labels}
+    one_piece = joined(outcome, test_takes)
     joined_class_precision = [_precision(*one_piece, label) for label in labels]
-    return Judgement(
+    return MethodScores(
         pooled(every),
-        {label: pooled(counts[exam.name, label] for exam in exams) for label in labels},
-        {group: pooled(by_take[exam.name] for exam in exams if exam.group == group) for group in groups},
+        {label: pooled(counts[test_take.name, label] for test_take in test_takes) for label in labels},
+        {
+            group: pooled(by_take[test_take.name] for test_take in test_takes if test_take.group == group)
+            for group in groups
+        },
         by_take,
         {name: bootstrap(every, measure, draws) for name, measure in measures.items()},
         {threshold: _mean([class_precision[label][threshold] for label in labels]) for threshold in THRESHOLDS},
         class_precision,
-        confusion(outcome, exams, labels),
-        _boundaries(outcome, exams, labels),
+        confusion(outcome, test_takes, labels),
+        _boundaries(outcome, test_takes, labels),
         {threshold: _mean([one[threshold] for one in joined_class_precision]) for threshold in THRESHOLDS},
         _boundaries(*one_piece, labels),
     )
 
 
-def joined(outcome: Outcome, exams: Sequence[Exam]) -> tuple[Outcome, list[Exam]]:
+def joined(outcome: Outcome, test_takes: Sequence[TestTake]) -> tuple[Outcome, list[TestTake]]:
     """Join segments of a class that touch or overlap, automatic and manual ones alike.
 
     One person labels repetitions in a row as one segment, another as several; joined segments are the same. The
     confidence of a joined segment is the average of its parts, weighted by frames.
     """
-    mine = {exam.name: _joined(outcome[exam.name]) for exam in exams}
-    true = [_joined([Segment(*one, 1.0) for one in exam.truth]) for exam in exams]
+    mine = {test_take.name: _joined(outcome[test_take.name]) for test_take in test_takes}
+    true = [_joined([Segment(*one, 1.0) for one in test_take.truth]) for test_take in test_takes]
     return mine, [
-        replace(exam, truth=tuple((one.label, one.start, one.stop) for one in own))
-        for exam, own in zip(exams, true, strict=True)
+        replace(test_take, truth=tuple((one.label, one.start, one.stop) for one in own))
+        for test_take, own in zip(test_takes, true, strict=True)
     ]
 
 
@@ -195,40 +202,47 @@ def _mean(values: Sequence[float]) -> float:
     return sum(known) / len(known) if known else math.nan
 
 
-def _precision(outcome: Outcome, exams: Sequence[Exam], label: str) -> dict[float, float]:
+def _precision(outcome: Outcome, test_takes: Sequence[TestTake], label: str) -> dict[float, float]:
     """Return the average precision of a class at each threshold; NaN where the class does not occur."""
-    found, known = _of_class(outcome, exams, label)
+    found, known = _of_class(outcome, test_takes, label)
     return {threshold: average_precision(found, known, threshold) for threshold in THRESHOLDS}
 
 
-def _of_class(outcome: Outcome, exams: Sequence[Exam], label: str) -> tuple[list[Found], list[Known]]:
+def _of_class(
+    outcome: Outcome, test_takes: Sequence[TestTake], label: str
+) -> tuple[list[Detection], list[TrueSegment]]:
     found = [
-        Found(exam.name, one.start, one.stop, one.sure)
-        for exam in exams
-        for one in outcome[exam.name]
+        Detection(test_take.name, one.start, one.stop, one.sure)
+        for test_take in test_takes
+        for one in outcome[test_take.name]
         if one.label == label
     ]
-    known = [Known(exam.name, start, stop) for exam in exams for name, start, stop in exam.truth if name == label]
+    known = [
+        TrueSegment(test_take.name, start, stop)
+        for test_take in test_takes
+        for name, start, stop in test_take.truth
+        if name == label
+    ]
     return found, known
 
 
-def _boundaries(outcome: Outcome, exams: Sequence[Exam], labels: Sequence[str]) -> I64:
+def _boundaries(outcome: Outcome, test_takes: Sequence[TestTake], labels: Sequence[str]) -> I64:
     errors = [
-        boundary_errors(*_of_class(outcome, [exam], label))
-        for exam in exams
+        boundary_errors(*_of_class(outcome, [test_take], label))
+        for test_take in test_takes
         for label in labels
-        if any(name == label for name, _, _ in exam.truth)
+        if any(name == label for name, _, _ in test_take.truth)
     ]
     return np.concatenate([np.empty((0, 2), np.int64), *errors])
 
 
-def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:
+def segment_outcomes(outcomes: Mapping[str, Outcome], test_takes: Sequence[TestTake]) -> list[SegmentOutcome]:
     """Return the outcome of every manual segment with each method, in the order of takes and time."""
     found = []
-    for exam in exams:
-        for label, start, stop in sorted(exam.truth, key=lambda one: (one[1], one[2], one[0])):
+    for test_take in test_takes:
+        for label, start, stop in sorted(test_take.truth, key=lambda one: (one[1], one[2], one[0])):
             there = {
-                method: [one for one in outcome[exam.name] if _meets(one, start, stop)]
+                method: [one for one in outcome[test_take.name] if _meets(one, start, stop)]
                 for method, outcome in outcomes.items()
             }
             overlaps = {
@@ -238,7 +252,7 @@ def fates(outcomes: Mapping[str, Outcome], exams: Sequence[Exam]) -> list[Fate]:
                 for method, own in there.items()
             }
             labels = {method: _names(own, start, stop) for method, own in there.items()}
-            found.append(Fate(exam.name, label, start, stop, overlaps, labels))
+            found.append(SegmentOutcome(test_take.name, label, start, stop, overlaps, labels))
     return found
 
 

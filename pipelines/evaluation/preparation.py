@@ -23,7 +23,7 @@ from kinedex.storage.store.store import Store
 
 
 @dataclass(frozen=True)
-class Known:
+class StudyMaterial:
     """The material that the folds of all splits share.
 
     Attributes
@@ -47,7 +47,9 @@ class Known:
     learned_queries: QueryLearner | None
 
 
-def with_templates(context: StageContext, methods: Sequence[Method], known: Known, folds: Sequence[Fold]) -> Known:
+def with_templates(
+    context: StageContext, methods: Sequence[Method], known: StudyMaterial, folds: Sequence[Fold]
+) -> StudyMaterial:
     """Learn each template that a fold needs once, and the queries where they are learned."""
     kinds = list(dict.fromkeys(method.templates for method in methods))
     wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
@@ -63,7 +65,7 @@ def with_templates(context: StageContext, methods: Sequence[Method], known: Know
     return replace(known, templates=templates)
 
 
-def method_remarks(methods: Sequence[Method], known: Known) -> list[str]:
+def method_remarks(methods: Sequence[Method], known: StudyMaterial) -> list[str]:
     """Return remarks on queries for none of the classes, and on parameters without effect."""
     remarks = []
     for method in methods:
@@ -74,7 +76,7 @@ def method_remarks(methods: Sequence[Method], known: Known) -> list[str]:
     return remarks
 
 
-def make_cell(context: StageContext, known: Known, fold: Fold, method: Method) -> Cell:
+def make_cell(context: StageContext, known: StudyMaterial, fold: Fold, method: Method) -> Cell:
     """Make the cell of a method in a fold, with the annotator of its takes."""
     store = known.store
     own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]

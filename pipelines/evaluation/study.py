@@ -11,9 +11,9 @@ import numpy as np
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.pipelines.evaluation.annotation_scores import Row, measures
 from kinedex.pipelines.evaluation.grid import Segment
-from kinedex.pipelines.evaluation.method_scores import Fate, Judgement, Outcome, chosen_takes
+from kinedex.pipelines.evaluation.method_scores import MethodScores, Outcome, SegmentOutcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
-from kinedex.pipelines.evaluation.test_takes import WHOLE, Exam, Fold
+from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 
 
 @dataclass(frozen=True)
@@ -27,20 +27,20 @@ class Threshold:
 
 @dataclass(frozen=True)
 class SplitResult:
-    """One split: its folds, the judgement of each method, the sweep, and the fates of manual segments."""
+    """One split: its folds, the scores of each method, the sweep, and the outcomes of manual segments."""
 
     split: Split
     folds: tuple[Fold, ...]
     outcomes: dict[str, Outcome]
-    judgements: dict[str, Judgement]
+    judgements: dict[str, MethodScores]
     sweep: tuple[Threshold, ...]
-    fates: tuple[Fate, ...]
+    segment_outcomes: tuple[SegmentOutcome, ...]
     notes: tuple[str, ...] = ()
 
     @property
-    def exams(self) -> tuple[Exam, ...]:
+    def test_takes(self) -> tuple[TestTake, ...]:
         """The takes of all folds."""
-        return tuple(exam for fold in self.folds for exam in fold.exams)
+        return tuple(test_take for fold in self.folds for test_take in fold.test_takes)
 
     @property
     def remarks(self) -> list[str]:
@@ -48,9 +48,9 @@ class SplitResult:
         return list(dict.fromkeys([*self.notes, *(remark for fold in self.folds for remark in fold.remarks)]))
 
     @property
-    def missed(self) -> list[Fate]:
+    def missed(self) -> list[SegmentOutcome]:
         """The manual segments that no method has found."""
-        return [one for one in self.fates if one.missed]
+        return [one for one in self.segment_outcomes if one.missed]
 
     @property
     def leading(self) -> str:
@@ -92,31 +92,31 @@ class Study:
     remarks: tuple[str, ...] = ()
 
 
-def take_title(study: Study, result: SplitResult, exam: Exam) -> str:
+def take_title(study: Study, result: SplitResult, test_take: TestTake) -> str:
     """Return the title of a take: its name, with that of its split where another split has another take of it."""
-    same = [other for split in study.splits for other in split.exams if other.name == exam.name]
-    alike = all(other.take_ids == exam.take_ids for other in same)
-    return exam.name if alike else f"{result.split.name}: {exam.name}"
+    same = [other for split in study.splits for other in split.test_takes if other.name == test_take.name]
+    alike = all(other.take_ids == test_take.take_ids for other in same)
+    return test_take.name if alike else f"{result.split.name}: {test_take.name}"
 
 
 def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
     """Return the takes of the store of which each take with a timeline is laid out, by title."""
     parts = {}
     for result in study.splits:
-        exams = {exam.name: exam for exam in result.exams}
+        test_takes = {test_take.name: test_take for test_take in result.test_takes}
         for name in result.shown().values():
-            parts[take_title(study, result, exams[name])] = exams[name].take_ids
+            parts[take_title(study, result, test_takes[name])] = test_takes[name].take_ids
     return parts
 
 
 def boundary_summary(
-    judgement: Judgement, rate_hz: float, *, joined: bool = False
+    judgement: MethodScores, rate_hz: float, *, joined: bool = False
 ) -> dict[str, dict[str, float | int | None]]:
     """Summarise boundary errors in seconds, at start and stop.
 
     Parameters
     ----------
-    judgement : Judgement
+    judgement : MethodScores
         The judgement of a method.
     rate_hz : float
         The analysis rate, in frames per second.
@@ -163,7 +163,7 @@ def content(study: Study) -> dict[str, object]:
 
 def _split(result: SplitResult, study: Study) -> dict[str, object]:
     shown = result.shown()
-    exams = {exam.name: exam for exam in result.exams}
+    test_takes = {test_take.name: test_take for test_take in result.test_takes}
     return {
         "name": result.split.name,
         "split": result.split.model_dump(mode="json"),
@@ -172,19 +172,19 @@ def _split(result: SplitResult, study: Study) -> dict[str, object]:
             {
                 "name": fold.name,
                 "clips": sum(len(one.names) for one in fold.clips),
-                "takes": [e.name for e in fold.exams],
+                "takes": [e.name for e in fold.test_takes],
             }
             for fold in result.folds
         ],
         "methods": {name: _judgement(one, study) for name, one in result.judgements.items()},
         "sweep": [{"method": one.curve, "tau": one.tau, **scores(one.counts)} for one in result.sweep],
         "never_found": len(result.missed),
-        "segments": [asdict(one) for one in result.fates],
+        "segments": [asdict(one) for one in result.segment_outcomes],
         "shown": {
             what: {
                 "take": name,
-                "frames": exams[name].frames,
-                "manual": [list(one) for one in exams[name].truth],
+                "frames": test_takes[name].frames,
+                "manual": [list(one) for one in test_takes[name].truth],
                 "automatic": {method: _segments(found[name]) for method, found in result.outcomes.items()},
             }
             for what, name in shown.items()
@@ -192,7 +192,7 @@ def _split(result: SplitResult, study: Study) -> dict[str, object]:
     }
 
 
-def _judgement(one: Judgement, study: Study) -> dict[str, object]:
+def _judgement(one: MethodScores, study: Study) -> dict[str, object]:
     result: dict[str, object] = {
         "pooled": scores(one.pooled),
         "intervals": {name: [_number(low), _number(high)] for name, (low, high) in one.intervals.items()},
@@ -226,9 +226,9 @@ def scores(counts: Counts) -> dict[str, float | int | None]:
     return {**measures(counts), **asdict(counts)}
 
 
-def evaluation_rows(judged: Judgement, folds: Sequence[Fold]) -> tuple[Row, ...]:
+def evaluation_rows(judged: MethodScores, folds: Sequence[Fold]) -> tuple[Row, ...]:
     """Return a judgement as rows of an evaluation; a group holds the takes with the same value of `divide_by`."""
-    by_fold = {fold.name: pooled(judged.by_take[exam.name] for exam in fold.exams) for fold in folds}
+    by_fold = {fold.name: pooled(judged.by_take[test_take.name] for test_take in fold.test_takes) for fold in folds}
     return (
         Row("pooled", "all", judged.pooled),
         *(Row("fold", name, counts) for name, counts in by_fold.items() if name != WHOLE),

@@ -13,7 +13,7 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
-from kinedex.pipelines.evaluation.method_scores import Fate, Judgement
+from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
@@ -46,7 +46,7 @@ def headings(study: Study) -> list[str]:
     return columns
 
 
-def row(judgement: Judgement, study: Study) -> list[str]:
+def row(judgement: MethodScores, study: Study) -> list[str]:
     """Return the cells of a method in the table of methods."""
     counts = judgement.pooled
     values = []
@@ -81,12 +81,12 @@ def six(counts: Counts) -> list[str]:
 
 def described(result: SplitResult) -> str:
     """Return a sentence on a split."""
-    takes = len(result.exams)
+    takes = len(result.test_takes)
     parts = "clips laid end to end as " if result.split.clips_as_takes else ""
     folds = (
         f", {len(result.folds)} folds: {', '.join(one.name for one in result.folds)}" if len(result.folds) > 1 else ""
     )
-    segments = sum(len(exam.truth) for exam in result.exams)
+    segments = sum(len(test_take.truth) for test_take in result.test_takes)
     return f"{result.split.kind}; {parts}{counted(takes, 'take')} with {counted(segments, 'manual segment')}{folds}"
 
 
@@ -185,17 +185,22 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
     if len(result.missed) > MOST_LISTED:
         lines.append(f"- and {len(result.missed) - MOST_LISTED} more, in the JSON")
     lines += [""] if result.missed else []
-    if len(result.fates) > MOST_LISTED:
+    if len(result.segment_outcomes) > MOST_LISTED:
         return lines
     names = list(result.judgements)
     rows = [
-        [one.take, f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f}", one.label, *(fate(one, n) for n in names)]
-        for one in result.fates
+        [
+            one.take,
+            f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f}",
+            one.label,
+            *(outcome_text(one, n) for n in names),
+        ]
+        for one in result.segment_outcomes
     ]
     return [*lines, "### Segment by segment", "", *grid(["take", "seconds", "class", *names], rows)]
 
 
-def fate(one: Fate, method: str) -> str:
+def outcome_text(one: SegmentOutcome, method: str) -> str:
     """Return the overlap of a method with a manual segment, or the labels that it put there instead."""
     share = one.overlaps[method]
     return f"{share:.0%}" if share else f"missed ({', '.join(one.labels[method]) or 'nothing'})"

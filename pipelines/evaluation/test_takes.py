@@ -1,4 +1,4 @@
-"""Exams: takes that are annotated and judged, with their ground truth; takes of the store, or clips laid end to end."""
+"""Test takes, which are annotated and judged: takes of the store or clips laid end to end, with their ground truth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Truth = tuple[str, int, int]
 
 
 @dataclass(frozen=True)
-class Exam:
+class TestTake:
     """A take that is annotated and judged: one of the store, or several clips of the store laid end to end.
 
     Attributes
@@ -52,12 +52,12 @@ class Fold:
     split: str
     name: str
     clips: tuple[TrainingClips, ...]
-    exams: tuple[Exam, ...]
+    test_takes: tuple[TestTake, ...]
     remarks: tuple[str, ...] = ()
 
 
-def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[Exam]:
-    """Return takes of the store as exams.
+def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[TestTake]:
+    """Return takes of the store as test takes.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[
     for one in placed.segments:
         truth.setdefault(one.take, []).append((one.label, one.start, one.stop))
     return [
-        Exam(
+        TestTake(
             row["name"],
             group_of(row, column),
             (row["take_id"],),
@@ -83,7 +83,7 @@ def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[
     ]
 
 
-def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, column: str) -> list[Exam]:
+def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, column: str) -> list[TestTake]:
     """Lay clips end to end in drawn orders; the clips of one take are of one value of a column.
 
     Parameters
@@ -101,7 +101,7 @@ def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, col
     """
     rows = list(clips.sort("name").iter_rows(named=True))
     groups = sorted({group_of(row, column) for row in rows})
-    exams = []
+    test_takes = []
     for place, group in enumerate(groups):
         own = [row for row in rows if group_of(row, column) == group]
         where = fold if len(groups) == 1 else f"{fold}: {group}"
@@ -109,8 +109,8 @@ def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, col
             drawn = _drawn(split, own, np.random.default_rng((split.seed, order, place)))
             for number, start in enumerate(range(0, len(drawn), split.clips_a_take), 1):
                 part = drawn[start : start + split.clips_a_take]
-                exams.append(_end_to_end(f"{where}: order {order + 1}, take {number}", group, part, classes))
-    return exams
+                test_takes.append(_end_to_end(f"{where}: order {order + 1}, take {number}", group, part, classes))
+    return test_takes
 
 
 def group_of(row: dict[str, object], column: str) -> str:
@@ -118,9 +118,9 @@ def group_of(row: dict[str, object], column: str) -> str:
     return f"no {column}" if row.get(column) is None else str(row[column])
 
 
-def how_clips_are_used(split: Split, clips: int, exams: Sequence[Exam]) -> str:
+def how_clips_are_used(split: Split, clips: int, test_takes: Sequence[TestTake]) -> str:
     """Return a remark on how many of the clips are laid out, and how often."""
-    uses = [take_id for exam in exams for take_id in exam.take_ids]
+    uses = [take_id for test_take in test_takes for take_id in test_take.take_ids]
     used = len(set(uses))
     return (
         f"{used} of {clips} clips are used, each {len(uses) / used:.1f} times on average (orders: {split.orders}, "
@@ -137,10 +137,10 @@ def _drawn(split: Split, rows: Sequence[dict[str, object]], random: np.random.Ge
     return [chosen[index] for index in random.permutation(len(chosen)).tolist()]
 
 
-def _end_to_end(name: str, group: str, clips: Sequence[dict[str, object]], classes: Classes) -> Exam:
+def _end_to_end(name: str, group: str, clips: Sequence[dict[str, object]], classes: Classes) -> TestTake:
     edges = np.cumsum([0, *(int(str(row["frames"])) for row in clips)]).tolist()
     truth = tuple(
         (str(classes.class_of(str(row["class"]))), start, stop)
         for row, start, stop in zip(clips, edges, edges[1:], strict=False)
     )
-    return Exam(name, group, tuple(int(str(row["take_id"])) for row in clips), edges[-1], truth)
+    return TestTake(name, group, tuple(int(str(row["take_id"])) for row in clips), edges[-1], truth)

@@ -17,7 +17,7 @@ FORMAT = "kinedex evaluation 1"
 
 
 @dataclass(frozen=True)
-class Scored:
+class MethodEvaluation:
     """The evaluation of one method.
 
     Attributes
@@ -48,15 +48,15 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Read:
+class ReadEvaluations:
     """The evaluations of a path, as the user wrote it; of one method, or of all where `method` is None."""
 
     text: str
     method: str | None
-    found: tuple[Scored, ...]
+    found: tuple[MethodEvaluation, ...]
 
 
-def read_run(text: str) -> Read:
+def read_run(text: str) -> ReadEvaluations:
     """Read the evaluations of a path.
 
     Parameters
@@ -77,7 +77,7 @@ def read_run(text: str) -> Read:
         if method not in names:
             raise KinedexError(f"{where} has no method '{method}'{did_you_mean(method, names)}")
         found = [one for one in found if one.method == method]
-    return Read(text, method if mark else None, tuple(found))
+    return ReadEvaluations(text, method if mark else None, tuple(found))
 
 
 def _files(path: Path) -> list[Path]:
@@ -110,7 +110,7 @@ def _files_in(folder: Path) -> list[Path]:
     return [file for name in _NAMES for file in files if file.name == name or file.name.endswith(f".{name}")]
 
 
-def _read(file: Path) -> list[Scored]:
+def _read(file: Path) -> list[MethodEvaluation]:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except OSError as fault:
@@ -132,8 +132,8 @@ def _read(file: Path) -> list[Scored]:
     raise KinedexError(f"{file}: is no evaluation; expected {' or '.join(_NAMES)} as kinedex writes them")
 
 
-def _scored(evaluation: str, method: str, content: dict[str, Any], settings: dict[str, Any]) -> Scored:
-    return Scored(
+def _scored(evaluation: str, method: str, content: dict[str, Any], settings: dict[str, Any]) -> MethodEvaluation:
+    return MethodEvaluation(
         evaluation,
         method,
         _counts(content["pooled"]),
@@ -147,7 +147,9 @@ def _counts(content: dict[str, Any]) -> Counts:
     return Counts(**{one.name: int(content[one.name]) for one in fields(Counts)})
 
 
-def pairs(a: Read, b: Read, split: str | None = None) -> list[tuple[Scored, Scored]]:
+def pairs(
+    a: ReadEvaluations, b: ReadEvaluations, split: str | None = None
+) -> list[tuple[MethodEvaluation, MethodEvaluation]]:
     """Pair the evaluations of A and B: the same evaluation of the same method, or of the methods asked for.
 
     A file with one method only fits any method of the other side.
@@ -176,7 +178,7 @@ def pairs(a: Read, b: Read, split: str | None = None) -> list[tuple[Scored, Scor
     return found
 
 
-def _in_split(read: Read, split: str | None) -> list[Scored]:
+def _in_split(read: ReadEvaluations, split: str | None) -> list[MethodEvaluation]:
     if split is None:
         return list(read.found)
     found = [one for one in read.found if one.evaluation == split]
@@ -186,5 +188,5 @@ def _in_split(read: Read, split: str | None) -> list[Scored]:
     return found
 
 
-def _listed(scored: list[Scored]) -> str:
+def _listed(scored: list[MethodEvaluation]) -> str:
     return ", ".join(f"'{one.name}'" for one in scored)

@@ -13,7 +13,7 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.evaluation.confusion import Confusion
 from kinedex.pipelines.evaluation.method_scores import Outcome
 from kinedex.pipelines.evaluation.study import Threshold
-from kinedex.pipelines.evaluation.test_takes import Exam
+from kinedex.pipelines.evaluation.test_takes import TestTake
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.plots import HistogramBar, histogram, line_path
 
@@ -106,7 +106,7 @@ class Strips:
 
     title: str
     what: str
-    exam: Exam
+    test_take: TestTake
     strips: tuple[Strip, ...]
     axis: Axis
     scores: dict[str, Counts]
@@ -171,7 +171,7 @@ def _plot(title: str, level: int, points: Sequence[Threshold]) -> Plot:
 def strips(
     title: str,
     what: str,
-    exam: Exam,
+    test_take: TestTake,
     outcomes: Mapping[str, Outcome],
     numbers: Mapping[str, int],
     rate_hz: float,
@@ -182,21 +182,21 @@ def strips(
     A block is wrong where the other side has no segment of its class on any of its frames; the other side of manual
     segments is the first method in `outcomes`.
     """
-    manual = sorted((start, stop, label) for label, start, stop in exam.truth)
-    leading = next(iter(outcomes.values()))[exam.name]
+    manual = sorted((start, stop, label) for label, start, stop in test_take.truth)
+    leading = next(iter(outcomes.values()))[test_take.name]
     found = [(one.start, one.stop, one.label) for one in leading]
-    rows = [_strip("manual", manual, found, exam, numbers, rate_hz)]
+    rows = [_strip("manual", manual, found, test_take, numbers, rate_hz)]
     for name, outcome in outcomes.items():
-        own = [(one.start, one.stop, one.label) for one in outcome[exam.name]]
-        rows.append(_strip(name, own, manual, exam, numbers, rate_hz))
-    return Strips(title, what, exam, tuple(rows), time_axis(max(exam.frames / rate_hz, 1e-6)), dict(scores))
+        own = [(one.start, one.stop, one.label) for one in outcome[test_take.name]]
+        rows.append(_strip(name, own, manual, test_take, numbers, rate_hz))
+    return Strips(title, what, test_take, tuple(rows), time_axis(max(test_take.frames / rate_hz, 1e-6)), dict(scores))
 
 
 def _strip(
     name: str,
     segments: Sequence[tuple[int, int, str]],
     others: Sequence[tuple[int, int, str]],
-    exam: Exam,
+    test_take: TestTake,
     numbers: Mapping[str, int],
     rate_hz: float,
 ) -> Strip:
@@ -208,11 +208,11 @@ def _strip(
         left, right = bare_part((start, stop), [(begin, end) for begin, end, _ in segments[place + 1 :]])
         blocks.append(
             Block(
-                left=percent(start, exam.frames),
-                width=percent(stop - start, exam.frames),
+                left=percent(start, test_take.frames),
+                width=percent(stop - start, test_take.frames),
                 number=numbers[label],
-                middle=percent((left + right) / 2, exam.frames),
-                room=room_for(numbers[label], (right - left) / exam.frames),
+                middle=percent((left + right) / 2, test_take.frames),
+                room=room_for(numbers[label], (right - left) / test_take.frames),
                 wrong=wrong,
                 tip=tip,
                 start=start,

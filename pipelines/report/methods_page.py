@@ -15,8 +15,8 @@ from kinedex.pipelines.evaluation.tables import (
     between,
     described,
     digits,
-    fate,
     headings,
+    outcome_text,
     overlap_notes,
     row,
     sentence,
@@ -112,7 +112,7 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
     numbers = {label: index + 1 for index, label in enumerate(labels)}
     lead = result.leading
     ordered = {lead: result.outcomes[lead], **result.outcomes}
-    exams = {exam.name: exam for exam in result.exams}
+    test_takes = {test_take.name: test_take for test_take in result.test_takes}
     judgement = result.judgements[lead]
     used = tuple(
         label
@@ -124,9 +124,9 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
     )
     takes = [
         strips(
-            take_title(study, result, exams[name]),
+            take_title(study, result, test_takes[name]),
             what,
-            exams[name],
+            test_takes[name],
             ordered,
             numbers,
             study.rate_hz,
@@ -149,7 +149,7 @@ def _environment() -> Environment:
         "described": described,
         "sentence": sentence,
         "row": row,
-        "fate": fate,
+        "outcome_text": outcome_text,
         "six": six,
         "boundaries": boundary_summary,
         "sortable": lambda value: "" if value is None or math.isnan(value) else value,

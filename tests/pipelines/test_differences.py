@@ -16,7 +16,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
 from kinedex.pipelines.evaluation.difference_tables import markdown, page
 from kinedex.pipelines.evaluation.differences import compared, content, difference_interval, without_repeats
-from kinedex.pipelines.evaluation.written_evaluations import Scored, pairs, read_run
+from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
 from tests.pipelines.study import Reading
 
 
@@ -25,10 +25,10 @@ def counts(right: int, of: int = 10) -> Counts:
     return Counts(right, of, of, right, of, right, of)
 
 
-def scored(method: str = "m", **takes: int) -> Scored:
+def scored(method: str = "m", **takes: int) -> MethodEvaluation:
     by_take = {name: counts(right) for name, right in takes.items()}
     whole = sum(by_take.values(), Counts())
-    return Scored("split", method, whole, {"walk": whole}, by_take)
+    return MethodEvaluation("split", method, whole, {"walk": whole}, by_take)
 
 
 def study_file(path: Path, **methods: dict[str, int]) -> Path:
@@ -64,8 +64,8 @@ def test_only_takes_that_both_have_count() -> None:
 
 def test_labels_in_vain_are_worse_than_none() -> None:
     silent, vain = Counts(), Counts(0, 30, 0, 0, 3, 0, 0)
-    a = Scored("e", "", counts(5) + silent, {"walk": counts(5), "hop": silent}, {"x": counts(5), "y": silent})
-    b = Scored("e", "", counts(5) + vain, {"walk": counts(5), "hop": vain}, {"x": counts(5), "y": vain})
+    a = MethodEvaluation("e", "", counts(5) + silent, {"walk": counts(5), "hop": silent}, {"x": counts(5), "y": silent})
+    b = MethodEvaluation("e", "", counts(5) + vain, {"walk": counts(5), "hop": vain}, {"x": counts(5), "y": vain})
     one = compared(a, b, ("A", "B"))
     assert {change.name: change.verdict for change in one.takes} == {"x": "same", "y": "worse"}
     assert {change.name: change.verdict for change in one.classes} == {"walk": "same", "hop": "worse"}
@@ -73,7 +73,7 @@ def test_labels_in_vain_are_worse_than_none() -> None:
     assert {change.name: change.verdict for change in compared(b, a, ("B", "A")).takes}["y"] == "better"
     for text in (markdown([one]), Reading(page([one])).text):
         assert "Worse: 1 of 2 takes" in text
-    alone = compared(*(Scored("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B"))
+    alone = compared(*(MethodEvaluation("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B"))
     assert alone.verdict.startswith(
         "F (frames) is worse: B labels what is not there, the other one nothing; F (segments) is worse"
     )
@@ -103,7 +103,7 @@ def test_other_ground_truth_is_noticed() -> None:
 
 
 def test_what_is_to_be_found_on_one_side_only_cannot_be_compared() -> None:
-    one = compared(*(Scored("e", "", each, {}, {"x": each}) for each in (Counts(), counts(5))), ("A", "B"))
+    one = compared(*(MethodEvaluation("e", "", each, {}, {"x": each}) for each in (Counts(), counts(5))), ("A", "B"))
     assert one.takes[0].verdict == "incomparable"
     assert one.verdict.startswith("F (frames) is undefined in A; F (segments) is undefined in A; but A and B")
     assert "Incomparable: 1 of 1 takes" in markdown([one])
@@ -157,8 +157,10 @@ def test_the_interval_of_no_difference_is_nothing() -> None:
 
 
 def test_a_class_that_goes_up_in_frames_and_down_in_segments_is_mixed() -> None:
-    a = Scored("e", "", Counts(), {"walk": Counts(5, 10, 10, 9, 10, 9, 10)}, {})
-    b = Scored("e", "", Counts(), {"walk": Counts(7, 10, 10, 6, 10, 6, 10), "jump": Counts(1, 1, 1, 1, 1, 1, 1)}, {})
+    a = MethodEvaluation("e", "", Counts(), {"walk": Counts(5, 10, 10, 9, 10, 9, 10)}, {})
+    b = MethodEvaluation(
+        "e", "", Counts(), {"walk": Counts(7, 10, 10, 6, 10, 6, 10), "jump": Counts(1, 1, 1, 1, 1, 1, 1)}, {}
+    )
     one = compared(a, b, ("A", "B"))
     assert [(change.name, change.verdict) for change in one.classes] == [("walk", "mixed")]
     assert one.overall.f1 == (None, None)
@@ -184,7 +186,7 @@ def test_metrics_of_the_stage_evaluate_are_read(tmp_path: Path) -> None:
     rows = (Row("pooled", "all", counts(5)), Row("take", "x", counts(5)), Row("class", "walk", counts(5)))
     write_metrics(tmp_path / "metrics.json", Evaluation("annotate", rows), "run")
     (found,) = read_run(str(tmp_path)).found
-    assert found == Scored("annotate", "", counts(5), {"walk": counts(5)}, {"x": counts(5)})
+    assert found == MethodEvaluation("annotate", "", counts(5), {"walk": counts(5)}, {"x": counts(5)})
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,13 @@ from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.evaluation import grid
+from kinedex.pipelines.evaluation import grid, test_takes
 from kinedex.pipelines.evaluation.grid import Segment
-from kinedex.pipelines.evaluation.method_scores import chosen_takes, fates, joined, judge
+from kinedex.pipelines.evaluation.method_scores import chosen_takes, joined, judge, segment_outcomes
 from kinedex.pipelines.evaluation.scheme import METRICS, Method, Split
 from kinedex.pipelines.evaluation.study import SplitResult, Study
 from kinedex.pipelines.evaluation.tables import overview
-from kinedex.pipelines.evaluation.test_takes import Exam, Fold
+from kinedex.pipelines.evaluation.test_takes import Fold
 from kinedex.pipelines.keyframes import runs as keyframe_runs
 from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.pipelines.stages.evaluate import Evaluate
@@ -131,7 +131,7 @@ def test_finished_cells_are_kept_and_not_done_again(line: Comparing, monkeypatch
     first = line.compare([THESIS], [{"name": "eve"}, LEFT_OUT])
     done: list[str] = []
     real = grid.annotate_task
-    monkeypatch.setattr(grid, "annotate_task", lambda task: done.append(task.exams[0].name) or real(task))
+    monkeypatch.setattr(grid, "annotate_task", lambda task: done.append(task.test_takes[0].name) or real(task))
     assert line.compare([THESIS], [{"name": "eve"}, LEFT_OUT])["splits"] == first["splits"]
     assert done == []
     line.compare([THESIS, BEST], [{"name": "eve"}, LEFT_OUT])
@@ -141,8 +141,8 @@ def test_finished_cells_are_kept_and_not_done_again(line: Comparing, monkeypatch
 def test_what_was_finished_before_it_broke_off_is_kept(line: Comparing, monkeypatch: pytest.MonkeyPatch) -> None:
     real = grid.annotate_task
 
-    def breaks(task: grid.Task) -> grid.Found:
-        if task.exams[0].name.startswith("bob"):
+    def breaks(task: grid.Task) -> grid.SegmentsByTake:
+        if task.test_takes[0].name.startswith("bob"):
             raise KinedexError("pulled the plug")
         return real(task)
 
@@ -307,7 +307,7 @@ def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
 
 
 def small_split() -> SplitResult:
-    take = exam(("a", 0, 4))
+    take = a_test_take(("a", 0, 4))
     found = {"t": (Segment("a", 0, 3, 1.0),)}
     judged = {name: judge(found, [take], ["a"], draws=5) for name in ("thesis, τ = 0.13, learned queries", "best")}
     return SplitResult(Split(name="x"), (Fold("x", "all", (), (take,)),), {}, judged, (), ())
@@ -399,26 +399,26 @@ def test_queries_that_are_to_be_learned_need_the_stage(line: Comparing, monkeypa
         line.compare([{**BEST, "queries": "learned"}], [{"name": "eve"}])
 
 
-def exam(*truth: tuple[str, int, int], frames: int = 10) -> Exam:
-    return Exam("t", "g", (1,), frames, truth)
+def a_test_take(*truth: tuple[str, int, int], frames: int = 10) -> test_takes.TestTake:
+    return test_takes.TestTake("t", "g", (1,), frames, truth)
 
 
 def test_a_segment_that_one_method_finds_is_found() -> None:
-    truth = exam(("a", 0, 4), ("b", 5, 9))
-    found, missed = fates({"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
+    truth = a_test_take(("a", 0, 4), ("b", 5, 9))
+    found, missed = segment_outcomes({"one": {"t": (Segment("a", 3, 6, 1.0),)}, "two": {"t": ()}}, [truth])
     assert (found.label, found.overlaps, found.missed) == ("a", {"one": pytest.approx(1 / 6), "two": 0.0}, False)
     assert (missed.label, missed.labels, missed.missed) == ("b", {"one": ("a",), "two": ()}, True)
 
 
 def test_touching_segments_of_one_class_are_one_where_they_are_joined() -> None:
-    truth = exam(("a", 0, 6), ("a", 8, 10), ("b", 2, 4))
+    truth = a_test_take(("a", 0, 6), ("a", 8, 10), ("b", 2, 4))
     found = {"t": (Segment("a", 3, 6, 0.2), Segment("b", 2, 4, 1.0), Segment("a", 0, 3, 0.8), Segment("a", 7, 10, 0.5))}
     mine, (one,) = joined(found, [truth])
     assert [(each.label, each.start, each.stop, each.sure) for each in mine["t"]] == [
         ("a", 0, 6, pytest.approx(0.5)), ("b", 2, 4, 1.0), ("a", 7, 10, 0.5),
     ]  # fmt: skip
     assert sorted(one.truth) == sorted(truth.truth)
-    assert joined({"t": ()}, [exam(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))])[1][0].truth == (("a", 0, 6),)
+    assert joined({"t": ()}, [a_test_take(("a", 0, 3), ("a", 3, 6), ("a", 4, 5))])[1][0].truth == (("a", 0, 6),)
     result = judge(found, [truth], ["a", "b"], draws=10)
     assert result.precision[0.7] < result.joined_precision[0.6] == 1.0
     assert result.boundaries.tolist() == [[3, 0], [-1, 0], [0, 0]]
@@ -437,7 +437,7 @@ def test_the_takes_shown_are_the_best_the_middle_and_the_worst() -> None:
 
 
 def test_nothing_found_and_nothing_to_find_is_judged() -> None:
-    result = judge({"t": ()}, [exam()], ["a"], draws=10)
+    result = judge({"t": ()}, [a_test_take()], ["a"], draws=10)
     assert math.isnan(result.pooled.f1)
     assert math.isnan(result.precision[0.5])
     assert result.boundaries.shape == (0, 2)

@@ -9,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.evaluation.detection import Found, Known, average_precision, bootstrap, boundary_errors, overlap
+from kinedex.ops.evaluation.detection import (
+    Detection,
+    TrueSegment,
+    average_precision,
+    bootstrap,
+    boundary_errors,
+    overlap,
+)
 from kinedex.ops.evaluation.metrics import Counts
 from tests.oracles import detection as oracle
 
@@ -23,21 +30,21 @@ FOUND = st.lists(st.tuples(RANGES, st.sampled_from([0.1, 0.5, 0.9])).map(lambda 
 def test_average_precision_is_that_of_the_naive_twin(
     found: list[tuple[str, int, int, float]], known: list[tuple[str, int, int]], threshold: float
 ) -> None:
-    ours = average_precision([Found(*one) for one in found], [Known(*one) for one in known], threshold)
+    ours = average_precision([Detection(*one) for one in found], [TrueSegment(*one) for one in known], threshold)
     assert ours == pytest.approx(oracle.average_precision(found, known, threshold), nan_ok=True)
 
 
 def test_a_second_segment_on_the_same_motion_is_wrong() -> None:
-    known = [Known("take", 0, 10)]
-    twice = [Found("take", 0, 10, 0.9), Found("take", 1, 10, 0.8)]
+    known = [TrueSegment("take", 0, 10)]
+    twice = [Detection("take", 0, 10, 0.9), Detection("take", 1, 10, 0.8)]
     assert average_precision(twice, known, 0.5) == 1.0
     assert average_precision(twice[::-1], known, 0.5) == 1.0
     assert average_precision([twice[0]._replace(start=9), twice[1]], known, 0.5) == 0.5
 
 
 def test_nothing_to_find_has_no_precision() -> None:
-    assert math.isnan(average_precision([Found("take", 0, 1, 1.0)], [], 0.5))
-    assert average_precision([], [Known("take", 0, 1)], 0.5) == 0.0
+    assert math.isnan(average_precision([Detection("take", 0, 1, 1.0)], [], 0.5))
+    assert average_precision([], [TrueSegment("take", 0, 1)], 0.5) == 0.0
 
 
 def test_overlap_is_intersection_over_union() -> None:
@@ -46,10 +53,10 @@ def test_overlap_is_intersection_over_union() -> None:
 
 
 def test_boundaries_are_compared_with_the_segment_that_overlaps_most() -> None:
-    found = [Found("take", 2, 11, 1.0), Found("take", 11, 30, 1.0), Found("other", 0, 10, 1.0)]
-    errors = boundary_errors(found, [Known("take", 0, 10), Known("take", 50, 60)])
+    found = [Detection("take", 2, 11, 1.0), Detection("take", 11, 30, 1.0), Detection("other", 0, 10, 1.0)]
+    errors = boundary_errors(found, [TrueSegment("take", 0, 10), TrueSegment("take", 50, 60)])
     assert errors.tolist() == [[2, 1]]
-    assert boundary_errors([], [Known("take", 0, 10)]).shape == (0, 2)
+    assert boundary_errors([], [TrueSegment("take", 0, 10)]).shape == (0, 2)
 
 
 def test_the_interval_of_takes_that_are_alike_is_narrow_and_of_unlike_ones_wide() -> None:
@@ -65,6 +72,6 @@ def test_what_makes_no_sense_is_refused() -> None:
     with pytest.raises(ParameterError, match="threshold must be"):
         average_precision([], [], 0.0)
     with pytest.raises(ParameterError, match="known must be"):
-        average_precision([], [Known("take", 3, 3)], 0.5)
+        average_precision([], [TrueSegment("take", 3, 3)], 0.5)
     with pytest.raises(ParameterError, match="draws must be"):
         bootstrap([Counts()], lambda counts: counts.f1, draws=0)

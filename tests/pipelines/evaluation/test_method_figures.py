@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.evaluation import test_takes
 from kinedex.pipelines.evaluation.grid import Segment
 from kinedex.pipelines.evaluation.study import Threshold
-from kinedex.pipelines.evaluation.test_takes import Exam
 from kinedex.pipelines.report.method_figures import ROOMS, bare_part, room_for, strips, sweeps
 
 SPAN = st.tuples(st.integers(0, 20), st.integers(1, 20)).map(lambda two: (two[0], two[0] + two[1]))
@@ -39,9 +39,9 @@ def test_two_digits_need_more_room_than_one() -> None:
 
 
 def test_numbers_of_blocks_that_lie_on_each_other_do_not() -> None:
-    exam = Exam("t", "g", (1,), 100, ())
+    test_take = test_takes.TestTake("t", "g", (1,), 100, ())
     found = {"m": {"t": (Segment("a", 0, 50, 1.0), Segment("b", 0, 50, 1.0), Segment("a", 40, 90, 1.0))}}
-    under, middle, over = strips("t", "best", exam, found, {"a": 1, "b": 2}, 30.0, {}).strips[1].blocks
+    under, middle, over = strips("t", "best", test_take, found, {"a": 1, "b": 2}, 30.0, {}).strips[1].blocks
     assert under.room is None
     assert (middle.middle, over.middle) == (20, 65)
 

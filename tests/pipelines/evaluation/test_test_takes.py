@@ -71,7 +71,7 @@ def test_clips_that_are_not_used_are_told() -> None:
     few = clips(("ann", "bob"), 3)
     stray = takes(("dance1", "ann", "dance"), ("dance2", "ann", None)).with_columns(pl.col("take_id") + 100)
     folds = make_folds(Split(**LAID_OUT, leave_out="actor"), material(few, pl.concat([few, stray])))
-    used = Counter(take_id for fold in folds for exam in fold.exams for take_id in exam.take_ids)
+    used = Counter(take_id for fold in folds for test_take in fold.test_takes for take_id in test_take.take_ids)
     assert max(used) < 100
     assert sum(used.values()) == 2 * 2 * 2 * 2  # actors, orders, classes, most_clips
     assert said(folds)[:2] == [
@@ -84,8 +84,8 @@ def test_clips_of_one_take_are_of_one_actor() -> None:
     every = clips()
     folds = make_folds(Split(**LAID_OUT, folds=2), material(every, every))
     actors = dict(every.select("take_id", "actor").iter_rows())
-    exams = [exam for fold in folds for exam in fold.exams]
-    assert {exam.group for exam in exams} == {"ann", "bob", "cat"}
-    for exam in exams:
-        assert {actors[take_id] for take_id in exam.take_ids} == {exam.group}
-    assert len({exam.name for exam in exams}) == len(exams)
+    test_takes = [test_take for fold in folds for test_take in fold.test_takes]
+    assert {test_take.group for test_take in test_takes} == {"ann", "bob", "cat"}
+    for test_take in test_takes:
+        assert {actors[take_id] for take_id in test_take.take_ids} == {test_take.group}
+    assert len({test_take.name for test_take in test_takes}) == len(test_takes)
