@@ -14,8 +14,7 @@ from kinedex.ops.templates.pairs import (
     Paths,
     Stack,
     Weighted,
-    align_hard,
-    align_soft,
+    align_pairs,
     all_pairs,
     compact,
     path_offsets,
@@ -52,11 +51,10 @@ class Soft:
         """Warp pairs of templates, int64 (P, 2), onto each other."""
         # A feature that never varies, or does not count, adds exactly 0 to every cost.
         varies = (stack.columns != stack.columns[0]).any(axis=0) & (self.feature_weights > 0)
-        columns = stack.columns[:, varies] * self.feature_weights[varies]
+        columns = np.ascontiguousarray((stack.columns[:, varies] * self.feature_weights[varies]).T)
         total = float(self.feature_weights.sum())
         offsets = path_offsets(stack, pairs)
-        turned = np.ascontiguousarray(columns.T)
-        costs, counts, steps = align_soft(columns, turned, total, stack.weights, stack.offsets, pairs, offsets)
+        costs, counts, steps = align_pairs(columns, None, total, stack.weights, stack.offsets, pairs, offsets)
         return compact(costs, counts, steps, offsets)
 
     def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
@@ -73,8 +71,8 @@ class Soft:
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
         weights = stack.weights[first:last].copy()
         total = stack.columns[first:last] * weights[:, None]
-        add_soft(
-            total, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
+        add_others(
+            total, None, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
             paths.counts, pair_of,
         )  # fmt: skip
         return Weighted(total / weights[:, None], weights / len(stack))
@@ -115,15 +113,15 @@ class Hard:
         )
         offsets = path_offsets(stack, pairs)
         columns = stack.columns & counted
-        costs, counts, steps = align_hard(columns, stack.weights, stack.offsets, pairs, offsets)
+        costs, counts, steps = align_pairs(None, columns, 1.0, stack.weights, stack.offsets, pairs, offsets)
         return compact(costs, counts, steps, offsets)
 
     def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
         """Return what the reference and all others warped to it agree on; see `Soft.average`."""
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
         columns, weights = stack.columns[first:last].copy(), stack.weights[first:last].copy()
-        add_hard(
-            columns, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
+        add_others(
+            None, columns, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
             paths.counts, pair_of,
         )  # fmt: skip
         return Weighted(columns, weights / len(stack))
@@ -216,12 +214,14 @@ def share_out(weights: F64, steps: U8, shares: F64) -> None:
 
 
 @nb.njit(cache=True, nogil=True)
-def add_soft(
-    total: F64, weights: F64, columns: F64, column_weights: F64, offsets: I64, reference: int, steps: U8, starts: I64,
-    counts: I64, pair_of: I64,
+def add_others(
+    total: F64 | None, agreed: U64 | None, weights: F64, columns: Columns, column_weights: F64, offsets: I64,
+    reference: int, steps: U8, starts: I64, counts: I64, pair_of: I64,
 ) -> None:  # fmt: skip
-    """Add all others, warped, to the weighted sums of the reference, in place and in their order (kernel)."""
-    features = columns.shape[1]
+    """Add all others, warped, to the weighted sums of a soft reference or to what a hard one agrees on (kernel).
+
+    It changes `total` or `agreed` (the other one is None), and `weights`, in the order of the templates.
+    """
     for other in range(len(offsets) - 1):
         if other == reference:
             continue
@@ -238,30 +238,9 @@ def add_soft(
                 m += 1
             share = shares[m]
             weights[k] += share
-            for i in range(features):
-                total[k, i] += share * columns[first + m, i]
-
-
-@nb.njit(cache=True, nogil=True)
-def add_hard(
-    agreed: U64, weights: F64, columns: U64, column_weights: F64, offsets: I64, reference: int, steps: U8, starts: I64,
-    counts: I64, pair_of: I64,
-) -> None:  # fmt: skip
-    """Reduce the reference to what all others, warped, agree on, in place (kernel)."""
-    for other in range(len(offsets) - 1):
-        if other == reference:
-            continue
-        pair, side = pair_of[other], 0 if reference < other else 1
-        path = steps[starts[pair, side] : starts[pair, side] + counts[pair, side]]
-        first, last = offsets[other], offsets[other + 1]
-        shares = np.empty(last - first)
-        share_out(column_weights[first:last], path, shares)
-        k, m = -1, -1
-        for step in path:
-            if step != SECOND:
-                k += 1
-            if step != FIRST:
-                m += 1
-            weights[k] += shares[m]
-            agreed[k, 0] &= columns[first + m, 0]
-            agreed[k, 1] &= columns[first + m, 1]
+            if total is not None:
+                for i in range(columns.shape[1]):
+                    total[k, i] += share * columns[first + m, i]
+            if agreed is not None:
+                agreed[k, 0] &= columns[first + m, 0]
+                agreed[k, 1] &= columns[first + m, 1]

@@ -163,10 +163,27 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
 
 
 @nb.njit(cache=True, nogil=True)
-def align_soft(
-    columns: F64, turned: F64, total: float, weights: F64, offsets: I64, pairs: I64, places: I64
+def align_pairs(
+    soft: F64 | None, hard: U64 | None, total: float, weights: F64, offsets: I64, pairs: I64, places: I64
 ) -> tuple[F64, I64, U8]:
-    """Align pairs of soft templates; return costs, path lengths and steps, read from both sides (kernel)."""
+    """Align pairs of templates; return costs, path lengths and steps, read from both sides (kernel).
+
+    The compiler drops the branch of the method whose columns are None.
+
+    Parameters
+    ----------
+    soft : float64 array (f, M), optional
+        The columns of soft templates, transposed; None for hard templates.
+    hard : uint64 array (M, 2), optional
+        The columns of hard templates, whose cost is the number of contradictions; None for soft templates.
+    total : float
+        The divisor of soft costs, see `soft_costs`.
+    weights : float64 array (M,)
+    offsets : int64 array (n + 1,)
+    pairs : int64 array (P, 2)
+    places : int64 array (2 P + 1,)
+        The result of `path_offsets`.
+    """
     costs = np.empty(len(pairs))
     counts = np.empty(2 * len(pairs), np.int64)
     steps = np.empty(places[-1], np.uint8)
@@ -181,40 +198,17 @@ def align_soft(
         above, here, entering, weighted = rows[0][:width], rows[1][:width], rows[2][:width], rows[3][:width]
         above[:] = np.inf
         for k in range(height):
-            soft_costs(columns[first + k], turned, second, total, weighted)
-            for column in range(width):
-                weighted[column] *= 0.5 * (weights[first + k] + weights[second + column])
-            advance_row(above, here, entering, weighted, entered[k][:width], k == 0)
-            above, here = here, above
-        costs[p] = above[width - 1]
-        walked = entered[:height, :width]
-        counts[2 * p] = trace_back(walked, FIRST, steps[places[2 * p] : places[2 * p + 1]])
-        counts[2 * p + 1] = trace_back(walked, SECOND, steps[places[2 * p + 1] : places[2 * p + 2]])
-    return costs, counts, steps
-
-
-@nb.njit(cache=True, nogil=True)
-def align_hard(columns: U64, weights: F64, offsets: I64, pairs: I64, places: I64) -> tuple[F64, I64, U8]:
-    """Align pairs of hard templates by their contradictions; the results are as in `align_soft` (kernel)."""
-    costs = np.empty(len(pairs))
-    counts = np.empty(2 * len(pairs), np.int64)
-    steps = np.empty(places[-1], np.uint8)
-    longest = 0
-    for i in range(len(offsets) - 1):
-        longest = max(longest, offsets[i + 1] - offsets[i])
-    entered = np.empty((longest, longest), np.uint8)
-    rows = np.empty((4, longest))
-    for p in range(len(pairs)):
-        first, second = offsets[pairs[p, 0]], offsets[pairs[p, 1]]
-        height, width = offsets[pairs[p, 0] + 1] - first, offsets[pairs[p, 1] + 1] - second
-        above, here, entering, weighted = rows[0][:width], rows[1][:width], rows[2][:width], rows[3][:width]
-        above[:] = np.inf
-        for k in range(height):
-            ones, zeros, weight = columns[first + k, 0], columns[first + k, 1], weights[first + k]
-            for column in range(width):
-                other = second + column
-                against = (ones & columns[other, 1]) | (zeros & columns[other, 0])
-                weighted[column] = count_bits(against) * (0.5 * (weight + weights[other]))
+            weight = weights[first + k]
+            if soft is not None:
+                soft_costs(soft[:, first + k], soft, second, total, weighted)
+                for column in range(width):
+                    weighted[column] *= 0.5 * (weight + weights[second + column])
+            if hard is not None:
+                ones, zeros = hard[first + k, 0], hard[first + k, 1]
+                for column in range(width):
+                    other = second + column
+                    against = (ones & hard[other, 1]) | (zeros & hard[other, 0])
+                    weighted[column] = count_bits(against) * (0.5 * (weight + weights[other]))
             advance_row(above, here, entering, weighted, entered[k][:width], k == 0)
             above, here = here, above
         costs[p] = above[width - 1]
