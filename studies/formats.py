@@ -13,9 +13,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.formats.motion.acclaim import read_acclaim
-from kinedex.storage.formats.motion.bvh import read_bvh
 from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.take_export import export_take
 
@@ -30,8 +29,8 @@ def main() -> None:
         parser.add_argument(name, type=Path)
     given = parser.parse_args()
     mappings = load_mappings("auto", FEATURES.joints)
-    amc = read_acclaim(given.amc, given.asf, mappings, FEATURES.joints)
-    bvh = read_bvh(given.bvh, mappings, FEATURES.joints)
+    amc = read_body(given.amc, given.asf, mappings, FEATURES.joints)
+    bvh = read_body(given.bvh, None, mappings, FEATURES.joints)
     rest = bvh.frames - amc.frames
     print(f"{amc.frames} frames; the BVH has {rest} more in front")
     apart = np.linalg.norm(bvh.positions[:, :, rest:] - amc.positions, axis=1) * 1000

@@ -13,9 +13,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.formats.motion.acclaim import read_acclaim
-from kinedex.storage.formats.motion.bvh import read_bvh
 from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context
 
@@ -37,8 +36,8 @@ def on(words: np.ndarray, feature: str) -> np.ndarray:
 def pair(shared: Path) -> tuple[Body, Body]:
     """CMU 01_01 as AMC and as BVH; the BVH begins with a rest frame."""
     folder = shared / "data" / "cmu" / "same_take_amc_and_bvh"
-    amc = read_acclaim(folder / "01_01.amc", folder / "01.asf", MAPPINGS, FEATURES.joints)
-    return amc, read_bvh(folder / "01_01.bvh", MAPPINGS, FEATURES.joints)
+    amc = read_body(folder / "01_01.amc", folder / "01.asf", MAPPINGS, FEATURES.joints)
+    return amc, read_body(folder / "01_01.bvh", None, MAPPINGS, FEATURES.joints)
 
 
 def test_one_take_in_two_formats_has_the_same_joints(pair: tuple[Body, Body]) -> None:

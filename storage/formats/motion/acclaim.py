@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
 from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
@@ -12,7 +11,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amc import read_amc
 from kinedex.storage.formats.motion.asf import INCH_M, Skeleton, read_asf
 from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
-from kinedex.storage.formats.motion.reader import ACCLAIM_HZ, Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 
 
 class AcclaimReader(Reader):
@@ -27,64 +26,38 @@ class AcclaimReader(Reader):
         return settings.acclaim_hz
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a file as `read_acclaim` does."""
-        if file.skeleton is None:
+        """Read an AMC file with its ASF skeleton.
+
+        Raises
+        ------
+        SourceError
+            Either file is damaged, or no mapping fits; the error names file and line of the first fault.
+        """
+        asf = file.skeleton
+        if asf is None:
             raise SourceError(file.path, "an AMC file is read with its ASF skeleton; none is given")
-        return read_acclaim(file.path, file.skeleton, mappings, joints, settings.acclaim_hz, file.data)
-
-
-def read_acclaim(
-    amc: Path,
-    asf: Path,
-    mappings: Mappings,
-    joints: tuple[str, ...],
-    rate_hz: float = ACCLAIM_HZ,
-    data: bytes | None = None,
-) -> Body:
-    """Read an AMC file with its ASF skeleton.
-
-    Parameters
-    ----------
-    amc : Path
-        The motion file.
-    asf : Path
-        The skeleton file.
-    mappings : Mappings
-        Skeleton mappings in which the bones are looked up.
-    joints : tuple of str
-        The named joints, in the order of the result.
-    rate_hz : float, optional
-        Frames per second, which Acclaim files do not state.
-    data : bytes, optional
-        The bytes of the AMC file, if they have been read already.
-
-    Raises
-    ------
-    SourceError
-        Either file is damaged, or no mapping fits; the error names file and line of the first fault.
-    """
-    try:
-        stat = asf.stat()
-        stamp = (stat.st_size, stat.st_mtime_ns)
-    except OSError:
-        stamp = (0, 0)
-    skeleton = _skeleton(str(asf), stamp, INCH_M)
-    fit = mappings.detect(asf, "acclaim", skeleton.bones)
-    if fit.mapping.unit_m not in (None, INCH_M):
-        skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
-    motion = read_amc(amc, skeleton, data)
-    nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels, wanted=fit.nodes)
-    positions = fit.apply(nodes, joints)
-    refuse_far(amc, positions, joints, fit.unknown)
-    return Body(
-        positions=positions,
-        orientation=mapped_orientation(fit, matrices, skeleton.root_frame),
-        rate_hz=rate_hz,
-        unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
-        skeleton=fit.mapping.name,
-        unknown=fit.unknown,
-        warnings=(*motion.warnings, *virtual_joint_warnings(fit)),
-    )
+        try:
+            stat = asf.stat()
+            stamp = (stat.st_size, stat.st_mtime_ns)
+        except OSError:
+            stamp = (0, 0)
+        skeleton = _skeleton(str(asf), stamp, INCH_M)
+        fit = mappings.detect(asf, "acclaim", skeleton.bones)
+        if fit.mapping.unit_m not in (None, INCH_M):
+            skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
+        motion = read_amc(file.path, skeleton, file.data)
+        nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels, wanted=fit.nodes)
+        positions = fit.apply(nodes, joints)
+        refuse_far(file.path, positions, joints, fit.unknown)
+        return Body(
+            positions=positions,
+            orientation=mapped_orientation(fit, matrices, skeleton.root_frame),
+            rate_hz=settings.acclaim_hz,
+            unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
+            skeleton=fit.mapping.name,
+            unknown=fit.unknown,
+            warnings=(*motion.warnings, *virtual_joint_warnings(fit)),
+        )
 
 
 @lru_cache(maxsize=64)

@@ -20,7 +20,6 @@ from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refus
 from kinedex.storage.formats.motion.numpy_arrays import array_names, load_arrays
 from kinedex.storage.formats.motion.position_files import ARRAYS
 from kinedex.storage.formats.motion.reader import (
-    DEFAULT_SETTINGS,
     FASTEST_HZ,
     SLOWEST_HZ,
     Body,
@@ -84,69 +83,52 @@ class AmassReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, model_digest(settings.body_model)
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a file as `read_amass` does."""
-        return read_amass(file.path, mappings, joints, settings)
+        """Read an AMASS file with the body model of the settings.
 
-
-def read_amass(
-    path: Path, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings = DEFAULT_SETTINGS
-) -> Body:
-    """Read an AMASS file with the body model of the settings.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    mappings : Mappings
-        Skeleton mappings in which the joints are looked up.
-    joints : tuple of str
-        The named joints, in the order of the result.
-    settings : ReadSettings, optional
-        Settings of the user.
-
-    Raises
-    ------
-    SourceError
-        The file is damaged, no mapping fits, no rate is known, or there is no body model.
-    """
-    poses = parse_amass(path)
-    if settings.body_model is None:
-        raise SourceError(
-            path,
-            "holds the joint angles of a body (AMASS); the places of its joints at rest are in a body model, which may "
-            "not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints at rest; "
-            "docs/formats.md explains it",
+        Raises
+        ------
+        SourceError
+            The file is damaged, no mapping fits, no rate is known, or there is no body model.
+        """
+        path = file.path
+        poses = parse_amass(path)
+        if settings.body_model is None:
+            raise SourceError(
+                path,
+                "holds the joint angles of a body (AMASS); the places of its joints at rest are in a body model, which "
+                "may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints at "
+                "rest; docs/formats.md explains it",
+            )
+        model = load_body_model(settings.body_model, poses.gender)
+        warnings: list[str] = []
+        rest = model.rest(poses.shape)
+        if poses.shape.any() and not model.shapes.shape[2]:
+            warnings.append("the figure has the shape of the body model; that of the file (betas) is not used")
+        turns = np.zeros((len(poses.turns), len(model.names), 3))
+        for i, name in enumerate(model.names):
+            if name in poses.names:
+                turns[:, i] = poses.turns[:, poses.names.index(name)]
+        fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
+        places, turned = axisangle.forward(rest, model.parents, turns, poses.places)
+        positions = fit.apply(places, joints)
+        unit_m = fit.mapping.unit_m or 1.0
+        positions *= unit_m
+        refuse_far(path, positions, joints, fit.unknown)
+        if poses.rate_hz is not None:
+            rate_hz = settings.rate_of(poses.rate_hz, warnings)
+        elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
+            rate_hz = set_hz
+        else:
+            raise SourceError(path, f"has none of {', '.join(RATES)}: give `rate_hz`, or --rate")
+        return Body(
+            positions=positions,
+            orientation=mapped_orientation(fit, turned),
+            rate_hz=rate_hz,
+            unit=f"{unit_m:.6g} m",
+            skeleton=fit.mapping.name,
+            unknown=fit.unknown,
+            warnings=(*warnings, *virtual_joint_warnings(fit)),
         )
-    model = load_body_model(settings.body_model, poses.gender)
-    warnings: list[str] = []
-    rest = model.rest(poses.shape)
-    if poses.shape.any() and not model.shapes.shape[2]:
-        warnings.append("the figure has the shape of the body model; that of the file (betas) is not used")
-    turns = np.zeros((len(poses.turns), len(model.names), 3))
-    for i, name in enumerate(model.names):
-        if name in poses.names:
-            turns[:, i] = poses.turns[:, poses.names.index(name)]
-    fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
-    places, turned = axisangle.forward(rest, model.parents, turns, poses.places)
-    positions = fit.apply(places, joints)
-    unit_m = fit.mapping.unit_m or 1.0
-    positions *= unit_m
-    refuse_far(path, positions, joints, fit.unknown)
-    if poses.rate_hz is not None:
-        rate_hz = settings.rate_of(poses.rate_hz, warnings)
-    elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
-        rate_hz = set_hz
-    else:
-        raise SourceError(path, f"has none of {', '.join(RATES)}: give `rate_hz`, or --rate")
-    return Body(
-        positions=positions,
-        orientation=mapped_orientation(fit, turned),
-        rate_hz=rate_hz,
-        unit=f"{unit_m:.6g} m",
-        skeleton=fit.mapping.name,
-        unknown=fit.unknown,
-        warnings=(*warnings, *virtual_joint_warnings(fit)),
-    )
 
 
 def parse_amass(path: Path) -> Poses:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +17,7 @@ from kinedex.storage.formats.motion.mapped_body import (
     to_metres,
     virtual_joint_warnings,
 )
-from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 
 F64 = npt.NDArray[np.float64]
 
@@ -37,58 +36,34 @@ class BvhReader(Reader):
         return settings.override_rate_hz
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a file as `read_bvh` does."""
-        return read_bvh(file.path, mappings, joints, settings, file.data)
+        """Read a BVH file, which carries its own skeleton and rate.
 
-
-def read_bvh(
-    path: Path,
-    mappings: Mappings,
-    joints: tuple[str, ...],
-    settings: ReadSettings = DEFAULT_SETTINGS,
-    data: bytes | None = None,
-) -> Body:
-    """Read a BVH file, which carries its own skeleton and rate.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    mappings : Mappings
-        Skeleton mappings in which the nodes are looked up.
-    joints : tuple of str
-        The named joints, in the order of the result.
-    settings : ReadSettings, optional
-        Settings of the user, such as a rate that replaces the file's.
-    data : bytes, optional
-        The file's bytes, if they have been read already.
-
-    Raises
-    ------
-    SourceError
-        The file is damaged, or no mapping fits; the error names the line of the first fault.
-    """
-    bvh = parse_bvh(path, data)
-    fit = mappings.detect(path, "bvh", bvh.places)
-    nodes, restored = _restore(bvh, fit)
-    positions, turned = _track(nodes, bvh.channels, fit, joints)
-    warnings = [*bvh.warnings, *virtual_joint_warnings(fit)]
-    rate_hz = settings.rate_of(bvh.rate_hz, warnings)
-    if restored:
-        warnings.append(
-            f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
+        Raises
+        ------
+        SourceError
+            The file is damaged, or no mapping fits; the error names the line of the first fault.
+        """
+        bvh = parse_bvh(file.path, file.data)
+        fit = mappings.detect(file.path, "bvh", bvh.places)
+        nodes, restored = _restore(bvh, fit)
+        positions, turned = _track(nodes, bvh.channels, fit, joints)
+        warnings = [*bvh.warnings, *virtual_joint_warnings(fit)]
+        rate_hz = settings.rate_of(bvh.rate_hz, warnings)
+        if restored:
+            warnings.append(
+                f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
+            )
+        unit = to_metres(file.path, positions, fit.mapping.unit_m, joints, warnings)
+        refuse_far(file.path, positions, joints, fit.unknown)
+        return Body(
+            positions=positions,
+            orientation=mapped_orientation(fit, turned),
+            rate_hz=rate_hz,
+            unit=unit,
+            skeleton=fit.mapping.name,
+            unknown=fit.unknown,
+            warnings=tuple(warnings),
         )
-    unit = to_metres(path, positions, fit.mapping.unit_m, joints, warnings)
-    refuse_far(path, positions, joints, fit.unknown)
-    return Body(
-        positions=positions,
-        orientation=mapped_orientation(fit, turned),
-        rate_hz=rate_hz,
-        unit=unit,
-        skeleton=fit.mapping.name,
-        unknown=fit.unknown,
-        warnings=tuple(warnings),
-    )
 
 
 def _restore(bvh: Bvh, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:

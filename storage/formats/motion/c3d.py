@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.points import body_of_points
-from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 
 
 class C3dReader(Reader):
@@ -22,31 +21,13 @@ class C3dReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a file as `read_c3d` does."""
-        return read_c3d(file.path, mappings, joints, settings)
+        """Read the markers of a C3D file.
 
-
-def read_c3d(
-    path: Path, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings = DEFAULT_SETTINGS
-) -> Body:
-    """Read the markers of a C3D file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    mappings : Mappings
-        Skeleton mappings in which the markers are looked up.
-    joints : tuple of str
-        The named joints, in the order of the result.
-    settings : ReadSettings, optional
-        Settings of the user.
-
-    Raises
-    ------
-    SourceError
-        The file contradicts itself or its size, no mapping fits, or no frame is whole.
-    """
-    markers = parse_c3d(path)
-    fit = mappings.detect(path, "c3d", markers.places()).upright(markers.up)
-    return body_of_points(markers, markers.names, fit, joints, settings, list(markers.warnings))
+        Raises
+        ------
+        SourceError
+            The file contradicts itself or its size, no mapping fits, or no frame is whole.
+        """
+        markers = parse_c3d(file.path)
+        fit = mappings.detect(file.path, "c3d", markers.places()).upright(markers.up)
+        return body_of_points(markers, markers.names, fit, joints, settings, list(markers.warnings))

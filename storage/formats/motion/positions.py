@@ -9,7 +9,7 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
 from kinedex.storage.formats.motion.points import body_of_points
 from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions
-from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 
 
 class PositionsReader(Reader):
@@ -27,38 +27,20 @@ class PositionsReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a file as `read_positions` does."""
-        return read_positions(file.path, mappings, joints, settings)
+        """Read a file of joint positions (TRC, CSV, NPZ, NPY).
 
-
-def read_positions(
-    path: Path, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings = DEFAULT_SETTINGS
-) -> Body:
-    """Read a file of joint positions (TRC, CSV, NPZ, NPY).
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    mappings : Mappings
-        Skeleton mappings in which the points are looked up.
-    joints : tuple of str
-        The named joints, in the order of the result.
-    settings : ReadSettings, optional
-        Settings of the user.
-
-    Raises
-    ------
-    SourceError
-        The file is damaged, no mapping fits, no frame is whole, or no rate is known.
-    """
-    points = parse_positions(path)
-    names = points.names or mappings.names_in_order(path, len(points.positions))
-    fit = mappings.detect(path, "positions", points.places(names))
-    warnings = list(points.warnings)
-    if not points.names:
-        warnings.append(
-            f"the file does not name its joints; they are read in the order of mapping '{fit.mapping.name}'"
-        )
-    warnings += virtual_joint_warnings(fit)
-    return body_of_points(points, names, fit, joints, settings, warnings)
+        Raises
+        ------
+        SourceError
+            The file is damaged, no mapping fits, no frame is whole, or no rate is known.
+        """
+        points = parse_positions(file.path)
+        names = points.names or mappings.names_in_order(file.path, len(points.positions))
+        fit = mappings.detect(file.path, "positions", points.places(names))
+        warnings = list(points.warnings)
+        if not points.names:
+            warnings.append(
+                f"the file does not name its joints; they are read in the order of mapping '{fit.mapping.name}'"
+            )
+        warnings += virtual_joint_warnings(fit)
+        return body_of_points(points, names, fit, joints, settings, warnings)

@@ -12,7 +12,6 @@ from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.ops.body import features
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import bvh
-from kinedex.storage.formats.motion.bvh import read_bvh
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
@@ -28,7 +27,7 @@ def write(path: Path, root: Joint, frames: list[dict[str, list[float]]]) -> Path
 
 
 def read(tmp_path: Path, root: Joint, frames: list[dict[str, list[float]]]) -> Body:
-    return read_bvh(write(tmp_path / "a.bvh", root, frames), AUTO, JOINTS)
+    return read_body(write(tmp_path / "a.bvh", root, frames), None, AUTO, JOINTS)
 
 
 def joint(body: Body, name: str) -> np.ndarray:
@@ -50,9 +49,9 @@ def test_named_joints_are_where_the_skeleton_s_own_are(tmp_path: Path) -> None:
 def test_a_take_is_worked_on_in_stretches_without_a_seam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = mixamo()
     path = write(tmp_path / "a.bvh", root, dance(root, 400))
-    whole = read_bvh(path, AUTO, JOINTS)
+    whole = read_body(path, None, AUTO, JOINTS)
     monkeypatch.setattr(bvh, "_BLOCK_SIZE", 1)
-    parts = read_bvh(path, AUTO, JOINTS)
+    parts = read_body(path, None, AUTO, JOINTS)
     np.testing.assert_array_equal(parts.positions, whole.positions)
     np.testing.assert_array_equal(parts.orientation, whole.orientation)
 
@@ -192,12 +191,12 @@ def own_mapping(tmp_path: Path, old: str, new: str) -> str:
 def test_joints_that_a_skeleton_does_not_have_are_unknown_everywhere(tmp_path: Path) -> None:
     own = own_mapping(tmp_path, "  belly: Spine1", "  belly: null")
     path = write(tmp_path / "a.bvh", mixamo(), dance(mixamo(), 3))
-    body = read_bvh(path, load_mappings(own, JOINTS), JOINTS)
+    body = read_body(path, None, load_mappings(own, JOINTS), JOINTS)
     assert body.unknown == ("belly",)
     assert np.isnan(joint(body, "belly")).all()
     assert np.isfinite(np.delete(body.positions, JOINTS.index("belly"), axis=0)).all()
     rootless = own_mapping(tmp_path, "  root: Hips", "  root: null")
-    assert np.isnan(read_bvh(path, load_mappings(rootless, JOINTS), JOINTS).orientation).all()
+    assert np.isnan(read_body(path, None, load_mappings(rootless, JOINTS), JOINTS).orientation).all()
 
 
 def test_a_number_out_of_this_world_is_refused_with_joint_and_frame(tmp_path: Path) -> None:
