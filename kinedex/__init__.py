@@ -5,7 +5,7 @@
 >>> hits = store.rank(kinedex.Template.from_clip(take, 0, 30)) # what is like the first second of the take?
 >>> runs = store.runs("lknee_bent", min_seconds=0.5)           # when is the left knee bent?
 
-docs/python.md shows ten tasks, docs/stability.md says what is stable.
+docs/python.md shows ten tasks, docs/stability.md documents what is stable.
 """
 
 from __future__ import annotations

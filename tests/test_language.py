@@ -77,7 +77,7 @@ def _name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize("room", [*ROOMS, "tests"])
 def test_a_docstring_is_a_sentence(room: str) -> None:
     assert not [fault for path in files(room) for fault in fragments(path)]
 
@@ -87,7 +87,7 @@ def test_a_function_fits_on_a_screen(room: str) -> None:
     assert not [fault for path in files(room) for fault in long_functions(path)]
 
 
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize("room", [*ROOMS, "tests"])
 def test_a_module_ending_in_ing_is_a_term_of_the_field(room: str) -> None:
     names = {part for path in files(room) for part in (path.stem, *path.relative_to(ROOT).parts[:-1])}
     terms = {name.rpartition("_")[2] for name in names if name.endswith("ing")}
@@ -95,7 +95,7 @@ def test_a_module_ending_in_ing_is_a_term_of_the_field(room: str) -> None:
 
 
 def test_no_term_is_listed_in_vain() -> None:
-    names = {part for path in files(*ROOMS) for part in (path.stem, *path.relative_to(ROOT).parts[:-1])}
+    names = {part for path in files(*ROOMS, "tests") for part in (path.stem, *path.relative_to(ROOT).parts[:-1])}
     assert set(FIELD_TERMS) <= {name.rpartition("_")[2] for name in names}
 
 

@@ -49,14 +49,14 @@ class Macro:
 
 # Written into the macros that need them, so that each stands alone and none calls another.
 # (An argument must not have the name of a column that stands beside it without a table's name.)
-_REFUSE = """error('no {what} ' || coalesce({said}, 'NULL') || coalesce(' (did you mean ''' || (
-        SELECT arg_max(near.{name}, jaro_winkler_similarity(near.{name}, {said})) FROM {view} AS near
-        WHERE jaro_winkler_similarity(near.{name}, {said}) > 0.75) || '''?)', '') || '; the view {view} lists them')"""
+_REFUSE = """error('no {what} ' || coalesce({given}, 'NULL') || coalesce(' (did you mean ''' || (
+        SELECT arg_max(near.{name}, jaro_winkler_similarity(near.{name}, {given})) FROM {view} AS near
+        WHERE jaro_winkler_similarity(near.{name}, {given}) > 0.75) || '''?)', '') || '; the view {view} lists them')"""
 
 
-def _refuse(what: str, said: str, view: str, name: str) -> str:
+def _refuse(what: str, given: str, view: str, name: str) -> str:
     """Return the error expression for an unknown name, with the nearest name and the view that lists all."""
-    return _REFUSE.format(what=what, said=f"CAST({said} AS VARCHAR)", view=view, name=name)
+    return _REFUSE.format(what=what, given=f"CAST({given} AS VARCHAR)", view=view, name=name)
 
 
 def _number(feature: str) -> str:
@@ -78,9 +78,9 @@ _SET = f"""coalesce(
     (SELECT min(wanted.feature_set) FROM features AS wanted WHERE wanted.feature_set = set_name),
     {_refuse("feature set", "set_name", "features", "feature_set")})"""
 
-# What poses ask for, and the stretches in which each holds. `poses` gives them as (k, pose); a pose is the names of
-# features that are on, or, after "not", off. Its stretches are found by a sweep over the ends of runs: where as many of
-# its features are on as it wants, and none that it does not want. In a pose that wants none on, the runs of words say
+# The terms of poses, and the ranges in which each pose is met. `poses` gives them as (k, pose); a pose is the names of
+# features that are on, or, after "not", off. Its ranges are found by a sweep over the ends of runs: where as many of
+# its features are on as it wants, and none that it does not want. In a pose that wants none on, the runs of words show
 # where a frame is valid at all.
 _STRETCHES = f"""asked AS (
     SELECT p.k, trim(unnest(string_split(CAST(p.pose AS VARCHAR), ','))) AS part FROM poses AS p),
@@ -118,7 +118,7 @@ stretches AS MATERIALIZED (
     WHERE n.holds GROUP BY n.k, n.take_id, n.stretch)"""
 
 # The search of `kinedex search` in the same two passes (thesis, Section 3.5): backwards, of each pose the frames from
-# which the rest can be completed; forwards, from the last frame of each such stretch of the first pose, always to the
+# which the rest can be completed; forwards, from the last frame of each such range of the first pose, always to the
 # farthest frame within the gap. Ranges that overlap or touch are one.
 _PATTERN = f"""WITH RECURSIVE
 poses AS (SELECT unnest(range(1, len(poses_in_order) + 1)) AS k, unnest(poses_in_order) AS pose),

@@ -65,7 +65,7 @@ class AnnotationMethod(Protocol):
     name : str
         The value of the parameter `method` that selects it.
     label : str
-        What the column `method` of annotations says.
+        The value of the column `method` of annotations.
     uses_thresholds : bool
         True where segments depend on the thresholds τ.
     """

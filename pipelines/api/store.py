@@ -71,7 +71,7 @@ class Store:
 
     A store is a collection of takes: ``len(store)``, ``for take in store``, and ``store["name"]`` or ``store[17]`` by
     the id. Wherever a method takes a take, its name, its id or the `Take` itself will do. Tables are polars data
-    frames, except that `sql` returns an Arrow table unless it is told ``polars=True``. Later versions may add columns.
+    frames, except that `sql` returns an Arrow table unless ``polars=True`` is given. Later versions may add columns.
 
     Attributes
     ----------
@@ -302,7 +302,7 @@ class Store:
         KinedexError
             There is no such feature, take or column.
         StoreError
-            The index is missing or stale; the message says how to build it.
+            The index is missing or stale; the message names the command that builds it.
 
         Examples
         --------
@@ -443,7 +443,7 @@ class Store:
         ConfigError
             The query file is wrong; the message names the line.
         StoreError
-            The index is missing or stale; the message says how to build it.
+            The index is missing or stale; the message names the command that builds it.
 
         Examples
         --------

@@ -331,7 +331,7 @@ class Template:
 class Difference:
     """The contradictions of two templates that were laid along each other.
 
-    ``print(difference)`` tells them in words.
+    ``print(difference)`` describes them in words.
 
     Attributes
     ----------

@@ -143,7 +143,7 @@ class _PipelineReader:
     located : Located
         The file.
     from_command_line : bool
-        The user is told about `--set`; else about the argument `settings`.
+        True where messages refer to `--set`; else they refer to the argument `settings`.
     """
 
     def __init__(self, located: Located, from_command_line: bool) -> None:

@@ -213,7 +213,7 @@ def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: Unknow
             fault = segment.error(
                 f"'{segment.label}' is neither a class nor a subclass of this evaluation"
                 f"{did_you_mean(segment.label, labels)} (`unknown_labels: miss` counts it as missed, `ignore` leaves "
-                "it out; where labels name classes of several subclasses, `--set classes=FILE` says which)"
+                "it out; where labels name classes of several subclasses, `--set classes=FILE` names them)"
             )
             fault.way_out = ("unknown_labels", "miss")
             raise fault

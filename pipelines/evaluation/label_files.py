@@ -30,7 +30,7 @@ class GroundTruthParameters(BaseModel):
 
     ground_truth: str = Field(
         "**/ground_truth.csv",
-        description="label files, read as their ending says: .csv (take, class, start, stop in source frames), .json, "
+        description="label files, read by their ending: .csv (take, class, start, stop in source frames), .json, "
         ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
         "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
         "no file, nothing is evaluated",
@@ -41,7 +41,7 @@ class GroundTruthParameters(BaseModel):
     unknown_labels: UnknownLabels = Field(
         "error",
         description="a label that is neither a class nor a subclass: 'error'; 'miss' counts it as not found; 'ignore' "
-        "leaves it out, and says so",
+        "excludes it, and reports that",
     )
 
 

@@ -40,18 +40,18 @@ class Index(Stage[Params]):
         store = context.open()
         before = current_generation(store.path, store.manifest)
         generation = build_index(store, params.threads, params.memory_mb)
-        says = read_generation(generation)
-        assert says is not None
-        built = 0 if generation == before else says.built_frames
+        record = read_generation(generation)
+        assert record is not None
+        built = 0 if generation == before else record.built_frames
         context.say(
-            f"{says.rows['word_runs']:,} word runs of {says.rows['vocabulary']:,} words, "
-            f"{says.rows['feature_runs']:,} feature runs in {generation.name}, "
-            f"for which {built:,} of {says.frames:,} frames were indexed anew"
+            f"{record.rows['word_runs']:,} word runs of {record.rows['vocabulary']:,} words, "
+            f"{record.rows['feature_runs']:,} feature runs in {generation.name}, "
+            f"for which {built:,} of {record.frames:,} frames were indexed anew"
         )
         return {
             "generation": generation.name,
-            "bytes": says.bytes,
-            "shards": len(says.shards),
+            "bytes": record.bytes,
+            "shards": len(record.shards),
             "built_frames": built,
-            **says.rows,
+            **record.rows,
         }

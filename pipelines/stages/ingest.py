@@ -46,7 +46,7 @@ class Params(BaseModel):
     source: str = Field(description="folder that holds the motion files, at any depth")
     skeleton: str = Field(
         "auto",
-        description="skeleton mapping: `auto` tells a skeleton by its names; a shipped name or a path to a .yaml file "
+        description="skeleton mapping: `auto` chooses by the joints' names; a shipped name or a path to a .yaml file "
         "counts for all files of its format (other formats stay automatic)",
     )
     features: str | None = Field(
@@ -61,7 +61,7 @@ class Params(BaseModel):
     )
     name: Naming = Field(
         "stem",
-        description="what a take is called: its file's stem, its path without the ending (`path`), or with it (`file`)",
+        description="the name of a take: its file's stem, its path without the ending (`path`), or with it (`file`)",
     )
     rate_hz: float | None = Field(
         None,
@@ -73,7 +73,7 @@ class Params(BaseModel):
         None,
         ge=SLOWEST_HZ,
         le=FASTEST_HZ,
-        description="frames per second of every file of the source, whatever the file says (`kinedex ingest --rate`)",
+        description="frames per second of every file, in place of its own rate (`kinedex ingest --rate`)",
     )
     fill_gap_frames: int | None = Field(
         None,

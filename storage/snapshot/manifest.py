@@ -304,7 +304,7 @@ def read_version(store: Path, version: int) -> Manifest:
         first = fault.errors(include_url=False)[0]
         raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
     if manifest.version != version:
-        raise _damaged(path, f"it says that it is version {manifest.version}")
+        raise _damaged(path, f"it names version {manifest.version}")
     return manifest
 
 

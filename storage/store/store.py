@@ -110,7 +110,7 @@ class Store(Snapshot):
         Raises
         ------
         StoreError
-            The index is missing or stale; the message says how to build it.
+            The index is missing or stale; the message names the command that builds it.
         """
         generation = current_generation(self.path, self.manifest)
         if generation is None:

@@ -226,7 +226,7 @@ class StoreWriter:
         if not same_takes or not same_rows or not gone <= {part.path for part in standing}:
             raise StoreError(
                 f"{self.path}: the new {kind} parts do not hold what the old ones do, so those stay; "
-                "`kinedex verify` says whether they are damaged"
+                "`kinedex verify` reports whether they are damaged"
             )
         for part in new:
             part_file(self.path, part.path)

@@ -27,7 +27,7 @@ CASE_SECONDS = 5.0
 """A file of a megabyte at most that takes more of a core's time than this, or ten times as long by the clock, hangs."""
 
 MEMORY_BYTES = 1 << 30
-"""What a child may ask for beyond what it has once everything is imported and compiled."""
+"""The memory that a child may allocate beyond what it has once everything is imported and compiled."""
 
 MOST_FINDINGS = 10
 """So many different findings of one target end its hunt: mend these first."""

@@ -16,7 +16,7 @@ NUMBERS = (
     *(b"+-1", b"1d5", b"\xd9\xa3", b"\xef\xbc\x91", b"1" * 400, b"0." + b"0" * 400 + b"1", b"9" * 18, b"9" * 19),
     *(b"120", b"30", b"0.0333333", b"0.00001", b"10001", b"true", b"null", b"#NV", b"1.#QNAN", b"1.#INF", b""),
 )
-"""What numbers are replaced by: none, huge, tiny, of other notations."""
+"""Replacements of numbers: none, huge, tiny, of other notations."""
 
 _NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_][A-Za-z0-9_:.-]*")

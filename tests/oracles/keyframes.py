@@ -7,7 +7,7 @@ from itertools import pairwise, product
 from math import inf
 
 Match = Sequence[bool]
-"""Which frames of one take meet a keyframe."""
+"""A predicate that is true for the frames of one take that meet a keyframe."""
 
 
 def all_hits(matches: Sequence[Match], gaps: Sequence[tuple[int, float]]) -> list[tuple[int, ...]]:

@@ -22,7 +22,7 @@ from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import Generation, current_generation, read_generation
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
-from tests import killing
+from tests import killed_runs
 from tests.pipelines.archives import context, human_amc, write_archive
 
 TAKES = {"a/x_1.amc": 50, "a/x_2.amc": 33, "b/x_3.amc": 121}
@@ -303,19 +303,19 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_the_takes_it_sh
     takes = {f"x_{number:02}.amc": 20 + number for number in range(24)}
     source, store = write_archive(tmp_path / "source", takes), tmp_path / "store"
     moments = random.Random(1)
-    killing.start(bring_in_bit_by_bit, tmp_path / "first", source).join()
+    killed_runs.start(bring_in_bit_by_bit, tmp_path / "first", source).join()
     begin = time.monotonic()
-    killing.start(bring_in_bit_by_bit, tmp_path / "whole", source).join()
+    killed_runs.start(bring_in_bit_by_bit, tmp_path / "whole", source).join()
     whole = time.monotonic() - begin
     for _ in range(6):
-        process = killing.start(bring_in_bit_by_bit, store, source)
+        process = killed_runs.start(bring_in_bit_by_bit, store, source)
         time.sleep(moments.uniform(0, 1.0) * whole)
         process.kill()
         process.join()
         if (store / "manifest").is_dir() and any((store / "manifest").glob("*.json")):
             # a killed run leaves unfinished files, which are no fault
             assert not any(finding.fault for finding in verify(open_store(store)))
-    last = killing.start(bring_in_bit_by_bit, store, source)
+    last = killed_runs.start(bring_in_bit_by_bit, store, source)
     last.join()
     assert last.exitcode == 0
     done, expected = open_store(store), open_store(tmp_path / "whole")

@@ -1,1 +1,1 @@
-"""Label files: labelled stretches of takes, as people's annotation tools write and read them."""
+"""Label files: labelled ranges of takes, as people's annotation tools write and read them."""

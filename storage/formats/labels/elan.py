@@ -119,7 +119,7 @@ class _Document:
         elif name == "TIME_SLOT":
             self.slots[self._attribute(name, given, "TIME_SLOT_ID")] = self._time(given)
         elif name == "TIER":
-            # a tier that depends on another one says more about that one's annotations
+            # a tier that depends on another one adds details to that one's annotations
             own = self._attribute(name, given, "TIER_ID")
             self.tier = None if given.get("PARENT_REF") else own
         elif name == "ALIGNABLE_ANNOTATION" and self.tier is not None:
@@ -134,11 +134,11 @@ class _Document:
             self.text.append(text)
 
     def end(self, name: str) -> None:
-        said = "".join(self.text or ()).strip()
+        content = "".join(self.text or ()).strip()
         if name == "PROPERTY" and self.text is not None:
-            self.take, self.text = said, None
+            self.take, self.text = content, None
         elif name == "ANNOTATION_VALUE" and self.open is not None:
-            self.open.value, self.text = said, None
+            self.open.value, self.text = content, None
         elif name == "ALIGNABLE_ANNOTATION" and self.open is not None:
             self.annotations.append(self.open)
             self.open = None

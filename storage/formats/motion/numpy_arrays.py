@@ -63,7 +63,9 @@ def array_names(path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(path) as packed:
             return [name.removesuffix(".npy") for name in packed.namelist()]
-    except Exception:  # zipfile has an error of its own for every broken byte; who reads the file says what is wrong
+    except (
+        Exception
+    ):  # zipfile has an error of its own for every broken byte; the reader of the file reports what is wrong
         return []
 
 

@@ -24,7 +24,7 @@ from kinedex.storage.store.compaction import FANOUT, compact, divided, worthwhil
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
-from tests import killing
+from tests import killed_runs
 from tests.storage.made_up import BODY, add, arrays, take_row, takes_table
 
 
@@ -204,7 +204,7 @@ def compact_and_die(store: Path, moment: str) -> None:
 def test_killed_on_the_way_it_leaves_the_store_as_it_was(tmp_path: Path, moment: str) -> None:
     before = in_batches(tmp_path, FANOUT)
     files = sorted(os.listdir(tmp_path / "frames"))
-    killed = killing.start(compact_and_die, tmp_path, moment)
+    killed = killed_runs.start(compact_and_die, tmp_path, moment)
     killed.join()
     assert killed.exitcode == -signal.SIGKILL
     assert len(os.listdir(tmp_path / "frames")) == len(files) + 1

@@ -23,7 +23,7 @@ from kinedex.storage.store import write_access as admission
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
-from tests import killing
+from tests import killed_runs
 from tests.storage.made_up import BODY, add, arrays, make_store, take_row, takes_table, write_frames
 
 
@@ -398,8 +398,8 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_its_takes(tmp_p
     rng = np.random.default_rng(3)
     kills = 0
     for attempt in range(60):
-        here, there = killing.channel()
-        process = killing.start(bring_in, store, there)
+        here, there = killed_runs.channel()
+        process = killed_runs.start(bring_in, store, there)
         here.recv()
         if attempt < 6:
             time.sleep(rng.uniform(0, 0.12))
