@@ -11,8 +11,10 @@ from typing import Any
 
 import pyarrow as pa
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, JustifyMethod, RenderResult
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -48,6 +50,10 @@ class Shown:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Print the table in the form that fits."""
         if console.soft_wrap and not console.is_terminal:
+            rows = [[_cell(value, self._null) for value in row] for row in _rows(self._table)]
+            if rows and all(_is_plain(text) for row in (self._table.column_names, *rows) for text in row):
+                yield from _plain_lines(self._table, rows)
+                return
             whole = rich_table(self._table, null=self._null)
             yield from console.render(whole, options.update_width(_natural_width(whole, console, options)))
         elif self._is_tall(console, options):
@@ -114,14 +120,39 @@ def rich_table(table: pa.Table, title: str | None = None, null: str = "–") -> 
     """Return an Arrow table as a rich table: numbers to the right, floats with four digits, NULL as a dash."""
     shown = Table(title=title and Text(title), box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
-        number = any(
-            is_number(field.type) for is_number in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
-        )
-        shown.add_column(Text(field.name), justify="right" if number else "left", overflow="fold")
+        justify: JustifyMethod = "right" if _is_number(field.type) else "left"
+        shown.add_column(Text(field.name), justify=justify, overflow="fold")
     for row in _rows(table):
         # plain text: rich would take [brackets] for markup
         shown.add_row(*(Text(_cell(value, null)) for value in row))
     return shown
+
+
+def _is_plain(text: str) -> bool:
+    """Return whether a text is one line of printable characters, which no layout would change."""
+    return text.isprintable() and text == text.strip()
+
+
+def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[Segment]:
+    """Yield the lines of `rich_table` at its natural width; rich itself needs some 70 times as long."""
+    names = table.column_names
+    widths = [max(cell_len(text) for text in column) for column in zip(names, *rows, strict=True)]
+    right = [_is_number(field.type) for field in table.schema]
+
+    def line(texts: list[str]) -> str:
+        cells = (
+            " " * (width - cell_len(text)) + text if number else text + " " * (width - cell_len(text))
+            for text, width, number in zip(texts, widths, right, strict=True)
+        )
+        return " " + "   ".join(cells) + " "
+
+    length = sum(widths) + 3 * len(widths) - 1
+    rule = " " + "─" * (length - 2) + " "
+    yield Segment("\n".join([" " * length, line(names), rule, *map(line, rows), " " * length]) + "\n")
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
 
 
 def _cell(value: Any, null: str) -> str:

@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console import tables
 from kinedex.pipelines.console.tables import Shown, encode, rich_table
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.storage import duck
@@ -125,3 +126,30 @@ def test_a_long_line_that_is_said_goes_on_below_between_two_words_in_a_terminal_
         assert " ".join(out.getvalue().split()) == MESSAGE
         assert said[0].startswith("    /an/archive")
         assert all(line.startswith(" " * 8) for line in said[1:])
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {
+            "name": ["a", "bb  b", "çé日本"],
+            "n": [1, 22, None],
+            "x": [0.5, None, 1 / 3],
+            "header": [None, "q", ""],
+        },
+        {"": ["", "", ""], "b": [True, None, False]},
+        {"x" * 300: ["y" * 500], "z": [[1, 2]]},
+        {"two\nlines": ["a\nb", "c"], "n": [1, 2]},
+    ],
+)
+def test_a_table_in_a_pipe_has_the_lines_that_rich_lays_out(
+    columns: dict[str, list[object]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def text() -> str:
+        console = Console(file=io.StringIO(), width=160, soft_wrap=True, force_terminal=False)
+        console.print(Shown(pa.table(columns)))
+        return console.file.getvalue()
+
+    plain = text()
+    monkeypatch.setattr(tables, "_is_plain", lambda text: False)
+    assert plain == text()
