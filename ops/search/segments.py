@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.words import I64
 
 TAKE_BITS = 32
@@ -58,24 +57,3 @@ def from_axis(segments: I64) -> tuple[I64, I64]:
     """Return the take indices, int64 (n,), and the ranges of frames, int64 (n, 2), of segments of the axis."""
     takes = segments[:, 0] >> TAKE_BITS
     return takes, segments - (takes << TAKE_BITS)[:, None]
-
-
-def ranges_by_take(segments: I64, takes: int) -> TakeRanges:
-    """Divide segments of the axis by take.
-
-    Parameters
-    ----------
-    segments : int64 array (n, 2)
-        Segments of positions, ascending.
-    takes : int
-        The number of takes T.
-
-    Raises
-    ------
-    ParameterError
-        If a segment lies in a take beyond the last.
-    """
-    index, ranges = from_axis(segments)
-    if len(index) and index[-1] >= takes:
-        raise ParameterError("takes", f"at least {int(index[-1]) + 1}, for the segments given", takes)
-    return TakeRanges(np.searchsorted(index, np.arange(takes + 1)).astype(np.int64), ranges)

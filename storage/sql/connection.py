@@ -80,7 +80,6 @@ class Connections:
 
     def __init__(self, store: Snapshot, files: Sequence[Path] = ()) -> None:
         self._store = store
-        self.reads_files = bool(files)
         self._lock = threading.Lock()
         self._first = duck.connect()
         try:

@@ -83,13 +83,12 @@ class Merge:
 
 @dataclass(frozen=True)
 class Compaction:
-    """The effect of a compaction: numbers of merged and of new parts, and the bytes that were written."""
+    """The effect of a compaction: the numbers of merged and of new parts."""
 
     frames_before: int
     frames_after: int
     takes_before: int
     takes_after: int
-    written_bytes: int
 
     @property
     def changed(self) -> bool:
@@ -137,7 +136,6 @@ def compact(
         frames_after=len(new_frames),
         takes_before=len(old_takes),
         takes_after=len(new_takes),
-        written_bytes=sum(part.bytes for part in (*new_frames, *new_takes)),
     )
 
 

@@ -15,7 +15,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import completable_frames, keyframe_list, search_lists
-from kinedex.ops.search.segments import from_axis, ranges_by_take, to_axis
+from kinedex.ops.search.segments import from_axis, to_axis
 from kinedex.ops.words import I64, MOST_FEATURES, U64, cut
 from tests.oracles.keyframes import algorithm_1, all_hits, covered, ranges_by_enumeration, ranges_by_sets
 
@@ -106,16 +106,6 @@ def test_a_keyframe_list_holds_the_frames_whose_words_match(takes: list[list[int
 def test_a_keyframe_that_asks_for_bits_it_masks_is_refused() -> None:
     with pytest.raises(ParameterError):
         keyframe_list(lists_of([np.zeros(3, np.uint64)]), mask=2, value=3)
-
-
-def test_segments_are_divided_by_take_and_takes_without_any_stay_empty() -> None:
-    second, fourth = 1 << 32, 3 << 32
-    found = segments((second + 2, second + 5), (second + 9, second + 11), (fourth, fourth + 1))
-    divided = ranges_by_take(found, 5)
-    assert [divided.take(i).tolist() for i in range(5)] == [[], [[2, 5], [9, 11]], [], [[0, 1]], []]
-    assert divided.frames == 6
-    with pytest.raises(ParameterError, match="at least 4"):
-        ranges_by_take(found, 3)
 
 
 # ---- the running example ---------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from kinedex.ops.errors import StoreError
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
-from kinedex.ops.search.segments import ranges_by_take
 from kinedex.ops.words import NO_WORD, U64, TakeWords
 from kinedex.pipelines.search import bit_slices
 from kinedex.pipelines.search.bit_slices import Shard, SlicedWords, sliced_store, sliced_words
@@ -27,6 +26,7 @@ from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
+from tests.ops.search.divided import ranges_by_take
 from tests.storage.made_up import add, make_store
 
 ROOT = Path(__file__).parents[3]

@@ -18,7 +18,6 @@ from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
-from kinedex.ops.search.segments import ranges_by_take
 from kinedex.ops.words import U64, TakeWords, pack
 from kinedex.pipelines.search.bit_slices import sliced_store, sliced_words
 from kinedex.pipelines.search.explanation import explain_search, explain_store
@@ -30,6 +29,7 @@ from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
+from tests.ops.search.divided import ranges_by_take
 from tests.oracles.keyframes import ranges_by_sets
 from tests.storage.made_up import take_row, takes_table
 
