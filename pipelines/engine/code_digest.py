@@ -29,7 +29,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from kinedex.catalog.plugins import Plugins
 
@@ -127,63 +127,51 @@ def _kept_digests() -> Path:
     return Path(__file__).resolve().parent / "__pycache__" / f"code_digest-{version}.json"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Code:
     """The content of one definition, apart from docstrings, comments and annotations.
 
     Attributes
     ----------
+    package : str
+        The package of its module.
     text : str
         A hash of the syntax tree.
-    names : frozenset of str
+    names : set of str
         Names and chains of attributes on names, such as "np.zeros".
-    attributes : frozenset of str
+    attributes : set of str
         All names of attributes.
     imports : dict of str to Place
         The names that imports inside of it bind.
-    declared : frozenset of Place
+    declared : set of Place
         The places that strings "module:name" declare.
     computed : bool
         It asks for an attribute by a computed name.
     """
 
-    text: str
-    names: frozenset[str]
-    attributes: frozenset[str]
-    imports: dict[str, Place]
-    declared: frozenset[Place]
-    computed: bool
-
-
-@dataclass
-class _Reader:
-    """Collects the parts of a definition in one pass over its syntax tree."""
-
-    module: str
     package: str
-    text: list[str] = field(default_factory=list)
+    text: str = ""
     names: set[str] = field(default_factory=set)
     attributes: set[str] = field(default_factory=set)
     imports: dict[str, Place] = field(default_factory=dict)
     declared: set[Place] = field(default_factory=set)
     computed: bool = False
-    blind: bool = False
+    _parts: list[str] = field(default_factory=list)
+    _blind: bool = False
 
-    def code(self, nodes: Iterable[ast.AST]) -> Code:
-        """Read nodes."""
+    def read(self, nodes: Iterable[ast.AST]) -> Self:
+        """Add all that stands in syntax trees, in one pass over them."""
         for node in nodes:
             self._read(node)
-        hashed = hashlib.sha256("\0".join(self.text).encode("utf-8", "backslashreplace")).hexdigest()
-        return Code(
-            hashed, frozenset(self.names), frozenset(self.attributes), self.imports, frozenset(self.declared),
-            self.computed,
-        )  # fmt: skip
+        self.text = hashlib.sha256("\0".join(self._parts).encode("utf-8", "backslashreplace")).hexdigest()
+        self._parts.clear()
+        return self
 
     def _read(self, node: ast.AST) -> None:
-        self.text.append(type(node).__name__)
+        self._parts.append(type(node).__name__)
         if isinstance(node, ast.Name):
             self.names.add(node.id)
-            self.text.append(node.id)
+            self._parts.append(node.id)
             return
         if isinstance(node, ast.Attribute):
             self.attributes.add(node.attr)
@@ -191,12 +179,12 @@ class _Reader:
             if chain is not None:
                 self.names.add(chain)
                 self.attributes.update(chain.split(".")[1:])
-                self.text.append(chain)
+                self._parts.append(chain)
                 return
         elif isinstance(node, ast.Constant):
             if isinstance(node.value, str) and _DECLARED.fullmatch(node.value):
                 self.declared.add(_place(node.value))
-            self.text.append(repr(node.value))
+            self._parts.append(repr(node.value))
             return
         elif isinstance(node, ast.Import | ast.ImportFrom):
             self.imports |= _bound(node, self.package)
@@ -205,30 +193,30 @@ class _Reader:
         self._read_fields(node)
 
     def _read_fields(self, node: ast.AST) -> None:
-        before = self.blind
+        before = self._blind
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            self.blind = _decorators(node) <= _BLIND
+            self._blind = _decorators(node) <= _BLIND
         elif isinstance(node, ast.ClassDef):
-            self.blind = False
+            self._blind = False
         for name, value in ast.iter_fields(node):
-            if self.blind and name in ("returns", "annotation"):
+            if self._blind and name in ("returns", "annotation"):
                 self._follow(value)
             elif isinstance(value, ast.AST):
-                self.text.append(name)
+                self._parts.append(name)
                 self._read(value)
             elif isinstance(value, list):
                 if value and name != "type_params":
-                    self.text.append(name)
+                    self._parts.append(name)
                 docstring = name == "body" and _has_docstring(node)
                 for one in value[int(docstring) :]:
                     if isinstance(one, ast.AST):
                         self._read(one)
                     else:
-                        self.text.append(repr(one))
-                self.text.append(".")
+                        self._parts.append(repr(one))
+                self._parts.append(".")
             elif value is not None and name not in ("ctx", "type_comment", "kind"):
-                self.text.append(f"{name}={value!r}")
-        self.blind = before
+                self._parts.append(f"{name}={value!r}")
+        self._blind = before
 
     def _follow(self, node: ast.AST | None) -> None:
         """Add the names of an annotation without its text."""
@@ -375,7 +363,7 @@ class Module:
     def code(self, name: str) -> Code:
         """Return what a definition consists of, of a class without methods; "Class.method" for one of these."""
         if name not in self._codes:
-            self._codes[name] = _Reader(self.name, self.package).code(self._nodes(name))
+            self._codes[name] = Code(self.package).read(self._nodes(name))
         return self._codes[name]
 
     def _nodes(self, name: str) -> list[ast.AST]:
@@ -389,7 +377,7 @@ class Module:
     @cached_property
     def effect_code(self) -> Code:
         """The statements that are no plain definitions."""
-        return _Reader(self.name, self.package).code(self.effects)
+        return Code(self.package).read(self.effects)
 
     def methods(self, owner: str) -> list[str]:
         """Return the names of the methods of a class that run only when they are called by name."""
