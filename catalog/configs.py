@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -299,3 +300,9 @@ def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.Sa
     if isinstance(node, yaml.SequenceNode):
         return [_construct(item, (*key, i), located, constructor) for i, item in enumerate(node.value)]
     return constructor.construct_object(node, deep=True)
+
+
+def scalar(text: str) -> str:
+    """Return a text as YAML: plain where it reads back as itself, else in quotes."""
+    plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
+    return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

@@ -45,10 +45,6 @@ class Plugins(Generic[Part]):
         self.noun = noun
         self._built_in = {name: EntryPoint(name, value, group) for name, value in built_in.items()}
 
-    def names(self) -> list[str]:
-        """Return the names of all parts, the built-in ones first."""
-        return list(self._all())
-
     def __contains__(self, name: object) -> bool:
         return name in self._all()
 

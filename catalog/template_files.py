@@ -12,10 +12,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.catalog.configs import Located, load_yaml, read_text
+from kinedex.catalog.configs import Located, load_yaml, read_text, scalar
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.ops.templates.templates import Template
@@ -185,9 +184,9 @@ def _value(entry: object) -> float | None:
 
 def _yaml(one: NamedTemplate, feature_set: FeatureSet) -> str:
     template = one.template
-    lines = [f"{_scalar(one.name)}:"]
+    lines = [f"{scalar(one.name)}:"]
     if one.description:
-        lines.append(f"  description: {_scalar(one.description)}")
+        lines.append(f"  description: {scalar(one.description)}")
     if template.feature_weights is not None:
         pairs = zip(feature_set.features, template.feature_weights.tolist(), strict=True)
         unlike = [f"{feature.name}: {_number(weight)}" for feature, weight in pairs if weight != 1]
@@ -214,12 +213,6 @@ def _number(value: float) -> str:
     """Return the shortest text that reads back as the same number."""
     whole = float(value)
     return str(int(whole)) if whole.is_integer() else repr(whole)
-
-
-def _scalar(text: str) -> str:
-    """Return a text as YAML: plain where it reads back as itself, else in quotes."""
-    plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
-    return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()
 
 
 # ---- CSV -------------------------------------------------------------------------------------------------

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
-import yaml
-
+from kinedex.catalog.configs import scalar
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery, features_of, pattern_of
 from kinedex.ops.search.gaps import UNBOUNDED
@@ -103,9 +101,3 @@ def _gap_text(gap: Gap) -> str:
     if gap.distance is not None and gap.stiffness is not None:
         return f"{{frames: {gap.distance}, stiffness: {gap.stiffness!r}}}"
     return f"{{range: [{gap.low}, {'null' if gap.high == UNBOUNDED else gap.high}]}}"
-
-
-def scalar(text: str) -> str:
-    """Return a text as YAML: plain where it reads back as itself, else in quotes."""
-    plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
-    return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

@@ -17,7 +17,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.console.wording import few
-from kinedex.pipelines.search.preselection import template_window
+from kinedex.pipelines.search.preselection import widest_margins
 from kinedex.pipelines.templates.learning import SubclassTemplate
 
 I64 = npt.NDArray[np.int64]
@@ -72,11 +72,7 @@ class Annotator:
         found = []
         for template, queries in zip(self.templates, self.queries, strict=True):
             columns = template.values(len(self.feature_set.features)) if queries else np.empty((0, 0))
-            own = []
-            for query in queries:
-                windows = [template_window(chain, columns, self.feature_set) for chain in query.chains]
-                own.append((max(one.left for one in windows), max(one.right for one in windows)))
-            found.append(tuple(own))
+            found.append(tuple(widest_margins(query, columns, self.feature_set) for query in queries))
         return tuple(found)
 
     @property

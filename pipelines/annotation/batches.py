@@ -15,7 +15,7 @@ from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import whole_takes
-from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store, open_store
 
@@ -92,15 +92,8 @@ def annotate_stored(
 
 def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[int, ...]]:
     """Divide takes into batches of about `BATCH_FRAMES`; a longer take is a batch of its own."""
-    batches: list[list[int]] = []
-    room = 0
-    for take_id, length in sorted(zip(take_ids, frames, strict=True)):
-        if not batches or length > room:
-            batches.append([])
-            room = BATCH_FRAMES
-        batches[-1].append(take_id)
-        room -= length
-    return [tuple(batch) for batch in batches]
+    lengths = dict(sorted(zip(take_ids, frames, strict=True)))
+    return batches_of(lengths, lengths.values(), BATCH_FRAMES)
 
 
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:

@@ -14,7 +14,7 @@ from kinedex.pipelines.annotation.batches import TakeAnnotation
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store, data_frame
 
 
 def takes_table(
@@ -60,8 +60,7 @@ def annotated_takes(store: Store, stage: str) -> pl.DataFrame:
     KinedexError
         The stage has not run, or takes that it annotated have been replaced or dropped since.
     """
-    table = pl.from_arrow(store.result("annotated_takes", run=run_of(store, stage)))
-    assert isinstance(table, pl.DataFrame)
+    table = data_frame(store.result("annotated_takes", run=run_of(store, stage)))
     seen = table.select("take_id", pl.col("take").alias("name"), "frames")
     takes = store.takes().join(seen, on=seen.columns, how="semi", maintain_order="left")
     gone = sorted(set(seen["name"]) - set(takes["name"]))

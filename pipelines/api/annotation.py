@@ -26,6 +26,7 @@ from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_w
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.store.store import data_frame
 
 
 def annotate(
@@ -201,8 +202,7 @@ def _clips_of(templates: Sequence[Template]) -> list[Any]:
 
 
 def _table(found: Iterable[TakeAnnotation], annotator: Annotator, chosen: _LoadedWords | _StoredWords) -> pl.DataFrame:
-    frame = pl.from_arrow(annotations_table(found, annotator, chosen.names, chosen.rate_hz, ""))
-    assert isinstance(frame, pl.DataFrame)
+    frame = data_frame(annotations_table(found, annotator, chosen.names, chosen.rate_hz, ""))
     ids = pl.col("take_id").replace_strict(chosen.ids, return_dtype=pl.Int64)
     return frame.drop("run").with_columns(ids).select("take", "take_id", pl.exclude("take", "take_id"))
 
@@ -316,8 +316,7 @@ def evaluate(
         truth = _truth_of_files(paths, takes, annotations)
     classes = annotations["class"].unique().sort().to_list()
     found = compare_with_truth("annotations", annotations.to_arrow(), truth, classes)
-    table = pl.from_arrow(metrics_rows(found, ""))
-    assert isinstance(table, pl.DataFrame)
+    table = data_frame(metrics_rows(found, ""))
     return Evaluation(table.drop("run", "evaluation"), truth.takes, truth.remarks)
 
 

@@ -15,6 +15,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError, did_you_mean
 from kinedex.pipelines.api.take import F32, U64, Frames, Take
 from kinedex.storage.store.store import Store as StoredTakes
+from kinedex.storage.store.store import data_frame
 from kinedex.storage.store.store import open_store as open_stored_takes
 
 if TYPE_CHECKING:
@@ -362,7 +363,7 @@ class Store:
         0
         """
         table = self.stored.sql(query, params)
-        return _frame(table) if polars else table
+        return data_frame(table) if polars else table
 
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> Connection:
         """Open a DuckDB connection with all views and macros, for tables and macros of your own.
@@ -416,7 +417,7 @@ class Store:
         >>> "class" in store.results("annotations").columns
         True
         """
-        return _frame(self.stored.result(kind, pipeline=pipeline))
+        return data_frame(self.stored.result(kind, pipeline=pipeline))
 
     # ---- search and ranking ------------------------------------------------------------------------------
 
@@ -457,7 +458,7 @@ class Store:
             queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
         else:
             queries = resolved_queries(query, self.feature_set, self.rate_hz)
-        return _frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
+        return data_frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
 
     def templates(self, *, stage: str | None = None) -> pl.DataFrame:
         """Return the list of the templates that pipelines have learned.
@@ -484,7 +485,7 @@ class Store:
         """
         from kinedex.pipelines.templates.stored_templates import templates_overview
 
-        return _frame(templates_overview(self.stored, 0.05, stage))
+        return data_frame(templates_overview(self.stored, 0.05, stage))
 
     def template(self, name: str, kind: Kind = "soft", *, stage: str | None = None) -> Template:
         """Return a template that a pipeline has learned.
@@ -593,7 +594,7 @@ class Store:
         )
         for remark in found.remarks:
             warnings.warn(remark, stacklevel=2)
-        return _frame(found.table()).drop("run")
+        return data_frame(found.table()).drop("run")
 
     def similar(
         self,
@@ -682,12 +683,3 @@ def stored_frames(stored: StoredTakes, name: str, start: int, stop: int) -> Fram
         np.stack([part.to_numpy(zero_copy_only=False) for part in turned], axis=1).astype(np.float32),
         words_of(table),
     )
-
-
-def _frame(table: pa.Table) -> pl.DataFrame:
-    """Return an Arrow table as a polars data frame."""
-    import polars as pl
-
-    frame = pl.from_arrow(table)
-    assert isinstance(frame, pl.DataFrame)
-    return frame

@@ -112,13 +112,25 @@ def pairs(lines: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
+def numbers_table(names: Iterable[str], title: str | None = None, *, min_width: int | None = None) -> Table:
+    """Return a table without rows: a column of texts that wrap, at least `min_width` wide, then columns of numbers."""
+    table = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+        header_style="bold",
+    )  # fmt: skip
+    table.add_column("", overflow="fold", min_width=min_width)
+    for name in names:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
 def _natural_width(table: Table, console: Console, options: ConsoleOptions) -> int:
     return Measurement.get(console, options.update_width(1_000_000), table).maximum
 
 
-def rich_table(table: pa.Table, title: str | None = None, null: str = "–") -> Table:
+def rich_table(table: pa.Table, null: str = "–") -> Table:
     """Return an Arrow table as a rich table: numbers to the right, floats with four digits, NULL as a dash."""
-    shown = Table(title=title and Text(title), box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
         justify: JustifyMethod = "right" if _is_number(field.type) else "left"
         shown.add_column(Text(field.name), justify=justify, overflow="fold")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 _MOST = 8
@@ -16,6 +17,11 @@ THESIS_NAMES = "F (frames) and F (segments) are F1 and F2 of the thesis (Section
 def few(names: Sequence[str]) -> str:
     """Return the names, or the first eight and the number of the others."""
     return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
+
+
+def digits(value: float | None) -> str:
+    """Return a value with two digits, or a dash where there is none."""
+    return "–" if value is None or math.isnan(value) else f"{value:.2f}"
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:

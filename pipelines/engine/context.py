@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
+import pyarrow as pa
 from pydantic import BaseModel
 from rich.console import RenderableType
 
@@ -149,6 +150,13 @@ class StageContext:
     def writer(self) -> StoreWriter:
         """Return the store's writer, a context manager that holds its lock."""
         return StoreWriter.open(self.store_path, self.feature_set)
+
+    def put_results(self, **tables: pa.Table) -> None:
+        """Store the results of the stage, one table for each kind, in one commit."""
+        with self.writer() as writer:
+            for kind, table in tables.items():
+                writer.put_results(kind, table, stage=self.key(), run=self.run)
+            writer.commit()
 
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
         """Return a progress bar, to be used in a `with` statement."""

@@ -57,19 +57,19 @@ class Executor(Protocol):
         ...
 
     def check(self, store: Path) -> None:
-        """Raise a KinedexError if a worker cannot see the store."""
-        ...
+        """Raise a KinedexError if a worker cannot see the store; do nothing where all are on this machine."""
+        return
 
     def close(self) -> None:
-        """End the workers once their tasks are done."""
-        ...
+        """End the workers, if there are any, once their tasks are done."""
+        return
 
     def abort(self) -> None:
-        """End the workers at once."""
-        ...
+        """End the workers, if there are any, at once."""
+        return
 
 
-class SerialExecutor:
+class SerialExecutor(Executor):
     """Runs one task after the other in this process."""
 
     workers = 1
@@ -78,17 +78,8 @@ class SerialExecutor:
         """Apply a function to every item, lazily."""
         return map(function, items)
 
-    def check(self, store: Path) -> None:
-        """Do nothing: this process sees the store."""
 
-    def close(self) -> None:
-        """Do nothing: there are no workers."""
-
-    def abort(self) -> None:
-        """Do nothing: there are no workers."""
-
-
-class ProcessExecutor:
+class ProcessExecutor(Executor):
     """Runs tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight.
 
     When a worker dies (killed, out of memory), the tasks in flight are tried again one at a time, so that a task that
@@ -164,9 +155,6 @@ class ProcessExecutor:
             f"a worker process died {TRIES} times on the same task ({_shown(item)}); is there enough memory for it? "
             "--executor serial shows what happens"
         )
-
-    def check(self, store: Path) -> None:
-        """Do nothing: workers of this machine see the store."""
 
     def close(self) -> None:
         """Wait for the tasks that run, and end the workers."""
@@ -343,6 +331,19 @@ def _shown(item: object) -> str:
 def cores() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def batches_of(items: Iterable[Item], sizes: Iterable[int], most: int) -> list[tuple[Item, ...]]:
+    """Divide items, in their order, into batches of at most `most` in size; a larger item is a batch of its own."""
+    batches: list[list[Item]] = []
+    room = 0
+    for item, size in zip(items, sizes, strict=True):
+        if not batches or size > room:
+            batches.append([])
+            room = most
+        batches[-1].append(item)
+        room -= size
+    return [tuple(batch) for batch in batches]
 
 
 def make_executor(kind: str, workers: int | None = None, scheduler: str | None = None) -> Executor:

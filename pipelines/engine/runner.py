@@ -22,7 +22,7 @@ from kinedex.pipelines.engine.context import Display, StageContext, feature_set_
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.storage.snapshot.manifest import StageRecord, now, versions
-from kinedex.storage.store.store import open_store
+from kinedex.storage.store.store import data_frame, open_store
 
 _log = logging.getLogger("kinedex.engine")
 
@@ -60,9 +60,7 @@ class Outcome:
     @cached_property
     def metrics(self) -> pl.DataFrame:
         """The metrics of the pipeline's evaluations, one row for each class, take or group; see docs/sql.md."""
-        found = pl.from_arrow(open_store(self.store_path).result("metrics", pipeline=self.pipeline.name))
-        assert isinstance(found, pl.DataFrame)
-        return found
+        return data_frame(open_store(self.store_path).result("metrics", pipeline=self.pipeline.name))
 
 
 class StageFailed(KinedexError):

@@ -52,14 +52,11 @@ class Stage(ABC, Generic[Parameters]):
         A pydantic model; each field has a description.
     inputs : mapping of str to Input
         The roles that other stages play.
-    outputs : tuple of str
-        The kinds of results that `run` stores.
     """
 
     name: ClassVar[str]
     parameters: type[Parameters]
     inputs: ClassVar[Mapping[str, Input]] = {}
-    outputs: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def run(self, context: StageContext, params: Parameters) -> dict[str, object]:

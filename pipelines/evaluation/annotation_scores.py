@@ -10,12 +10,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import pyarrow as pa
-from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES
+from kinedex.pipelines.console.tables import numbers_table
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.storage.disk import write_errors
 from kinedex.storage.snapshot.schemas import result_schema
@@ -87,12 +87,15 @@ def measures(counts: Counts) -> dict[str, float | None]:
     return {name: None if math.isnan(value) else value for name, value in values.items()}
 
 
+def scores(counts: Counts) -> dict[str, float | int | None]:
+    """Return measures and counts by name; an undefined measure is None."""
+    return {**measures(counts), **asdict(counts)}
+
+
 def metrics_rows(evaluation: Evaluation, run: str) -> pa.Table:
     """Return an evaluation as results of the kind `metrics`."""
     rows = [
-        {"run": run, "evaluation": evaluation.name, "scope": row.scope, "name": row.name}
-        | measures(row.counts)
-        | asdict(row.counts)
+        {"run": run, "evaluation": evaluation.name, "scope": row.scope, "name": row.name, **scores(row.counts)}
         for row in evaluation.rows
     ]
     return pa.Table.from_pylist(rows, schema=result_schema("metrics"))
@@ -101,9 +104,9 @@ def metrics_rows(evaluation: Evaluation, run: str) -> pa.Table:
 def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object) -> None:
     """Write an evaluation as JSON: `about`, then the measures and counts of every row by scope and name."""
     content: dict[str, object] = {"evaluation": evaluation.name, "run": run, **about}
-    content["pooled"] = measures(evaluation.pooled) | asdict(evaluation.pooled)
+    content["pooled"] = scores(evaluation.pooled)
     for scope, key in zip(SCOPES[1:], ("folds", "classes", "takes"), strict=True):
-        rows = {row.name: measures(row.counts) | asdict(row.counts) for row in evaluation.rows if row.scope == scope}
+        rows = {row.name: scores(row.counts) for row in evaluation.rows if row.scope == scope}
         if rows:
             content[key] = rows
     temporary = path.with_name(f".tmp-{path.name}")
@@ -124,17 +127,7 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
     scopes : sequence of str
         The scopes of the rows that are shown.
     """
-    table = Table(
-        title=title,
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        header_style="bold",
-    )
-    table.add_column("", overflow="fold")
-    for name in (F_FRAMES, "P", "R", F_SEGMENTS, "P", "R", "auto", "manual"):
-        table.add_column(name, justify="right", no_wrap=True)
+    table = numbers_table((F_FRAMES, "P", "R", F_SEGMENTS, "P", "R", "auto", "manual"), title)
     for scope in scopes:
         table.add_section()
         for row in evaluation.rows:
@@ -144,7 +137,7 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
             values = [counts.f1, counts.p1, counts.r1, counts.f2, counts.p2, counts.r2]
             table.add_row(
                 Text(row.name),
-                *("–" if math.isnan(value) else f"{value:.2f}" for value in values),
+                *(digits(value) for value in values),
                 f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
                 f"{counts.segments_manual_hit}/{counts.segments_manual}",
                 style="bold" if scope == "pooled" else None,

@@ -213,10 +213,7 @@ def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTa
     distinct = list({cell.key: cell for cell in cells}.values())
 
     def save(found: Mapping[str, SegmentsByTake]) -> None:
-        with context.writer() as writer:
-            table = cells_table(cells, found, context.run)
-            writer.put_results("method_cells", table, stage=context.key(), run=context.run)
-            writer.commit()
+        context.put_results(method_cells=cells_table(cells, found, context.run))
 
     already = sum(cell.key in known for cell in distinct)
     if already:

@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, few
+from kinedex.pipelines.console.tables import numbers_table
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits, few
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
-from kinedex.pipelines.evaluation.tables import digits
 from kinedex.pipelines.report.page_environment import page_environment
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
@@ -84,13 +83,7 @@ def remarks(one: Comparison) -> list[str]:
 
 
 def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Table:
-    table = Table(
-        title=title or None, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-        header_style="bold",
-    )  # fmt: skip
-    table.add_column("", overflow="fold")
-    for name in HEADER:
-        table.add_column(name, justify="right", no_wrap=True)
+    table = numbers_table(HEADER, title or None)
     for change in changes:
         table.add_row(Text(change.name), *values(change), style=None if plain else _STYLES[change.verdict] or None)
     return table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -19,7 +19,7 @@ from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
 from kinedex.pipelines.annotation.reuse import setting_digest
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.code_digest import code_digest
-from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.evaluation.scheme import Method
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 from kinedex.storage.snapshot.schemas import result_schema
@@ -126,7 +126,10 @@ def run_cells(
     finished = {key: known[key] for key in wanted if key in known}
     advance(len(finished))
     todo = [cell for key, cell in wanted.items() if key not in finished]
-    pieces = {cell.key: list(_pieces(cell.fold.test_takes)) for cell in todo}
+    pieces = {
+        cell.key: batches_of(cell.fold.test_takes, [one.frames for one in cell.fold.test_takes], BATCH_FRAMES)
+        for cell in todo
+    }
     tasks = [Task(store, cell.annotator, piece) for cell in todo for piece in pieces[cell.key]]
     results = executor.map(annotate_task, tasks)
     stored = time.monotonic()
@@ -157,19 +160,6 @@ def annotate_task(task: Task) -> SegmentsByTake:
         )
         for one in annotate_words(annotator, together)
     }
-
-
-def _pieces(test_takes: Sequence[TestTake]) -> Iterator[tuple[TestTake, ...]]:
-    """Divide takes into tasks of about `BATCH_FRAMES` frames; a longer take is a task of its own."""
-    piece: list[TestTake] = []
-    frames = 0
-    for test_take in test_takes:
-        if piece and frames + test_take.frames > BATCH_FRAMES:
-            yield tuple(piece)
-            piece, frames = [], 0
-        piece.append(test_take)
-        frames += test_take.frames
-    yield tuple(piece)
 
 
 def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run: str) -> pa.Table:

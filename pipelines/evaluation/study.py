@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
-from kinedex.pipelines.evaluation.annotation_scores import Row, measures
-from kinedex.pipelines.evaluation.grid import Segment
+from kinedex.pipelines.evaluation.annotation_scores import Row, scores
 from kinedex.pipelines.evaluation.method_scores import MethodScores, Outcome, SegmentOutcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
@@ -55,7 +54,7 @@ class SplitResult:
     @property
     def leading(self) -> str:
         """The method of the highest F (frames), the first of equal ones."""
-        return max(self.judgements, key=lambda name: _defined(self.judgements[name].pooled.f1))
+        return max(self.judgements, key=lambda name: np.nan_to_num(self.judgements[name].pooled.f1, nan=-1.0))
 
     def shown(self) -> dict[str, str]:
         """Return the names of the takes whose timelines are shown: best, median and worst of the leading method."""
@@ -185,7 +184,7 @@ def _split(result: SplitResult, study: Study) -> dict[str, object]:
                 "take": name,
                 "frames": test_takes[name].frames,
                 "manual": [list(one) for one in test_takes[name].truth],
-                "automatic": {method: _segments(found[name]) for method, found in result.outcomes.items()},
+                "automatic": {method: list(map(asdict, found[name])) for method, found in result.outcomes.items()},
             }
             for what, name in shown.items()
         },
@@ -221,11 +220,6 @@ def _judgement(one: MethodScores, study: Study) -> dict[str, object]:
     return result
 
 
-def scores(counts: Counts) -> dict[str, float | int | None]:
-    """Return measures and counts by name; an undefined measure is None."""
-    return {**measures(counts), **asdict(counts)}
-
-
 def evaluation_rows(judged: MethodScores, folds: Sequence[Fold]) -> tuple[Row, ...]:
     """Return a judgement as rows of an evaluation; a group holds the takes with the same value of `divide_by`."""
     by_fold = {fold.name: pooled(judged.by_take[test_take.name] for test_take in fold.test_takes) for fold in folds}
@@ -238,13 +232,5 @@ def evaluation_rows(judged: MethodScores, folds: Sequence[Fold]) -> tuple[Row, .
     )
 
 
-def _segments(found: Sequence[Segment]) -> list[Mapping[str, object]]:
-    return [asdict(one) for one in found]
-
-
 def _number(value: float) -> float | None:
     return None if math.isnan(value) else value
-
-
-def _defined(value: float) -> float:
-    return -1.0 if math.isnan(value) else value

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from rich import box
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted
+from kinedex.pipelines.console.tables import numbers_table
+from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted, digits
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
@@ -64,11 +64,6 @@ def row(judgement: MethodScores, study: Study) -> list[str]:
     return values
 
 
-def digits(value: float | None) -> str:
-    """Return a value with two digits, or a dash where there is none."""
-    return "–" if value is None or math.isnan(value) else f"{value:.2f}"
-
-
 def between(interval: tuple[float, float]) -> str:
     """Return an interval as low–high."""
     return "–" if math.isnan(interval[0]) else f"{interval[0]:.2f}–{interval[1]:.2f}"
@@ -118,12 +113,7 @@ def overview(study: Study) -> Group:
 
 def _overview(result: SplitResult, study: Study, part: slice) -> Table:
     """Return some columns of the table of methods."""
-    table = Table(
-        title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold"
-    )  # fmt: skip
-    table.add_column("", overflow="fold", min_width=12)
-    for name in headings(study)[part]:
-        table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
+    table = numbers_table((name.replace(" ", "\n") for name in headings(study)[part]), min_width=12)
     for name, judgement in result.judgements.items():
         leads = name == result.leading and len(result.judgements) > 1
         table.add_row(Text(name), *row(judgement, study)[part], style="bold" if leads else None)

@@ -32,10 +32,7 @@ class StoredRuns:
 
     def save(self, classes: Sequence[ClassRuns]) -> None:
         """Add the finished runs of classes, and store all runs."""
-        with self._context.writer() as writer:
-            table = self.table(classes)
-            writer.put_results("keyframe_runs", table, stage=self._context.key(), run=self._context.run)
-            writer.commit()
+        self._context.put_results(keyframe_runs=self.table(classes))
 
     def table(self, classes: Sequence[ClassRuns]) -> pa.Table:
         """Add the finished runs of classes, and return all as results of the kind `keyframe_runs`."""

@@ -21,7 +21,7 @@ from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.engine.executors import cores
+from kinedex.pipelines.engine.executors import batches_of, cores
 from kinedex.pipelines.search.preselection import preselect_stored, template_ranges
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
@@ -170,7 +170,7 @@ def rank_takes(
     if not takes.height:
         raise KinedexError("no take to rank" + (f": the filter `{where}` selects none" if where else " in this store"))
     names = dict(takes.select("take_id", "name").iter_rows())
-    batches = _batches(takes["take_id"].to_list(), takes["frames"].to_list())
+    batches = batches_of(takes["take_id"].to_list(), takes["frames"].to_list(), BATCH_FRAMES)
     best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
     counts = np.zeros((len(templates), 3), np.int64)
     bounded = np.zeros(len(templates), np.bool_)
@@ -212,19 +212,6 @@ def rank_takes(
 
 def _order(entry: tuple[float, str, int, Hit]) -> tuple[float, str, int]:
     return entry[:3]
-
-
-def _batches(take_ids: Sequence[int], frames: Sequence[int]) -> list[tuple[int, ...]]:
-    """Divide takes into batches of about `BATCH_FRAMES`, in their order."""
-    batches: list[list[int]] = []
-    room = 0
-    for take_id, length in zip(take_ids, frames, strict=True):
-        if not batches or length > room:
-            batches.append([])
-            room = BATCH_FRAMES
-        batches[-1].append(take_id)
-        room -= length
-    return [tuple(batch) for batch in batches]
 
 
 def _rank_batch(

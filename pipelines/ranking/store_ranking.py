@@ -13,7 +13,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, rank_takes, ranking_table
-from kinedex.pipelines.templates.stored_templates import choose_templates, template_from_clip
+from kinedex.pipelines.templates.stored_templates import choose_templates
 from kinedex.storage.store.store import Store
 
 DELTA, TAU, TOP = 0.1, 0.1, 20
@@ -99,45 +99,6 @@ def rank_store(
     ranked, remarks = ranked_templates([*found, *given], delta, queries, strict=templates is not None)
     rankings = rank_takes(store, ranked, tau, top, where, workers)
     return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks))
-
-
-def similar(
-    store: Store,
-    take: str,
-    start: str | int | None = None,
-    stop: str | int | None = None,
-    *,
-    delta: float = DELTA,
-    tau: float = TAU,
-    top: int | None = TOP,
-    where: str | None = None,
-    workers: int | None = None,
-) -> StoreRanking:
-    """Rank the places of an archive by how well they fit an example.
-
-    Parameters
-    ----------
-    store : Store
-        The store to search, which holds the example as well.
-    take : str
-        The name of the take that is the example, or that holds it.
-    start, stop : int or str, optional
-        The example within the take: frames (45) or seconds ("1.5s"); the whole take unless given.
-    delta, tau, top, where, workers
-        As for `rank_store`.
-
-    Returns
-    -------
-    StoreRanking
-        One ranking, named after the take.
-
-    Raises
-    ------
-    KinedexError
-        There is no such take, the range is not within it, or it has invalid frames in the middle.
-    """
-    example = template_from_clip(store, take, start, stop)
-    return rank_store(store, [example], delta=delta, tau=tau, top=top, where=where, workers=workers)
 
 
 def ranked_templates(

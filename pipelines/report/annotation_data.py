@@ -32,7 +32,7 @@ from kinedex.pipelines.report.take_selection import median_take
 from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store, data_frame
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
 
@@ -47,14 +47,6 @@ ROLES = {
 }
 """Kind of result → the input of the stage `report` that made it."""
 
-USUAL = {
-    "templates": "learn_templates",
-    "annotations": "annotate",
-    "evaluation": "evaluate",
-    "leave_one_out": "leave_one_out",
-}
-"""Input of the stage `report` → the stage that it is by default."""
-
 BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts"}
 """The keys that the runner adds to the summary of a stage."""
 
@@ -64,8 +56,8 @@ def read_report_data(
     pipeline: str,
     *,
     created: datetime,
+    inputs: Mapping[str, str],
     title: str | None = None,
-    inputs: Mapping[str, str] | None = None,
     own_stage: str | None = None,
     curves_take: str | None = None,
 ) -> ReportData:
@@ -79,10 +71,10 @@ def read_report_data(
         Pipeline whose results are reported.
     created : datetime
         Time of the page.
+    inputs : mapping of str to str
+        Input of the stage `report` → the stage whose results are reported.
     title : str or None
         Title of the page; None derives one from the name of the archive.
-    inputs : mapping of str to str, or None
-        Input of the stage `report` → the stage whose results are reported; the usual stages for None.
     own_stage : str or None
         The stage that reads; its record is omitted.
     curves_take : str or None
@@ -98,7 +90,7 @@ def read_report_data(
     KinedexError
         If `curves_take` was not annotated.
     """
-    reader = Reader(store, pipeline, USUAL if inputs is None else inputs)
+    reader = Reader(store, pipeline, inputs)
     takes = store.takes()
     own, held = _scores(reader, "evaluation"), _scores(reader, "leave_one_out")
     pairs = reader.frame("distance_curves", ["take", "class", "subclass", "preselected"])
@@ -128,7 +120,7 @@ def read_report_data(
         manual=_segments(reader.frame("ground_truth"), automatic=False),
         delta=_number(annotate, "delta"),
         tau=_number(annotate, "tau"),
-        method=_methods(annotations),
+        method=", ".join(sorted(annotations["method"].drop_nulls().unique())) or None,
         searched_share=_number(annotate, "searched"),
         scores=(*own, *held),
         evaluation=own[0].evaluation if own else None,
@@ -145,7 +137,7 @@ def read_report_data(
         failures=_failures(store),
         warnings=_warnings(takes),
         stages=records,
-        versions=_versions(),
+        versions=(("Python", platform.python_version()), *((name, _version(name)) for name in PACKAGES)),
         commands=(command(pipeline, store.path.resolve(), records),),
     )
 
@@ -182,9 +174,7 @@ class Reader:
 
     def frame(self, kind: str, columns: Sequence[str] | None = None) -> pl.DataFrame:
         """Return the rows of a kind as a data frame."""
-        frame = pl.from_arrow(self.table(kind, columns))
-        assert isinstance(frame, pl.DataFrame)
-        return frame
+        return data_frame(self.table(kind, columns))
 
     def records(self) -> tuple[StageRow, ...]:
         """Return the stages of the pipeline, each after its inputs, otherwise in the order in which they finished."""
@@ -314,10 +304,6 @@ def _learned_from(takes: pl.DataFrame, templates: Sequence[Template], column: st
     return tuple(sorted(str(value) for value in values))
 
 
-def _methods(annotations: pl.DataFrame) -> str | None:
-    return ", ".join(sorted(annotations["method"].drop_nulls().unique())) or None
-
-
 def _hits(reader: Reader) -> tuple[HitCount, ...]:
     grouped = (
         reader.frame("hits")
@@ -357,10 +343,6 @@ def _number(record: StageRow | None, key: str) -> float | None:
 def _title(roots: Sequence[str]) -> str:
     names = [root.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1] for root in roots]
     return f"Annotation of {' and '.join(names)}" if names else "Annotation report"
-
-
-def _versions() -> tuple[tuple[str, str], ...]:
-    return ("Python", platform.python_version()), *((name, _version(name)) for name in PACKAGES)
 
 
 def _version(package: str) -> str:

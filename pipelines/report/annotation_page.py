@@ -12,7 +12,7 @@ from importlib import resources
 from jinja2 import Environment
 from markupsafe import Markup
 
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.console.wording import counted, digits
 from kinedex.pipelines.report.cards import Card, card, readable, rules
 from kinedex.pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from kinedex.pipelines.report.data import ReportData, Score, Segment
@@ -198,7 +198,7 @@ def pages_digest() -> str:
 
 def _environment() -> Environment:
     filters: dict[str, Callable[..., str]] = {
-        "measure": measure,
+        "measure": digits,
         "share": share,
         "span": span,
         "thousands": thousands,
@@ -213,11 +213,6 @@ def _environment() -> Environment:
 def breakable(name: str) -> Markup:
     """Mark the places between the words of a long name where a line may break."""
     return Markup("<wbr>").join(re.split(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[_./-])", name))
-
-
-def measure(value: float | None) -> str:
-    """Format a measure with two digits; a dash where it is undefined."""
-    return "–" if value is None else f"{value:.2f}"
 
 
 def share(value: float | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges, extend_and_unite
-from kinedex.ops.search.preselection import KeyframeFit, fit_keyframes, template_margins
+from kinedex.ops.search.preselection import fit_keyframes, template_margins
 from kinedex.ops.words import I64, TakeWords
 from kinedex.pipelines.search.bit_slices import sliced_index, sliced_words
 from kinedex.storage.store.store import Store
@@ -76,27 +75,9 @@ def _refuse_filters(queries: Sequence[KeyframeQuery]) -> None:
             )
 
 
-@dataclass(frozen=True)
-class TemplateWindow:
-    """The margins by which a template reaches beyond the hits of a query.
-
-    Parameters
-    ----------
-    left, right : int
-        Frames before and after a hit.
-    positions : tuple of int
-        The template columns of the keyframes.
-    fit : KeyframeFit or None
-        How the positions were found; None where the query has positions of its own.
-    """
-
-    left: int
-    right: int
-    positions: tuple[int, ...]
-    fit: KeyframeFit | None
-
-
-def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet) -> TemplateWindow:
+def template_window(
+    query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet
+) -> tuple[int, int]:
     """Find the margins by which a template reaches beyond the hits of a query.
 
     Parameters
@@ -111,6 +92,11 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
     feature_set : FeatureSet
         The features of the query's sets.
 
+    Returns
+    -------
+    tuple of int
+        Frames before and after a hit.
+
     Raises
     ------
     KinedexError
@@ -118,7 +104,6 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
         template does not have.
     """
     columns, features = template.shape
-    fit = None
     positions = query.positions
     if positions is None:
         masks = np.zeros((len(query.keyframes), features), bool)
@@ -130,15 +115,13 @@ def template_window(query: KeyframeQuery, template: npt.NDArray[np.float64], fea
                         raise KinedexError(f"query '{query.name}' asks for F{number}, the template has {features}")
                     masks[k, number - 1] = True
                     values[k, number - 1] = keyframe.value >> bit & 1
-        fit = fit_keyframes(template, masks, values, query.bounds)
-        positions = fit.positions
+        positions = fit_keyframes(template, masks, values, query.bounds).positions
     elif positions[-1] >= columns and query.margins is None:
         raise KinedexError(
             f"query '{query.name}' puts a keyframe in template column {positions[-1]}, but the template has {columns}"
             " columns, counted from 0; leave `positions` out to have them found"
         )
-    left, right = query.margins or template_margins(positions[0], positions[-1], columns, query.least_stiffness)
-    return TemplateWindow(left, right, positions, fit)
+    return query.margins or template_margins(positions[0], positions[-1], columns, query.least_stiffness)
 
 
 def template_ranges(
@@ -170,11 +153,14 @@ def template_ranges(
     int64 array (R, 2)
         Ranges of the words laid end to end.
     """
-    widest = []
-    for query in queries:
-        windows = [template_window(chain, template, feature_set) for chain in query.chains]
-        widest.append((max(window.left for window in windows), max(window.right for window in windows)))
-    return ranges_around([hits[query] for query in queries], widest, offsets)
+    margins = [widest_margins(query, template, feature_set) for query in queries]
+    return ranges_around([hits[query] for query in queries], margins, offsets)
+
+
+def widest_margins(query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet) -> tuple[int, int]:
+    """Return the widest margins of a query and its alternatives, since any of them may have found a hit."""
+    margins = [template_window(chain, template, feature_set) for chain in query.chains]
+    return max(left for left, _ in margins), max(right for _, right in margins)
 
 
 def ranges_around(hits: Sequence[TakeRanges], margins: Sequence[tuple[int, int]], offsets: I64) -> I64:

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from kinedex.catalog.configs import scalar
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.query_files import parse_queries
-from kinedex.catalog.queries.query_writer import scalar
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.search.query_proposal import Pose, SetCounts, propose_poses
 from kinedex.ops.words import I64, TakeWords

@@ -52,7 +52,6 @@ class Annotate(Stage[AnnotationParameters]):
         "templates": Input("learn_templates"),
         "keyframes": Input("learn_keyframes", optional=True),
     }
-    outputs = ("distance_curves", "annotations", "annotated_takes")
 
     def external_digest(self, params: AnnotationParameters, store: Store | None) -> str:
         """Return a hash of the class file and the query files."""

@@ -42,7 +42,6 @@ class CompareMethods(Stage[ComparisonParameters]):
         "annotations": Input("annotate", optional=True),
         "evaluation": Input("evaluate", optional=True),
     }
-    outputs = ("method_cells", "keyframe_runs", "metrics")
 
     def external_digest(self, params: ComparisonParameters, store: Store | None) -> str:
         """Return a hash of the class file, the query files and the ground truth."""
@@ -103,10 +102,7 @@ def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> No
         for result in (study.splits if study is not None else ())
         for name, judged in result.judgements.items()
     ]
-    with context.writer() as writer:
-        rows = pa.concat_tables(tables) if tables else pa.table({})
-        writer.put_results("metrics", rows, stage=context.key(), run=context.run)
-        writer.commit()
+    context.put_results(metrics=pa.concat_tables(tables) if tables else pa.table({}))
 
 
 def _write(context: StageContext, params: ComparisonParameters, study: Study) -> list[str]:

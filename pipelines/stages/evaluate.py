@@ -41,7 +41,6 @@ class Evaluate(Stage[GroundTruthParameters]):
     name = "evaluate"
     parameters = GroundTruthParameters
     inputs: ClassVar = {"annotations": Input("annotate")}
-    outputs = ("metrics", "ground_truth")
 
     def external_digest(self, params: GroundTruthParameters, store: Store | None) -> str:
         """Return a hash of the label files."""
@@ -54,10 +53,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         takes = annotated_takes(store, context.key(context.inputs["annotations"]))
         if not_labelled(params, takes["source_root"].unique()):
             report.unlink(missing_ok=True)
-            with context.writer() as writer:
-                for kind in ("metrics", "ground_truth"):
-                    writer.put_results(kind, pa.table({}), stage=context.key(), run=context.run)
-                writer.commit()
+            context.put_results(metrics=pa.table({}), ground_truth=pa.table({}))
             named = params.ground_truth == NONE
             context.say(
                 "no ground truth, nothing to evaluate"
@@ -69,12 +65,9 @@ class Evaluate(Stage[GroundTruthParameters]):
         truth = ground_truth(store, params, takes, classes)
         annotations = store.result("annotations", run=run_of(store, context.key(context.inputs["annotations"])))
         evaluation = evaluate("annotate", annotations, truth, classes.names)
-        with context.writer() as writer:
-            writer.put_results("metrics", metrics_rows(evaluation, context.run), stage=context.key(), run=context.run)
-            writer.put_results(
-                "ground_truth", ground_truth_rows(truth, context.run), stage=context.key(), run=context.run
-            )
-            writer.commit()
+        context.put_results(
+            metrics=metrics_rows(evaluation, context.run), ground_truth=ground_truth_rows(truth, context.run)
+        )
         annotation = store.manifest.stages[context.key(context.inputs["annotations"])]
         remarks = [*annotation.summary.get("remarks", ()), *truth.remarks]
         about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": remarks}

@@ -61,7 +61,6 @@ class EvaluateRanking(Stage[Params]):
     name = "evaluate_ranking"
     parameters = Params
     inputs: ClassVar = {"templates": Input("learn_templates")}
-    outputs = ("retrieval",)
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the ground truth."""
@@ -85,9 +84,7 @@ class EvaluateRanking(Stage[Params]):
                 context.terminal.show(retrieval_table(found, title, params.tau))
                 summary |= {f"{what}_map": mean_average_precision(found), f"{what}_recall": recall_at_tau(found)}
                 judged += found
-        with context.writer() as writer:
-            writer.put_results("retrieval", retrieval_rows(judged, context.run), stage=context.key(), run=context.run)
-            writer.commit()
+        context.put_results(retrieval=retrieval_rows(judged, context.run))
         return summary
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
-from kinedex.pipelines.engine.executors import WorkerDied
+from kinedex.pipelines.engine.executors import WorkerDied, batches_of
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest, features_digest
 from kinedex.pipelines.ingestion.failures import Failure, failure, failure_messages, killer, log_table
@@ -112,7 +112,6 @@ class Ingest(Stage[Params]):
 
     name = "ingest"
     parameters = Params
-    outputs = ("ingest_log", "skeleton_files")
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the source files by path, size and time, of the mappings, and of the features."""
@@ -263,20 +262,10 @@ def _compact(context: StageContext, writer: StoreWriter) -> None:
         )
 
 
-def _batches(tasks: Sequence[Task], limit: int, workers: int) -> Iterator[tuple[Task, ...]]:
+def _batches(tasks: Sequence[Task], limit: int, workers: int) -> list[tuple[Task, ...]]:
     """Divide tasks by bytes: at most `limit` each, and two for every worker where there is enough work."""
-    total = sum(task.motion.size for task in tasks)
-    target = min(limit, max(4 * MEGABYTE, total // (2 * workers) + 1))
-    batch: list[Task] = []
-    size = 0
-    for task in tasks:
-        if batch and size + task.motion.size > target:
-            yield tuple(batch)
-            batch, size = [], 0
-        batch.append(task)
-        size += task.motion.size
-    if batch:
-        yield tuple(batch)
+    sizes = [task.motion.size for task in tasks]
+    return batches_of(tasks, sizes, min(limit, max(4 * MEGABYTE, sum(sizes) // (2 * workers) + 1)))
 
 
 def _compile_kernels(feature_set: FeatureSet) -> None:

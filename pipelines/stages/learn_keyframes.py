@@ -25,7 +25,6 @@ class LearnKeyframes(Stage[KeyframeParameters]):
 
     name = "learn_keyframes"
     parameters = KeyframeParameters
-    outputs = ("keyframe_runs", "queries")
 
     def reading(self, params: KeyframeParameters, store: Store) -> Reading:
         """Return a digest of the clips to learn from."""
@@ -63,10 +62,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
                 wanted, setting, rounds, context.executor, kept.known(), kept.save, progress.advance, context.say
             )
         known = sum((one.key, number) in before for one in classes for number in one.used)
-        with context.writer() as writer:
-            writer.put_results("keyframe_runs", kept.table(classes), stage=context.key(), run=context.run)
-            writer.put_results("queries", queries_table(classes, context.run), stage=context.key(), run=context.run)
-            writer.commit()
+        context.put_results(keyframe_runs=kept.table(classes), queries=queries_table(classes, context.run))
         path = context.report_file("keyframes.html")
         outcomes = [one.outcome for one in classes]
         finished = {one.training.subclass: list(one.used.values()) for one in classes}

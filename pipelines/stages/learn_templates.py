@@ -23,7 +23,6 @@ class LearnTemplates(Stage[TemplateParameters]):
     name = "learn_templates"
     parameters = TemplateParameters
     inputs: ClassVar = {"takes": Input("ingest")}
-    outputs = ("templates",)
 
     def reading(self, params: TemplateParameters, store: Store) -> Reading:
         """Return a digest of the clips to learn from."""
@@ -53,10 +52,7 @@ class LearnTemplates(Stage[TemplateParameters]):
         warnings = _warnings(learned)
         for text, classes in warnings.items():
             context.say(f"warning: {few(classes)}: {text}")
-        with context.writer() as writer:
-            table = templates_table(learned, context.run, params.where)
-            writer.put_results("templates", table, stage=context.key(), run=context.run)
-            writer.commit()
+        context.put_results(templates=templates_table(learned, context.run, params.where))
         used = len({name for one in learned for name in one.clips})
         subclasses = len({one.subclass for one in learned})
         context.say(f"{len(learned)} templates of {subclasses} subclasses from {used} clips")

@@ -45,7 +45,6 @@ class Rank(Stage[Params]):
     name = "rank"
     parameters = Params
     inputs: ClassVar = {"takes": Input("ingest"), "templates": Input("learn_templates")}
-    outputs = ("ranked_hits",)
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the query files."""
@@ -65,9 +64,7 @@ class Rank(Stage[Params]):
         table = ranking_table(rankings, store.rate_hz, context.run)
         lists = _lists(store, searched, params.where)
         context.terminal.show(_shown(searched, rankings, lists))
-        with context.writer() as writer:
-            writer.put_results("ranked_hits", table, stage=context.key(), run=context.run)
-            writer.commit()
+        context.put_results(ranked_hits=table)
         return {
             "templates": len(searched),
             "hits": table.num_rows,

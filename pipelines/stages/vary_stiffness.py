@@ -47,7 +47,6 @@ class VaryStiffness(Stage[Params]):
     name = "vary_stiffness"
     parameters = Params
     inputs: ClassVar = {"templates": Input("learn_templates")}
-    outputs = ("precision_recall",)
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the query files and of the ground truth."""
@@ -73,11 +72,7 @@ class VaryStiffness(Stage[Params]):
             store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers
         )  # fmt: skip
         context.terminal.show(_shown(trials))
-        with context.writer() as writer:
-            writer.put_results(
-                "precision_recall", trial_rows(trials, context.run), stage=context.key(), run=context.run
-            )
-            writer.commit()
+        context.put_results(precision_recall=trial_rows(trials, context.run))
         return {"trials": len(trials), "tau": params.tau, "delta": params.delta, "queried": len(trials) > len(searched)}
 
 

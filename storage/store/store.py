@@ -85,7 +85,7 @@ class Store(Snapshot):
         KinedexError
             The condition is not valid; the message names the columns.
         """
-        return _data_frame(self.takes_table(where))
+        return data_frame(self.takes_table(where))
 
     def takes_table(self, where: str | None = None) -> pa.Table:
         """Return the takes as an Arrow table; parameters and errors as `takes`."""
@@ -171,7 +171,7 @@ class Store(Snapshot):
 
         with self._connection() as connection:
             table = run_query(self, connection, query, params, files=bool(self._files))
-        return _data_frame(table) if polars else table
+        return data_frame(table) if polars else table
 
     @contextmanager
     def _connection(self) -> Iterator[duck.Connection]:
@@ -213,7 +213,8 @@ class Store(Snapshot):
         return Store, (self.path, self.manifest, self._files)
 
 
-def _data_frame(table: pa.Table) -> pl.DataFrame:
+def data_frame(table: pa.Table) -> pl.DataFrame:
+    """Return an Arrow table as a polars data frame."""
     import polars as pl
 
     frame = pl.from_arrow(table)

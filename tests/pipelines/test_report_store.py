@@ -154,16 +154,16 @@ def test_only_stages_that_play_a_role_are_reported(store: Path) -> None:
 
 
 def test_another_takes_curves_can_be_asked_for(store: Path) -> None:
-    data = read_report_data(open_store(store), "study", created=MOMENT, curves_take="long_2")
+    data = read_report_data(open_store(store), "study", created=MOMENT, inputs=INPUTS, curves_take="long_2")
     assert data.curves[0].costs[40] == pytest.approx(0.02)
     with pytest.raises(KinedexError, match="no annotated take is named 'long_3'; did you mean"):
-        read_report_data(open_store(store), "study", created=MOMENT, curves_take="long_3")
+        read_report_data(open_store(store), "study", created=MOMENT, inputs=INPUTS, curves_take="long_3")
 
 
 def test_an_empty_store_has_a_report_too(tmp_path: Path) -> None:
     with StoreWriter.open(tmp_path / "store", load_feature_set()) as writer:
         writer.commit()
-    page = annotation_page(read_report_data(open_store(tmp_path / "store"), "study", created=MOMENT))
+    page = annotation_page(read_report_data(open_store(tmp_path / "store"), "study", created=MOMENT, inputs=INPUTS))
     assert "No take was annotated" in page
 
 

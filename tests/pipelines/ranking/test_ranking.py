@@ -28,7 +28,7 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
     recall_at_tau,
 )
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial
-from kinedex.pipelines.ranking.store_ranking import rank_store, similar
+from kinedex.pipelines.ranking.store_ranking import rank_store
 from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
 from kinedex.pipelines.stages.evaluate_ranking import EvaluateRanking
 from kinedex.pipelines.stages.rank import Rank
@@ -128,7 +128,7 @@ def test_a_filter_that_selects_nothing_is_said(store: Store):
 
 
 def test_an_example_finds_itself_and_equals_the_ranking_by_its_template(store: Store):
-    found = similar(store, "x_c", 10, 40, tau=0.4, top=None)
+    found = rank_store(store, [template_from_clip(store, "x_c", 10, 40)], tau=0.4, top=None)
     assert (found.rankings[0].hits[0].take, found.rankings[0].hits[0].cost) == ("x_c", 0.0)
     made = template_from_clip(store, "x_c", "10", "40", "mine")
     by_template = rank_store(store, [made], tau=0.4, top=None)
