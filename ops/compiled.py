@@ -47,7 +47,10 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
         return []
     stamp = place(package) / STAMP
     try:
-        former: State = {name: (size, time, text) for name, (size, time, text) in json.loads(stamp.read_text()).items()}
+        former: State = {
+            name: (size, time, text)
+            for name, (size, time, text) in json.loads(stamp.read_text(encoding="utf-8")).items()
+        }
     except (OSError, ValueError, TypeError, AttributeError):
         former = {}
     now = _state(package, former)

@@ -185,7 +185,7 @@ def _existing(folder: Path, settings: dict[str, object]) -> Summary | None:
         return None
     way_out = "name another folder, or remove this one"
     try:
-        record = json.loads((folder / RECORD).read_text())
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         raise KinedexError(f"{folder} is neither empty nor a synthetic archive: {way_out}") from None
     if record.get("settings") != settings:
@@ -209,7 +209,7 @@ def _existing(folder: Path, settings: dict[str, object]) -> Summary | None:
 def _write_record(folder: Path, record: dict[str, object]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = folder / (RECORD + ".part")
-    unfinished.write_text(json.dumps(record, indent=1) + "\n")
+    unfinished.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     os.replace(unfinished, folder / RECORD)
 
 
