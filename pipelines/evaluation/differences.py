@@ -239,7 +239,7 @@ def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
 
 
 def difference_interval(
-    a: Sequence[Counts], b: Sequence[Counts], measure: Callable[[Counts], float], draws: int = DRAWS, seed: int = 0
+    a: Sequence[Counts], b: Sequence[Counts], measure: Callable[[Counts], float]
 ) -> tuple[float, float]:
     """Return a 95 % interval of the difference B − A of a measure, by bootstrap over the takes of both.
 
@@ -249,8 +249,6 @@ def difference_interval(
         The counts of the same takes in both evaluations.
     measure : callable
         Returns the measure of counts.
-    draws, seed : int
-        The number of draws, and the seed of them.
 
     Returns
     -------
@@ -260,7 +258,7 @@ def difference_interval(
     if not a:
         return math.nan, math.nan
     ours, theirs = (np.array([tuple(vars(one).values()) for one in counts], np.int64) for counts in (a, b))
-    drawn = np.random.default_rng(seed).integers(len(a), size=(draws, len(a)))
+    drawn = np.random.default_rng(0).integers(len(a), size=(DRAWS, len(a)))
     values = [
         measure(Counts(*map(int, theirs[takes].sum(axis=0)))) - measure(Counts(*map(int, ours[takes].sum(axis=0))))
         for takes in drawn

@@ -19,13 +19,12 @@ from kinedex.ops.evaluation.detection import (
     overlap,
 )
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import Confusion, confusion
 from kinedex.pipelines.evaluation.grid import Segment
 from kinedex.pipelines.evaluation.test_takes import TestTake
 
 I64 = npt.NDArray[np.int64]
-
-INTERVAL_OF = ("p1", "r1", "f1", "p2", "r2", "f2")
 
 Outcome = Mapping[str, Sequence[Segment]]
 """The segments that a method has found in all folds of a split, by the name of the take."""
@@ -138,7 +137,7 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
     by_take = {test_take.name: pooled(counts[test_take.name, label] for label in labels) for test_take in test_takes}
     groups = sorted({test_take.group for test_take in test_takes})
     every = list(by_take.values())
-    measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in INTERVAL_OF}
+    measures: dict[str, Callable[[Counts], float]] = {name: _measure(name) for name in MEASURES}
     class_precision = {label: _precision(outcome, test_takes, label) for label in labels}
     one_piece = joined(outcome, test_takes)
     joined_class_precision = [_precision(*one_piece, label) for label in labels]

@@ -11,12 +11,12 @@ from rich.text import Text
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.console.tables import numbers_table
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted, digits
+from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary
 
-MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
 MEASURE_NAMES = ("P (frames)", "R (frames)", F_FRAMES, "P (segments)", "R (segments)", F_SEGMENTS)
 MOST_CONFUSIONS = 8
 REPETITIONS = (

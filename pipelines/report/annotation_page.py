@@ -154,11 +154,11 @@ def by_take(segments: Sequence[Segment]) -> dict[str, list[Segment]]:
     return grouped
 
 
-def weakest(data: ReportData, count: int = 3) -> list[Score]:
+def weakest(data: ReportData) -> list[Score]:
     """Return the classes with the lowest F (frames), lowest first; none where there are few or all are perfect."""
     scored = [score for score in data.scores_of(data.evaluation, "class") if score.f1 is not None]
     ranked = sorted(scored, key=lambda score: (score.f1, score.name))
-    return [score for score in ranked[:count] if score.f1 != 1] if len(ranked) > count else []
+    return [score for score in ranked[:3] if score.f1 != 1] if len(ranked) > 3 else []
 
 
 def lowest(scores: Sequence[Score], count: int) -> list[Score]:
