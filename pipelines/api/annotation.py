@@ -321,6 +321,8 @@ def evaluate(
 
 
 def _check_columns(name: str, frame: pl.DataFrame) -> None:
+    if not isinstance(frame, pl.DataFrame):
+        raise KinedexError(f"{name}: must be a polars data frame, as `annotate` returns, got {type(frame).__name__}")
     missing = [column for column in ("take", "class", "start", "stop") if column not in frame.columns]
     if missing:
         raise KinedexError(f"{name}: the data frame must have a column '{missing[0]}', got {', '.join(frame.columns)}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.ops.errors import StoreError, did_you_mean
+from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.pipelines.api.take import F32, U64, Frames, Take
 from kinedex.storage.store.store import Store as StoredTakes
 from kinedex.storage.store.store import data_frame
@@ -565,6 +565,8 @@ class Store:
         ------
         KinedexError
             A template cannot be found or is wildcards alone, or no take is selected.
+        ParameterError
+            The number of hits or the threshold is out of range.
 
         Warns
         -----
@@ -581,6 +583,10 @@ class Store:
         from kinedex.pipelines.api.template import Template
         from kinedex.pipelines.ranking.store_ranking import rank_store
 
+        if top is not None and top < 1:
+            raise ParameterError("top", "at least 1, or None", top)
+        if not tau > 0:
+            raise ParameterError("tau", "above 0", tau)
         wanted = [template] if isinstance(template, Template | str) else list(template)
         found = rank_store(
             self.stored,
