@@ -119,7 +119,7 @@ class    VARCHAR    the label
 {_RANGE}
 source_start    BIGINT    start in frames of the source file
 source_stop    BIGINT    stop in frames of the source file
-origin    VARCHAR    the file that says so"""),
+origin    VARCHAR    the file that holds the label"""),
         "SELECT class, count(*) AS segments FROM ground_truth GROUP BY class ORDER BY class",
     ),
     View(

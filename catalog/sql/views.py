@@ -51,7 +51,7 @@ VIEWS = (
         "One row per take: name, source file, rate, length, actor, class, warnings.",
         columns("""
 take_id    BIGINT    its number, which stays when the file is read again
-name    VARCHAR    its name: the stem or the path of the source file, as `name` of ingest says
+name    VARCHAR    its name: the stem or the path of the source file, as the parameter `name` of ingest sets
 source    VARCHAR    the source file, relative to source_root
 source_root    VARCHAR    the folder of the archive
 checksum    VARCHAR    SHA-256 of the source file
@@ -83,7 +83,7 @@ warnings    VARCHAR[]    reservations about the file
         columns("""
 number    UTINYINT    F1 is 1; bit number − 1 of a whole word
 name    VARCHAR    short name, such as rhand_forwards
-description    VARCHAR    what it says about the body
+description    VARCHAR    the property of the body that it states
 feature_set    VARCHAR    the set it belongs to: upper, lower or mix
 bit    UTINYINT    its bit in the words of that set
 """),

@@ -232,10 +232,11 @@ def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = Non
     if run.resume is None:
         if way is not None:
             return StageFailed(f"{text}\ncall again with settings={{'{stage}.{way[0]}': {way[1]!r}}}")
-        return StageFailed(f"{text}\nwhen that is mended, call again: stages that are done are not repeated")
+        return StageFailed(f"{text}\nonce it is fixed, call again: finished stages do not run again")
     if way is not None:
-        return StageFailed(f"{text}\ngo on with:\n    {run.resume} --set {shlex.quote(f'{stage}.{way[0]}={way[1]}')}")
-    return StageFailed(f"{text}\nwhen that is mended, go on with:\n    {run.resume}")
+        setting = shlex.quote(f"{stage}.{way[0]}={way[1]}")
+        return StageFailed(f"{text}\ncontinue with:\n    {run.resume} --set {setting}")
+    return StageFailed(f"{text}\nonce it is fixed, continue with:\n    {run.resume}")
 
 
 _OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts")

@@ -105,7 +105,7 @@ def failure_messages(failures: Sequence[Failure]) -> list[str]:
     for index, one in enumerate(failures):
         groups.setdefault(f"name {one.clash}" if one.clash is not None else f"{index}", []).append(one)
     alike = list(groups.values())
-    lines = [f"left out: {group[0].message}" for group in alike[:MOST_TOLD]]
+    lines = [f"excluded: {group[0].message}" for group in alike[:MOST_TOLD]]
     more = sum(len(group) for group in alike[MOST_TOLD:])
     return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more else [])
 

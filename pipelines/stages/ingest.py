@@ -152,7 +152,7 @@ class Ingest(Stage[Params]):
                 writer.commit()
                 _report_failures(context, failures)
                 count = len(found.motions)
-                none = f"none of the {count} files came in" if count > 1 else "the only file did not come in"
+                none = f"none of the {count} files could be read" if count > 1 else "the only file could not be read"
                 raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
             dropped = [*plan.gone, *(take for take, _, _ in plan.renamed)] if params.prune else []
             if dropped:

@@ -96,7 +96,7 @@ def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tm
         "the nearest, 'mixamo', finds 23 joints and lacks LeftUpLeg (for joint 'lhip')" in log["names.bvh"]["message"]
     )
     assert "a second root, 'other'" in log["roots.bvh"]["message"]
-    assert said.count("left out:") == 3
+    assert said.count("excluded:") == 3
 
 
 def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, source: Path) -> None:
@@ -198,7 +198,7 @@ def test_joint_angles_come_in_with_a_body_model_and_are_read_again_with_another(
     poses = np.zeros((60, 156))
     poses[:, 0] = np.pi / 2
     np.savez(tmp_path / "source" / "walk_poses.npz", poses=poses, trans=np.zeros((60, 3)), mocap_framerate=60)
-    with pytest.raises(KinedexError, match="the only file did not come in; the reasons are above"):
+    with pytest.raises(KinedexError, match="the only file could not be read; the reasons are above"):
         bring_in(tmp_path / "store", tmp_path / "source")
     (message,) = open_store(tmp_path / "store").result("ingest_log").column("message").to_pylist()
     assert "give `body_model`" in message

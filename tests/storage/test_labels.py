@@ -226,7 +226,7 @@ OUTSIDE = '<!DOCTYPE x SYSTEM "file:///etc/passwd">\n'
         ("vtt", "WEBVTT\n\n00:02.000 --> 00:02.000\nwalk\n", r"mine.vtt:3: start 2 s must be before stop 2 s"),
         ("vtt", "WEBVTT\n\n00:01.000 --> 00:02.000\n", r"mine.vtt:3: the cue has no text"),
         ("vtt", "WEBVTT\n\nwalk\n", r"mine.vtt:4: expected times|mine.vtt:3: expected times"),
-        ("txt", "0\t1\twalk\n1 2 walk\n", r"mine.txt:2: expected start, stop and label apart by tabs, got '1 2 walk'"),
+        ("txt", "0\t1\twalk\n1 2 walk\n", r"mine.txt:2: expected start, stop and label separated by tabs, got '1 2"),
         ("txt", "0,5\t1\twalk\n", r"mine.txt:1: expected seconds such as 12.5, got '0,5'"),
         ("txt", "1\t1\twalk\n", r"mine.txt:1: start 1 s must be before stop 1 s"),
         ("txt", "1\t2\t \n", r"mine.txt:1: the label has no text"),

@@ -1,4 +1,4 @@
-"""The label tracks of Audacity: a line a label, with start, stop and text apart by tabs, in seconds."""
+"""The label tracks of Audacity: a line a label, with start, stop and text separated by tabs, in seconds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def read(path: str | Path) -> LabelFile:
             continue
         parts = text.split("\t", 2)
         if len(parts) < 3:
-            raise SourceError(path, f"expected start, stop and label apart by tabs, got '{shown(text)}'", line=line)
+            raise SourceError(path, f"expected start, stop and label separated by tabs, got '{shown(text)}'", line=line)
         times = [parse_seconds(part.strip()) for part in parts[:2]]
         start, stop = times
         if start is None or stop is None:

@@ -180,7 +180,7 @@ def test_a_failed_stage_prints_the_command_that_continues(store: Path, source: P
     done = kinedex("run", "annotate", "--store", store, *words, "--executor", "serial")
     assert done.returncode == 1
     assert "stage learn_templates:" in done.stderr
-    assert "go on with:\n    kinedex run annotate --store" in done.stderr
+    assert "continue with:\n    kinedex run annotate --store" in done.stderr
 
 
 def test_excluded_files_show_in_the_exit_code_every_time(tmp_path: Path) -> None:

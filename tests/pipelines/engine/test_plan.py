@@ -132,7 +132,7 @@ def test_a_command_that_cannot_succeed_is_not_advised(
     fault = KinedexError("no luck")
     fault.way_out = ("luck", "good")
     said = fails_with(archive, monkeypatch, fault)
-    assert "go on with:\n    kinedex run ingest" in said
+    assert "continue with:\n    kinedex run ingest" in said
     assert said.endswith("--force index --set index.luck=good")
 
 
