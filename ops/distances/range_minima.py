@@ -2,7 +2,9 @@
 
 Where ranges are long or many, `ops.distances.pruning` excludes most frames by finer and finer bounds, and goes over
 what remains twice, for distances and for paths. Within a few hundred frames that is more work than the distances
-themselves: here the costs of all paths are computed once, and kept until the paths have been followed back.
+themselves: here the costs of all paths are computed once, and kept until the paths have been followed back. The kernels
+of `ops.distances.window_sums`, which also skip cells above a limit, take 1.15 times as long here
+(`python -m benchmarks annotating`).
 """
 
 from __future__ import annotations
@@ -12,15 +14,17 @@ from collections.abc import Sequence
 import numba as nb
 import numpy as np
 
-from kinedex.ops.annotation.segments import Matches
-from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, TemplateColumns, encode, lay_out
+from kinedex.ops.annotation.segments import TOLERANCE, Matches
+from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, TemplateColumns, column_costs, encode, lay_out
 from kinedex.ops.distances.pruning import CoarseBound, pieces_below
-from kinedex.ops.distances.window_sums import is_minimum, make_window, path_start, reshaped, sum_window
+from kinedex.ops.distances.recurrence import path_cost, step_back
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import U64
+from kinedex.ops.words import NO_WORD, U64
 
+_NO_WORD = np.uint64(NO_WORD)
+_TABLE_ROWS = 4096  # words whose costs are kept at once
 _PIECE = 512  # frames of a range whose sums are kept at once, besides those that lead in
 
 
@@ -105,38 +109,100 @@ def fill_matches(
     edges : int64 array (T + 1,)
         Template t has the pieces edges[t] to edges[t + 1] - 1.
     """
-    memory = make_window(_PIECE + 2 * lengths.max(), lengths.max(), len(vocabulary))
-    sums = np.empty(_PIECE + 2)
+    room = _PIECE + 2 * lengths.max()
+    # Two rows and two columns of ∞ lie before the first frame and the first column, so that no step needs a check.
+    sums = np.full((room + 2, lengths.max() + 2), np.inf)
+    table, used = np.empty((max(room, _TABLE_ROWS), lengths.max())), 0
+    row_of, filled, turn = np.empty(len(vocabulary), np.int32), np.full(len(vocabulary), -1, np.int64), 0
+    rows = np.empty(room, np.int32)
     offsets = np.zeros(len(lengths) + 1, np.int64)
     starts, ends, distances = np.empty(1024, np.int64), np.empty(1024, np.int64), np.empty(1024)
     count = 0
     for t in range(len(lengths)):
-        size = lengths[t]
-        window = reshaped(memory, size)
+        size, used, turn = lengths[t], 0, turn + 1
         own = slice(firsts[t], firsts[t] + size)
         template = TemplateColumns(
             columns.values[own], np.ascontiguousarray(columns.group_masks[:, own]),
             np.ascontiguousarray(columns.group_weights[:, own]), columns.total_weights[own],
         )  # fmt: skip
-        limit = thresholds[t] * size * (1 + 1e-9)  # rounding does not make the cost of a match greater than this
         for place in range(edges[t], edges[t + 1]):
             opens, closes = pieces[place, 0], pieces[place, 2]
-            for start in range(pieces[place, 1], closes, _PIECE):
-                stop = min(start + _PIECE, closes)
-                # A minimum is decided by its neighbours.
-                low, high = max(start - 1, opens), min(stop + 1, closes)
-                begin = max(low - 2 * (size - 1), opens)
-                found = sums[: high - low]
-                sum_window(vocabulary, codes, template, begin, low, found, limit, window)
-                found /= size
-                window.trail[: high - begin] = -1
-                while count + stop - start > len(ends):
+            for begin in range(pieces[place, 1], closes, _PIECE):
+                stop = min(begin + _PIECE, closes)
+                # A path that ends in the frame before the piece, a neighbour of its first one, starts from here on.
+                first = max(begin - 1 - 2 * (size - 1), opens)
+                frames = min(stop + 1, closes) - first
+                if used + frames > len(table):
+                    used, turn = 0, turn + 1
+                own_codes = codes[first : first + frames]
+                used = _fill_costs(vocabulary, own_codes, template, table, row_of, filled, turn, used, rows)
+                _fill_sums(table, rows[:frames], size, sums)
+                while count + stop - begin > len(ends):
                     starts, ends = np.concatenate((starts, starts)), np.concatenate((ends, ends))
                     distances = np.concatenate((distances, distances))
-                for frame in range(start, stop):
-                    if is_minimum(found, frame - low, thresholds[t]):
-                        ends[count], distances[count] = frame, found[frame - low]
-                        starts[count] = path_start(window, codes, begin, frame, count, starts)
-                        count += 1
+                for frame in range(begin - first, stop - first):
+                    distance = sums[frame + 2, size + 1] / size
+                    if not distance < thresholds[t] - TOLERANCE:
+                        continue
+                    if distance > sums[frame + 1, size + 1] / size + TOLERANCE:
+                        continue
+                    if frame + 1 < frames and distance > sums[frame + 3, size + 1] / size + TOLERANCE:
+                        continue
+                    ends[count], distances[count] = first + frame, distance
+                    starts[count] = first + _start_frame(table, rows, size, sums, frame)
+                    count += 1
         offsets[t + 1] = count
     return offsets, starts[:count].copy(), ends[:count].copy(), distances[:count].copy()
+
+
+@nb.njit(cache=True, nogil=True)
+def _fill_costs(
+    vocabulary: U64, codes: I32, template: TemplateColumns, table: F64, row_of: I32, filled: I64, turn: int, used: int,
+    rows: I32,
+) -> int:  # fmt: skip
+    """Fill the rows of frames in a table of costs, and the costs that it lacks; return how many rows are used (kernel).
+
+    Few of the words occur where a template is matched, and these often: each costs one row. `row_of` holds the row of
+    each word that was filled in this turn, which `filled` records.
+    """
+    for frame in range(len(codes)):
+        code = codes[frame]
+        if filled[code] != turn:
+            if vocabulary[code] == _NO_WORD:
+                table[used, :] = np.inf
+            else:
+                column_costs(vocabulary[code], template, table[used, : len(template.values)])
+            filled[code], row_of[code] = turn, used
+            used += 1
+        rows[frame] = row_of[code]
+    return used
+
+
+@nb.njit(cache=True, nogil=True)
+def _fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
+    """Fill the costs of the cheapest paths to each column at each frame, in row frame + 2 (kernel).
+
+    Excluded are cells that no path reaches (a frame leads on by two columns at most), which are ∞, and cells that lead
+    to no end.
+    """
+    for frame in range(len(rows)):
+        least, most = max(0, columns - 1 - 2 * (len(rows) - 1 - frame)), min(columns - 1, 2 * frame)
+        # Views that begin with the first cell: the compiler then sees that no index is below 0, and vectorises.
+        before, behind, here = sums[frame, least + 1 :], sums[frame + 1, least:], sums[frame + 2, least + 2 :]
+        cost = table[rows[frame], least:]
+        for n in range(most + 1 - least):
+            here[n] = path_cost(behind[n + 1], before[n], behind[n], cost[n])
+        for n in range(max(most + 1 - least, 0), columns - least):
+            here[n] = np.inf
+        if least == 0:
+            here[0] = cost[0]
+
+
+@nb.njit(cache=True, nogil=True)
+def _start_frame(table: F64, rows: I32, columns: int, sums: F64, frame: int) -> int:
+    """Return the frame in which the cheapest path starts that ends at a frame, as `window_sums.path_start` (kernel)."""
+    n = columns - 1
+    while n > 0:
+        frames, back = step_back(sums, frame, n, table[rows[frame], n])
+        frame, n = frame - frames, n - back
+    return frame

@@ -56,18 +56,6 @@ def make_window(frames: int, columns: int, words: int) -> Window:
 
 
 @nb.njit(cache=True, nogil=True)
-def reshaped(window: Window, columns: int) -> Window:
-    """Return a window for another template of no more columns, in the same memory (kernel)."""
-    frames, rows = window.sums.shape[0], window.costs.shape[0]
-    sums = window.sums.ravel()[: frames * (columns + 2)].reshape((frames, columns + 2))
-    costs = window.costs.ravel()[: rows * columns].reshape((rows, columns))
-    sums[:2, :] = np.inf
-    window.row_of[:] = -1
-    window.used[0] = 0
-    return Window(sums, costs, window.row_of, window.used, window.trail)
-
-
-@nb.njit(cache=True, nogil=True)
 def sum_window(
     vocabulary: U64, codes: I32, template: TemplateColumns, begin: int, end: int, sums: F64, limit: float,
     window: Window,
