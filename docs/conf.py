@@ -55,13 +55,14 @@ def with_contents(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def with_names(app: Sphinx, name: str, source: list[str]) -> None:
-    """Fill the page of the API with the public names: classes and functions first, then errors."""
+    """Fill the page of the API with the public names: functions first, then classes, then errors."""
     if name != "api":
         return
     public = {name: getattr(kinedex, name) for name in sorted(kinedex.__all__)}
-    errors = {name for name, one in public.items() if isinstance(one, type) and issubclass(one, Exception)}
+    classes = {name for name, one in public.items() if isinstance(one, type)}
+    errors = {name for name in classes if issubclass(public[name], Exception)}
     parts = []
-    for title, names in (("Classes and functions", set(public) - errors), ("Errors", errors)):
+    for title, names in (("Functions", set(public) - classes), ("Classes", classes - errors), ("Errors", errors)):
         lines = [f"## {title}\n\n```{{eval-rst}}"]
         for name in sorted(names):
             if inspect.isclass(public[name]):
