@@ -8,11 +8,17 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
+
+import xxhash
 
 from kinedex.ops.errors import StoreError
 
 # Windows has no quota error of its own
 _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+
+_BLOCK = 1 << 20
+"""Bytes that are read at a time to compute checksums."""
 
 
 @contextmanager
@@ -40,12 +46,24 @@ def write_errors(path: Path) -> Iterator[None]:
         ) from fault
 
 
-def sync_file(path: Path) -> tuple[int, str]:
-    """Flush a finished file to disk; return its size in bytes and its SHA-256."""
+class FileSums(NamedTuple):
+    """The size of a file in bytes and its checksums: SHA-256, and XXH3 with 128 bits, which readers check."""
+
+    bytes: int
+    sha256: str
+    xxh3: str
+
+
+def sync_file(path: Path) -> FileSums:
+    """Flush a finished file to disk and return its size and checksums, from one pass over its content."""
     # Windows flushes only files that are open for writing
     with open(path, "rb+") as file:
         os.fsync(file.fileno())
-        return os.fstat(file.fileno()).st_size, hashlib.file_digest(file, "sha256").hexdigest()
+        sha256, xxh3 = hashlib.sha256(), xxhash.xxh3_128()
+        while block := file.read(_BLOCK):
+            sha256.update(block)
+            xxh3.update(block)
+        return FileSums(os.fstat(file.fileno()).st_size, sha256.hexdigest(), xxh3.hexdigest())
 
 
 def sync_folder(folder: Path) -> None:

@@ -204,7 +204,7 @@ def _write_record(
     seconds: float,
 ) -> None:
     """Flush the DuckDB file to disk and write the generation's record."""
-    size, sha256 = sync_file(folder / FILE)
+    size, sha256, _ = sync_file(folder / FILE)
     old = {shard.number for shard in start.shards}
     record = Generation(
         index_version=INDEX_VERSION,

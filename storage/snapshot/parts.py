@@ -307,7 +307,7 @@ class _Growing:
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
     """Flush a finished file to disk and name it after its content; the same content gets the same name."""
     with write_errors(store / folder):
-        size, digest = sync_file(temporary)
+        size, digest, _ = sync_file(temporary)
         path = temporary.with_name(f"part-{digest[:24]}.parquet")
         _rename(temporary, path)
         sync_folder(path.parent)
