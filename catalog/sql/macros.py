@@ -82,7 +82,7 @@ _SET = f"""coalesce(
 # features that are on, or, after "not", off. Its ranges are found by a sweep over the ends of runs: where as many of
 # its features are on as it wants, and none that it does not want. In a pose that wants none on, the runs of words show
 # where a frame is valid at all.
-_STRETCHES = f"""asked AS (
+_POSE_RUNS = f"""asked AS (
     SELECT p.k, trim(unnest(string_split(CAST(p.pose AS VARCHAR), ','))) AS part FROM poses AS p),
 spelt AS (
     SELECT a.k, regexp_matches(a.part, '^not\\s') AS off, trim(regexp_replace(a.part, '^not\\s+', '')) AS feature
@@ -111,25 +111,25 @@ turns AS (
         coalesce(lag(s.holds) OVER (PARTITION BY s.k, s.take_id ORDER BY s.frame), false) AS held FROM swept AS s),
 numbered AS (
     SELECT t.k, t.take_id, t.frame, t.next, t.holds,
-        count(*) FILTER (t.holds AND NOT t.held) OVER (PARTITION BY t.k, t.take_id ORDER BY t.frame) AS stretch
+        count(*) FILTER (t.holds AND NOT t.held) OVER (PARTITION BY t.k, t.take_id ORDER BY t.frame) AS run
     FROM turns AS t),
-stretches AS MATERIALIZED (
+pose_runs AS MATERIALIZED (
     SELECT n.k, n.take_id, min(n.frame) AS start, max(n.next) AS stop FROM numbered AS n
-    WHERE n.holds GROUP BY n.k, n.take_id, n.stretch)"""
+    WHERE n.holds GROUP BY n.k, n.take_id, n.run)"""
 
 # The search of `kinedex search` in the same two passes (thesis, Section 3.5): backwards, of each pose the frames from
 # which the rest can be completed; forwards, from the last frame of each such range of the first pose, always to the
 # farthest frame within the gap. Ranges that overlap or touch are one.
 _PATTERN = f"""WITH RECURSIVE
 poses AS (SELECT unnest(range(1, len(poses_in_order) + 1)) AS k, unnest(poses_in_order) AS pose),
-{_STRETCHES},
+{_POSE_RUNS},
 last_one AS (SELECT max(p.k) AS k FROM poses AS p),
 back(k, take_id, start, stop, gap) AS (
     SELECT s.k, s.take_id, s.start, s.stop, floor(within_seconds * t.rate_hz + 1e-9)::BIGINT
-    FROM stretches AS s JOIN last_one AS l ON s.k = l.k JOIN takes AS t ON t.take_id = s.take_id
+    FROM pose_runs AS s JOIN last_one AS l ON s.k = l.k JOIN takes AS t ON t.take_id = s.take_id
     UNION
     SELECT s.k, s.take_id, greatest(s.start, b.start - b.gap), least(s.stop, b.stop), b.gap
-    FROM back AS b JOIN stretches AS s ON s.k = b.k - 1 AND s.take_id = b.take_id
+    FROM back AS b JOIN pose_runs AS s ON s.k = b.k - 1 AND s.take_id = b.take_id
     WHERE greatest(s.start, b.start - b.gap) < least(s.stop, b.stop)),
 reach(k, take_id, start, last) AS (
     SELECT b.k, b.take_id, b.start, b.stop - 1 FROM back AS b WHERE b.k = 1
@@ -166,7 +166,7 @@ MACROS = (
     Macro(
         "has",
         (("word", None, "a whole word, as in frames"), _FEATURE),
-        "Whether a feature is on in a word; NULL for the word of an invalid frame.",
+        "True if a feature is on in a word; NULL for the word of an invalid frame.",
         f"((word >> CAST({_number('feature')} - 1 AS UBIGINT)) & 1) = 1",
         "SELECT take_id, count(*) AS frames FROM frames WHERE has(word, 'rhand_above_neck') "
         "GROUP BY take_id ORDER BY take_id",
@@ -184,7 +184,7 @@ MACROS = (
     Macro(
         "runs_where",
         (_FEATURE, ("min_seconds", "0", "shortest duration that counts")),
-        "The runs of a feature that last long enough, with the names of their takes.",
+        "The runs of a feature of at least a given duration, with the names of their takes.",
         f"""SELECT t.name AS take, r.take_id, r.start, r.stop, r.seconds
 FROM feature_runs AS r JOIN takes AS t ON t.take_id = r.take_id
 WHERE r.feature = {_number("feature")} AND r.seconds >= min_seconds
@@ -194,7 +194,7 @@ ORDER BY t.name, r.start""",
     Macro(
         "together",
         (_A, _B),
-        "The stretches where two features are on at the same time.",
+        "The ranges of frames in which two features are on at the same time.",
         f"""SELECT t.name AS take, p.take_id, greatest(p.start, q.start) AS start, least(p.stop, q.stop) AS stop,
     (least(p.stop, q.stop) - greatest(p.start, q.start)) / t.rate_hz AS seconds
 FROM feature_runs AS p
@@ -224,11 +224,11 @@ ORDER BY 1, 3, 5""",
             ("features_on_or_off", None, "names or numbers with commas between; those after `not` are off"),
             ("min_seconds", "0", "shortest duration that counts"),
         ),
-        "The longest stretches in which features are on, and others off; what is not named may be either.",
+        "The longest ranges of frames in which some features are on and others off; the rest may be either.",
         f"""WITH poses AS (SELECT 1 AS k, features_on_or_off AS pose),
-{_STRETCHES}
+{_POSE_RUNS}
 SELECT t.name AS take, s.take_id, s.start, s.stop, (s.stop - s.start) / t.rate_hz AS seconds
-FROM stretches AS s JOIN takes AS t ON t.take_id = s.take_id
+FROM pose_runs AS s JOIN takes AS t ON t.take_id = s.take_id
 WHERE (s.stop - s.start) / t.rate_hz >= min_seconds
 ORDER BY t.name, s.start""",
         "SELECT * FROM pose('rhand_above_neck, not lhand_above_neck', min_seconds := 0.2)",
@@ -239,7 +239,7 @@ ORDER BY t.name, s.start""",
             ("poses_in_order", None, "a list of poses, each as in `pose`"),
             ("within_seconds", "1", "longest gap from a frame of one pose to a frame of the next; may be 0"),
         ),
-        "Where poses follow each other: the ranges that `kinedex search` finds for keyframes with `within` gaps.",
+        "The ranges in which poses follow each other: the hits of `kinedex search` for keyframes with `within` gaps.",
         _PATTERN,
         "SELECT * FROM pattern(['not rhand_above_neck', 'rhand_above_neck', 'not rhand_above_neck'], "
         "within_seconds := 0.5)",
@@ -247,7 +247,7 @@ ORDER BY t.name, s.start""",
     Macro(
         "timeline",
         (_NAME,),
-        "What a take's features do, run by run.",
+        "The runs of all features of a take, by start.",
         f"""SELECT r.start, r.stop, r.start / t.rate_hz AS start_seconds, r.stop / t.rate_hz AS stop_seconds,
     f.number AS feature, f.name, f.description
 FROM feature_runs AS r
@@ -259,7 +259,7 @@ ORDER BY r.start, f.number""",
     ),
     Macro(
         "rarest_words",
-        (_SET_NAME, ("n", "10", "how many")),
+        (_SET_NAME, ("n", "10", "number of words")),
         "The words of a set that fill the fewest frames.",
         f"""SELECT v.word, v.runs, v.frames,
     {_NAMES_OF.format(feature_set="v.feature_set", word="v.word")} AS features
@@ -271,7 +271,7 @@ ORDER BY v.frames, v.runs, v.word LIMIT n""",
     Macro(
         "cooccurrence",
         (_FEATURE,),
-        "How long every other feature is on while this one is, and which share of its time that is.",
+        "The time for which each other feature is on while this one is on, and its share of this one's time.",
         f"""WITH own AS (SELECT r.take_id, r.start, r.stop FROM feature_runs AS r
     WHERE r.feature = {_number("feature")}),
 shared AS (SELECT r.feature AS number, least(r.stop, own.stop) - greatest(r.start, own.start) AS frames, t.rate_hz
@@ -289,7 +289,7 @@ ORDER BY 3 DESC, 1""",
     Macro(
         "frames_between",
         (_NAME, ("start", "0", "first frame"), ("stop", "NULL", "frame after the last")),
-        "The frames [start, stop) of a take, joints and all; to its end where no stop is given.",
+        "The frames [start, stop) of a take with all columns; up to its end where no stop is given.",
         f"""SELECT f.* FROM frames AS f
 WHERE f.take_id = {_take("take")} AND f.frame >= start AND (stop IS NULL OR f.frame < stop)
 ORDER BY f.frame""",
@@ -302,9 +302,9 @@ ORDER BY f.frame""",
             _NAME,
             ("start", None, "first frame of a hit, a run, an annotation"),
             ("stop", None, "frame after its last"),
-            ("seconds", "0.5", "how much before and after it"),
+            ("seconds", "0.5", "time before and after it"),
         ),
-        "The frames of a hit and around it: seconds from its start, whether a frame is inside, joints and all.",
+        "The frames of a hit and around it: seconds from its start, true if inside, and all columns of frames.",
         f"""SELECT (f.frame - start) / t.rate_hz AS since_start, f.frame >= start AND f.frame < stop AS inside, f.*
 FROM frames AS f JOIN takes AS t ON t.take_id = f.take_id
 WHERE f.take_id = {_take("take")}
@@ -316,16 +316,16 @@ ORDER BY f.frame""",
     Macro(
         "labels_of",
         (_NAME,),
-        "What annotations and manual labels say about a take, in order of time.",
-        f"""SELECT l.said_by, l.run, l.class, l.subclass, l.start, l.stop,
+        "The annotations and the manual labels of a take, in order of time.",
+        f"""SELECT l.source, l.run, l.class, l.subclass, l.start, l.stop,
     l.start / t.rate_hz AS start_seconds, l.stop / t.rate_hz AS stop_seconds, l.cost
 FROM takes AS t JOIN (
-    SELECT 'annotation' AS said_by, a.run, a.take_id, a.class, a.subclass, a.start, a.stop, a.cost FROM annotations AS a
+    SELECT 'annotation' AS source, a.run, a.take_id, a.class, a.subclass, a.start, a.stop, a.cost FROM annotations AS a
     UNION ALL
     SELECT 'ground truth', g.run, g.take_id, g.class, NULL, g.start, g.stop, NULL FROM ground_truth AS g) AS l
     ON l.take_id = t.take_id
 WHERE t.take_id = {_take("take")}
-ORDER BY l.start, l.stop, l.said_by, l.run, l.class""",
+ORDER BY l.start, l.stop, l.source, l.run, l.class""",
         "SELECT * FROM labels_of((SELECT min(take) FROM annotations))",
         needs="results",
     ),
@@ -333,7 +333,7 @@ ORDER BY l.start, l.stop, l.said_by, l.run, l.class""",
         "template_columns",
         (
             ("labelled", None, "a subclass that has templates"),
-            ("tolerance", "0.05", "how far from 1 is on, from 0 off"),
+            ("tolerance", "0.05", "largest distance from 1 of an entry that is on, and from 0 of one that is off"),
         ),
         "The columns of a subclass's templates, with the names of the features that are on and that are off in them.",
         f"""WITH cells AS (

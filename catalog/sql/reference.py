@@ -40,14 +40,12 @@ def _macro(macro: Macro) -> str:
         for name, default, meaning in macro.arguments
     ]
     kind = "Stands in FROM." if macro.table else "An expression."
-    return (
-        f"### {macro.signature}\n\n{macro.summary} {kind}\n\n{_table(('argument', 'what it is'), rows)}\n{_sql(macro)}"
-    )
+    return f"### {macro.signature}\n\n{macro.summary} {kind}\n\n{_table(('argument', 'meaning'), rows)}\n{_sql(macro)}"
 
 
 def _view(view: View) -> str:
     rows = [(f"`{column.name}`", column.type, column.meaning) for column in view.columns]
-    return f"### {view.name}\n\n{view.summary}\n\n{_table(('column', 'type', 'what it holds'), rows)}\n{_sql(view)}"
+    return f"### {view.name}\n\n{view.summary}\n\n{_table(('column', 'type', 'meaning'), rows)}\n{_sql(view)}"
 
 
 def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:

@@ -18,7 +18,7 @@ positions    INTEGER[]    the template column of each keyframe, from 0
 lows    INTEGER[]    least gap to each next keyframe, in frames
 highs    INTEGER[]    greatest gap to each next keyframe, in frames; −1: any"""
 _METHOD = (
-    "method    VARCHAR    how frames were labelled: 'templates' or 'templates within keyframe hits' (method thesis), "
+    "method    VARCHAR    'templates' or 'templates within keyframe hits' (method thesis), "
     "'templates in a row' or 'templates in a row within keyframe hits' (method best)"
 )
 
@@ -28,20 +28,20 @@ RESULT_VIEWS = (
         "results",
         "Motion templates, soft and hard, per subclass.",
         columns(f"""{_RUN}
-subclass    VARCHAR    what it is a template of
+subclass    VARCHAR    the subclass of the template
 kind    VARCHAR    soft or hard
 features    INTEGER    values in a column of the template
-columns    INTEGER    how many columns it has
+columns    INTEGER    number of its columns
 values    DOUBLE[]    column after column, a value from 0 (off) to 1 (on) for each feature
-weights    DOUBLE[]    how many frames of the clips a column stands for
+weights    DOUBLE[]    number of frames of the clips that each column stands for
 clips    VARCHAR[]    the takes that it was learned from
-rounds    INTEGER    how often the clips were averaged
+rounds    INTEGER    number of times that the clips were averaged
 costs    DOUBLE[]    before each round, the largest distance between two clips
 take_filter    VARCHAR    the SQL filter that chose the training takes
 origin    VARCHAR    learned from clips of its own class, or made of other templates, and how
-clip_costs    DOUBLE[]    of each clip, how far it is from the others
-feature_weights    DOUBLE[]    how much each feature counts; NULL: all alike
-remarks    VARCHAR[]    what was odd about the clips"""),
+clip_costs    DOUBLE[]    median DTW cost of each clip to the others
+feature_weights    DOUBLE[]    weight of each feature; NULL: all alike
+remarks    VARCHAR[]    remarks about unusual clips"""),
         "SELECT subclass, kind, columns, len(clips) AS clips FROM templates ORDER BY subclass, kind",
     ),
     View(
@@ -70,7 +70,7 @@ preselected    DOUBLE    share of the frames that keyframe queries left to be se
     View(
         "annotations",
         "results",
-        "What the annotation found: class, range, cost.",
+        "The segments that the annotation found: class, range, cost.",
         columns(f"""{_RUN}
 {_TAKE}
 class    VARCHAR    the label
@@ -85,7 +85,7 @@ confidence    DOUBLE    from 0 (something else would do as well) to 1
     View(
         "ranked_hits",
         "results",
-        "The best places for each template, by rank: take, range, cost.",
+        "The best hits of each template, by rank: take, range, cost.",
         columns(f"""{_RUN}
 template    VARCHAR    the template that was looked for
 rank    INTEGER    1 is the best
@@ -97,13 +97,13 @@ cost    DOUBLE    distance from the template, from 0"""),
     View(
         "retrieval",
         "results",
-        "How good rankings are: average precision and recall of each class, and confusions.",
+        "The quality of rankings: average precision and recall of each class, and confusions.",
         columns(f"""{_RUN}
-evaluation    VARCHAR    what was ranked: clips or takes
-fold    VARCHAR    what was left out of learning; empty for nothing
+evaluation    VARCHAR    the kind of items that were ranked: clips or takes
+fold    VARCHAR    the part of the archive that was excluded from learning; empty for none
 class    VARCHAR    the class that was looked for
-relevant    INTEGER    how many there were to find
-found    INTEGER    how many of them are below the threshold
+relevant    INTEGER    number of items to find
+found    INTEGER    number of these below the threshold
 average_precision    DOUBLE    1 where all that should be found comes first
 recall_at_tau    DOUBLE    share of them below the threshold
 confused_with    VARCHAR[]    classes that stand above the last right one, most frequent first"""),
@@ -125,7 +125,7 @@ origin    VARCHAR    the file that holds the label"""),
     View(
         "metrics",
         "results",
-        "Precision, recall and F1 by frames (1) and by segments (2).",
+        "Precision, recall and F over frames (p1, r1, f1) and over segments (p2, r2, f2).",
         columns(f"""{_RUN}
 evaluation    VARCHAR    the stage that evaluated
 scope    VARCHAR    pooled, class, take, fold, or group: takes with the same value of divide_by
@@ -148,12 +148,12 @@ segments_manual    BIGINT    manual segments"""),
     View(
         "method_cells",
         "results",
-        "What methods of annotation found where they were compared, one row per cell and take.",
+        "The segments that the compared methods of annotation found, one row per cell and take.",
         columns(f"""{_RUN}
 cell    VARCHAR    hash of all that the row follows from
-split    VARCHAR    how the archive was divided into training and test
+split    VARCHAR    the division of the archive into training and test
 fold    VARCHAR    which division
-method    VARCHAR    how was annotated
+method    VARCHAR    the method of annotation
 take    VARCHAR    name of the take
 frames    INTEGER    its length in frames
 classes    VARCHAR[]    the labels found
@@ -165,14 +165,14 @@ confidences    DOUBLE[]    of each, from 0 to 1"""),
     View(
         "precision_recall",
         "results",
-        "How rankings change with the stiffness of keyframe queries.",
+        "Precision and recall of rankings for each stiffness of keyframe queries.",
         columns(f"""{_RUN}
 variant    VARCHAR    which frames were ranked: those that the queries left, or all
 stiffness    DOUBLE    of all gaps of the queries, where it was changed
 class    VARCHAR    the class that was looked for
-relevant    INTEGER    how many there were to find
-ranked    INTEGER    how many the queries left to be ranked
-found    INTEGER    how many of those are relevant
+relevant    INTEGER    number of items to find
+ranked    INTEGER    number of items that the queries left to be ranked
+found    INTEGER    number of relevant items among these
 kept    DOUBLE    share of the frames that the queries left
 average_precision    DOUBLE    1 where all that should be found comes first
 precision    DOUBLE[]    after each rank
@@ -192,15 +192,15 @@ left    INTEGER    frames before a hit that the motion may reach
 right    INTEGER    frames after a hit that the motion may reach
 columns    INTEGER    columns of the template
 fitness    DOUBLE    of the consensus (thesis, Eq. 4.11)
-rank    DOUBLE    what queries are compared by, from the fitness
+rank    DOUBLE    the value that queries are compared by, from the fitness
 median    DOUBLE    rank of the median run
 best    DOUBLE    rank of the best run
 agreement    DOUBLE    share of keyframes that had to agree on a feature; 0 where it is a run
 precision    DOUBLE    of all queries of the subclass together, on the training clips
 recall    DOUBLE    likewise
-runs    INTEGER    how many runs there were
-settled    BOOLEAN    whether more runs had ceased to change the outcome
-matrix    DOUBLE[]    what the runs fix, columns × features, from 0 (off) to 1 (on); NULL for further queries
+runs    INTEGER    number of runs
+settled    BOOLEAN    true if more runs had ceased to change the outcome
+matrix    DOUBLE[]    entries fixed by the runs, columns × features, from 0 (off) to 1 (on); NULL for further queries
 clips    VARCHAR[]    the training clips of the subclass"""),
         "SELECT subclass, len(masks) AS keyframes, recall, precision FROM queries ORDER BY subclass, number",
     ),
@@ -210,11 +210,11 @@ clips    VARCHAR[]    the training clips of the subclass"""),
         "The runs that keyframe queries were learned in, one row each.",
         columns(f"""{_RUN}
 key    VARCHAR    hash of all that a run follows from but its number
-subclass    VARCHAR    what it learns to find
+subclass    VARCHAR    the subclass that it learns to find
 number    INTEGER    number of the run
 fitness    DOUBLE    of its best query (thesis, Eq. 4.11)
-rank    DOUBLE    what queries are compared by
-evaluated    BIGINT    how many queries were tried
+rank    DOUBLE    the value that queries are compared by
+evaluated    BIGINT    number of queries that were tried
 {_QUERY}
 history    DOUBLE[]    four numbers for each generation"""),
         "SELECT subclass, count(*) AS runs, max(fitness) AS best FROM keyframe_runs GROUP BY subclass ORDER BY ALL",
@@ -222,7 +222,7 @@ history    DOUBLE[]    four numbers for each generation"""),
     View(
         "hits",
         "results",
-        "What keyframe queries found, where it was kept.",
+        "The saved hits of keyframe queries.",
         columns(f"""{_RUN}
 saved_as    VARCHAR    the name that they were kept under: `kinedex search --save`
 query    VARCHAR    name of the query
@@ -234,7 +234,7 @@ query    VARCHAR    name of the query
     View(
         "skeleton_files",
         "results",
-        "The skeleton files that takes were read with, as they were when they were last looked at.",
+        "The skeleton files that takes were read with, as they were when they were last checked.",
         columns(f"""{_RUN}
 source_root    VARCHAR    the folder that was ingested
 source    VARCHAR    the skeleton file, relative to it
@@ -252,7 +252,7 @@ checksum    VARCHAR    its SHA-256"""),
 source    VARCHAR    the source file, relative to its root
 stage    VARCHAR    the stage that met it
 error    VARCHAR    kind of error
-message    VARCHAR    what is wrong, and the way out
+message    VARCHAR    the fault, and the way out
 file    VARCHAR    the file that is at fault, where it is another one
 line    INTEGER    its line, where there is one
 logged_at    TIMESTAMP WITH TIME ZONE    when"""),

@@ -92,14 +92,14 @@ bit    UTINYINT    its bit in the words of that set
     View(
         "word_runs",
         "index",
-        "The inverted lists: stretches of frames with the same word of a set, in no particular order.",
+        "The inverted lists: runs of frames with the same word of a set, in no particular order.",
         columns(f"{_WORD}\n{_RANGE}"),
         "SELECT take_id, start, stop FROM word_runs WHERE feature_set = 'lower' AND word = 5 ORDER BY take_id, start",
     ),
     View(
         "feature_runs",
         "index",
-        "Stretches of frames where a feature is on, in no particular order.",
+        "The runs of frames in which a feature is on, in no particular order.",
         columns(f"""feature    UTINYINT    the feature's number
 {_RANGE}
 seconds    DOUBLE    duration of the run"""),
@@ -109,7 +109,7 @@ seconds    DOUBLE    duration of the run"""),
     View(
         "vocabulary",
         "index",
-        "The distinct words of each feature set and how often they occur.",
+        "The distinct words of each feature set, with their numbers of runs and frames.",
         columns(f"""{_WORD}
 runs    BIGINT    its runs in all takes
 frames    BIGINT    its frames in all takes"""),
@@ -118,7 +118,7 @@ frames    BIGINT    its frames in all takes"""),
     View(
         "help",
         "index",
-        "This list: every view and macro with what it is for.",
+        "This list: every view and macro with its purpose.",
         columns("""
 name    VARCHAR    name of the view or macro
 call    VARCHAR    how it stands in a query
@@ -143,7 +143,7 @@ word    UBIGINT    bit i − 1 is feature i; NULL where a joint was not seen tha
     View(
         "classes",
         "derived",
-        "The classes of the archive: their subclasses, clips, annotations, labels, and how each is known.",
+        "The classes of the archive: subclasses, clips, annotations, labels, and the sources that name each class.",
         columns("""
 class    VARCHAR    the class; of a subclass that no annotation puts into one, the subclass
 subclasses    VARCHAR[]    the labels of clips, templates and queries in it

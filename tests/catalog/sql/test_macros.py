@@ -207,7 +207,7 @@ def test_results_have_macros_and_need_no_index(tmp_path: Path) -> None:
     store = results(tmp_path)
     with pytest.raises(KinedexError, match="index"):
         store.sql("FROM pose('1')")
-    assert rows(store, "SELECT said_by, class, subclass, start, stop, cost FROM labels_of('a')") == [
+    assert rows(store, "SELECT source, class, subclass, start, stop, cost FROM labels_of('a')") == [
         ("ground truth", "jump", None, 3, 8, None),
         ("annotation", "jump", "hop", 5, 9, 0.25),
         ("ground truth", "sit", None, 20, 30, None),
