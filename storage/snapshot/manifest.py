@@ -21,7 +21,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_folder, write_errors
-from kinedex.storage.snapshot.schemas import FORMAT_VERSION
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS
 
 FOLDER = "manifest"
 TEMPORARY = ".tmp-"
@@ -77,6 +77,8 @@ class Part:
         Tombstones: ids of takes that were replaced or removed since.
     dropped_rows : int
         Number of their rows, which stay until compaction.
+    xxh3 : str
+        XXH3 checksum of the file, 128 bits in hexadecimal digits; empty in a store of format 3.
     """
 
     path: str
@@ -86,6 +88,7 @@ class Part:
     take_ids: TakeIds
     dropped: TakeIds = ()
     dropped_rows: int = 0
+    xxh3: str = ""
 
     @cached_property
     def live(self) -> tuple[int, ...]:
@@ -103,7 +106,7 @@ class Part:
     @cached_property
     def encoded(self) -> dict[str, Any]:
         """The part as its manifests write it; kept, since every later version writes it again."""
-        values = {name: getattr(self, name) for name in ("path", "rows", "bytes", "sha256", "dropped_rows")}
+        values = {name: getattr(self, name) for name in ("path", "rows", "bytes", "sha256", "xxh3", "dropped_rows")}
         return values | {"take_ids": ranges(self.take_ids), "dropped": ranges(self.dropped)}
 
 
@@ -125,6 +128,8 @@ class ResultPart:
         The stage, "<pipeline>/<stage>".
     run : str
         Id of the pipeline run.
+    xxh3 : str
+        XXH3 checksum of the file, 128 bits in hexadecimal digits; empty in a store of format 3.
     """
 
     path: str
@@ -133,6 +138,7 @@ class ResultPart:
     sha256: str
     stage: str
     run: str
+    xxh3: str = ""
 
     @property
     def live_rows(self) -> int:
@@ -272,7 +278,7 @@ def read_newest(store: Path) -> Manifest:
     Raises
     ------
     StoreError
-        There is no store, its manifest is damaged, or it has another format version.
+        There is no store, its manifest is damaged, or it has a format that is not read.
     """
     found = versions(store)
     if not found:
@@ -294,7 +300,7 @@ def read_version(store: Path, version: int) -> Manifest:
     Raises
     ------
     StoreError
-        The manifest is missing or damaged, or has another format version.
+        The manifest is missing or damaged, or has a format that is not read.
     """
     path = manifest_path(store, version)
     content = _content(path)
@@ -306,6 +312,15 @@ def read_version(store: Path, version: int) -> Manifest:
     if manifest.version != version:
         raise _damaged(path, f"it names version {manifest.version}")
     return manifest
+
+
+def require_current_format(store: Path, manifest: Manifest) -> None:
+    """Raise a StoreError if a version of a store has an older format, which is only read."""
+    if manifest.format_version != FORMAT_VERSION:
+        raise StoreError(
+            f"{store}: the store has format {manifest.format_version}, which is only read; this kinedex writes format "
+            f"{FORMAT_VERSION}: `kinedex upgrade {store}` converts it and keeps takes, results and index"
+        )
 
 
 def named_files(store: Path, version: int) -> set[str]:
@@ -329,10 +344,10 @@ def _content(path: Path) -> dict[str, Any]:
         raise _damaged(path, f"it is not valid JSON ({fault})") from None
     if not isinstance(content, dict):
         raise _damaged(path, "it is not a JSON object")
-    if content.get("format_version") != FORMAT_VERSION:
+    if content.get("format_version") not in READ_VERSIONS:
         raise StoreError(
-            f"{path}: the store has format version {content.get('format_version')}, this kinedex reads version "
-            f"{FORMAT_VERSION}; use the kinedex that wrote it, or ingest into a new store"
+            f"{path}: the store has format version {content.get('format_version')}, this kinedex reads versions "
+            f"{' and '.join(map(str, READ_VERSIONS))}; use the kinedex that wrote it, or ingest into a new store"
         )
     checksum = content.pop("checksum", None)
     if checksum != _checksum(content):
@@ -370,8 +385,10 @@ def publish(store: Path, manifest: Manifest) -> Path:
     Raises
     ------
     StoreError
-        The version exists already, which means that another writer was at work, or the disk is full.
+        The version exists already, which means that another writer was at work; it has an older format; or the disk is
+        full.
     """
+    require_current_format(store, manifest)
     path = manifest_path(store, manifest.version)
     temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}.json")
     with write_errors(path):

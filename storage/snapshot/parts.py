@@ -307,11 +307,11 @@ class _Growing:
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
     """Flush a finished file to disk and name it after its content; the same content gets the same name."""
     with write_errors(store / folder):
-        size, digest, _ = sync_file(temporary)
-        path = temporary.with_name(f"part-{digest[:24]}.parquet")
+        sums = sync_file(temporary)
+        path = temporary.with_name(f"part-{sums.sha256[:24]}.parquet")
         _rename(temporary, path)
         sync_folder(path.parent)
-    return Part(f"{folder}/{path.name}", rows, size, digest, tuple(take_ids))
+    return Part(f"{folder}/{path.name}", rows, sums.bytes, sums.sha256, tuple(take_ids), xxh3=sums.xxh3)
 
 
 @contextmanager

@@ -9,10 +9,15 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 
-FORMAT_VERSION = 3
-"""Version of the store's layout. A store of another version is refused, never guessed at."""
+FORMAT_VERSION = 4
+"""Version of the store's layout. A store of a version that is not in `READ_VERSIONS` is refused, never guessed at."""
+
+READ_VERSIONS = (3, 4)
+"""Versions of the layout that are read; a store of an older one than `FORMAT_VERSION` is not written."""
 
 _METADATA = "kinedex."
+_FORMAT_KEY = f"{_METADATA}format_version".encode()
+_READ_METADATA = {str(version).encode() for version in READ_VERSIONS}
 
 
 def _fields(*pairs: tuple[str, pa.DataType]) -> pa.Schema:
@@ -321,7 +326,9 @@ def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
         return f"columns are {', '.join(found.names)}, expected {', '.join(expected.names)}"
     has = found.metadata or {}
     for key, value in (expected.metadata or {}).items():
-        if has.get(key) != value:
+        # a part keeps the version that it was written in: an upgrade of the store does not rewrite it
+        fits = _READ_METADATA if key == _FORMAT_KEY else {value}
+        if has.get(key) not in fits:
             got = has.get(key, b"nothing").decode("utf-8", "replace")
             return f"metadata {key.decode()} is {got}, expected {value.decode()}"
     return None

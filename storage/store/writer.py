@@ -25,6 +25,7 @@ from kinedex.storage.snapshot.manifest import (
     now,
     publish,
     read_newest,
+    require_current_format,
     versions,
 )
 from kinedex.storage.snapshot.parts import FramesWriter, part_file, write_part, write_pieces
@@ -81,19 +82,24 @@ class StoreWriter:
         ------
         StoreError
             Another writer holds the lock (the message names its process and host); the directory holds other things;
-            the store has another format version, feature set or rate.
+            the store has an older format (`kinedex upgrade`), or another feature set or rate.
         """
         root = Path(path)
         refuse_foreign(root)
         with write_errors(root):
-            for folder in FOLDERS:
-                (root / folder).mkdir(parents=True, exist_ok=True)
+            root.mkdir(parents=True, exist_ok=True)
         since = last_opened(root / "lock")
         lock = Lock(root / "lock", "this one", wait_seconds)
         try:
-            if not versions(root):
+            manifest = read_newest(root) if versions(root) else None
+            if manifest is not None:
+                require_current_format(root, manifest)
+            with write_errors(root):
+                for folder in FOLDERS:
+                    (root / folder).mkdir(exist_ok=True)
+            if manifest is None:
                 publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
-            manifest = read_newest(root)
+                manifest = read_newest(root)
             refuse_other_words(root, manifest, feature_set, rate_hz)
             remove_leftovers(root, manifest, since)
             return cls(root, manifest, lock)
@@ -275,7 +281,9 @@ class StoreWriter:
         given = [tables] if isinstance(tables, pa.Table) else tables
         parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
         kept = tuple(part for part in before if part.stage != stage or part.path in stay)
-        kept += tuple(ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run) for part in parts)
+        kept += tuple(
+            ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3) for part in parts
+        )
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
 
     def forget_stage(self, stage: str) -> None:

@@ -27,6 +27,7 @@ from kinedex.storage.snapshot.manifest import (
     read_version,
 )
 from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 from kinedex.storage.store import garbage_collection as garbage
 from kinedex.storage.store.compaction import FANOUT, compact
 from kinedex.storage.store.store import open_store
@@ -182,5 +183,5 @@ def test_a_manifest_that_is_not_published_leaves_no_file(tmp_path: Path, monkeyp
     make_store(tmp_path, {"a": 5})
     monkeypatch.setattr(os, "link", no_space)
     with pytest.raises(StoreError, match=MESSAGE):
-        publish(tmp_path, Manifest(2, 3, "", BODY, 30.0, 9))
+        publish(tmp_path, Manifest(FORMAT_VERSION, 3, "", BODY, 30.0, 9))
     assert unfinished(tmp_path) == []

@@ -10,6 +10,7 @@ import signal
 import time
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
-from kinedex.storage.snapshot.manifest import StageRecord, manifest_path, publish, versions
+from kinedex.storage.snapshot.manifest import StageRecord, manifest_path, publish, read_newest, versions
 from kinedex.storage.store import write_access as admission
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -153,7 +154,7 @@ def test_a_version_is_never_overwritten(tmp_path: Path) -> None:
     before = manifest_path(tmp_path, 2).read_bytes()
     with StoreWriter.open(tmp_path, BODY) as writer:
         add(writer, {"b": 3})
-        publish(tmp_path, open_store(tmp_path).manifest.__class__(2, 3, "", BODY, 30.0, 9))
+        publish(tmp_path, replace(read_newest(tmp_path), version=3))
         with pytest.raises(StoreError, match="another writer"):
             writer.commit()
     assert manifest_path(tmp_path, 2).read_bytes() == before
@@ -197,7 +198,6 @@ def test_replaced_parts_are_not_looked_up_in_old_manifests_at_every_opening(
 
 
 def test_another_feature_set_or_rate_is_refused(tmp_path: Path) -> None:
-    from dataclasses import replace
 
     make_store(tmp_path, {"a": 5})
     with pytest.raises(StoreError, match="ingest into a new store"):
