@@ -7,6 +7,8 @@ DATA   ?=
 METHOD ?= thesis
 FUZZ_SECONDS ?= 20
 FUZZ_SEED    ?= 0
+ATTACK  ?=
+NIGHTLY ?=
 
 .PHONY: setup demo test lint types check-kernels fuzz attack bench docs links wheel lock clean help
 .DEFAULT_GOAL := help
@@ -17,7 +19,7 @@ help:
 	@echo "make demo METHOD=best      the same job with all frames of a take labelled together"
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
-	@echo "make attack                statements that must not write, and power losses at every step of a commit"
+	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
 	@echo "make docs                  the site in build/site, every warning an error; make links checks links to other sites"
 	@echo "make wheel                 dist/kinedex-*.whl, installed into an environment of its own and tried"
@@ -62,7 +64,7 @@ fuzz: setup
 	    $(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ)
 
 attack: setup
-	$(BIN)/python -m tests.attacks
+	$(BIN)/python -m tests.attacks $(ATTACK) --seed $(FUZZ_SEED) $(if $(NIGHTLY),--nightly)
 
 # The packages of other people that benchmarks stand beside; nothing else needs them.
 $(VENV)/bench.stamp: requirements-bench.lock $(VENV)/run.stamp

@@ -21,6 +21,7 @@ from pathlib import Path
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
+from tests.attacks.outcome import Options, Outcome
 
 CHILD = """
 import sys
@@ -271,17 +272,15 @@ def traced(folder: Path) -> tuple[list[Step], Path, Path]:
     return steps, store, acknowledged
 
 
-@dataclass
-class Outcome:
-    """Counts of simulated crashes by the state of the store afterwards."""
-
-    crashes: int = 0
-    states: int = 0
-    versions: dict[str, int] = field(default_factory=dict)
-    faults: list[str] = field(default_factory=list)
+def run(folder: Path, options: Options) -> Outcome:
+    """Crash after every step of the traced run, and of each moment open what the disk may hold."""
+    if shutil.which("strace") is None:
+        return Outcome({"skipped, there is no strace on this machine": 1})
+    only = None if options.case is None else int(options.case)
+    return attack(folder, options.seed, several=6 if options.nightly else 1, only=only)
 
 
-def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1) -> Outcome:
+def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1, only: int | None = None) -> Outcome:
     """Crash after every step of the traced run, or every so many of them, and open what each disk may hold.
 
     Parameters
@@ -294,33 +293,37 @@ def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1) -> Out
         Mixtures of each moment, besides nothing, everything, and names without content.
     every : int
         Crash after each step whose number is a multiple of this.
+    only : int or None
+        Crash after the step of this number alone.
 
     Returns
     -------
     Outcome
-        The counts, and a line for every disk on which the store was torn.
+        The counts of crash points and disks, and of the disks by the state of the store; a failure for every disk on
+        which it was torn.
     """
     steps, store, acknowledged = traced(folder)
     after = [*_versions(folder, steps, store, acknowledged)]
-    disk, chance, outcome, done = Disk(), random.Random(seed), Outcome(), 0
+    disk, outcome, done = Disk(), Outcome({"crash points": 0, "disks": 0, "before": 0, "after": 0}), 0
     tried: dict[int, str] = {}
     for number, step in enumerate(steps):
         if _under(step.path, str(acknowledged)):
             done = max(done, int(Path(step.path).name))
             continue
         disk.apply(step)
-        if number % every:
+        if number % every or only not in (None, number):
             continue
-        outcome.crashes += 1
-        for files in disk.states(chance, several):
+        outcome.count("crash points")
+        for files in disk.states(random.Random(f"{seed}/{number}"), several):
             inside = {path: content for path, content in files.items() if _under(path, str(store))}
             key = hash((done, frozenset(inside.items())))
             if key not in tried:
                 tried[key] = _opened(folder / "crashed", store, inside, after[done : done + 2])
-                outcome.states += 1
-                if tried[key] not in ("before", "after"):
-                    outcome.faults.append(f"after step {number} ({step.kind} {step.path}): {tried[key]}")
-                outcome.versions[tried[key][:40]] = outcome.versions.get(tried[key][:40], 0) + 1
+                outcome.count("disks")
+                if tried[key] in ("before", "after"):
+                    outcome.count(tried[key])
+                else:
+                    outcome.fail(str(number), f"after step {number} ({step.kind} {step.path}): {tried[key]}")
     return outcome
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import open_store
+from tests.attacks.outcome import Options, Outcome
 from tests.storage.made_up import make_store
 
 SECRET = "a secret that no query may show"
@@ -152,8 +153,17 @@ def checksums(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def attack(folder: Path) -> tuple[int, int, list[str]]:
-    """Run every statement against a store in a new folder.
+def run(folder: Path, options: Options) -> Outcome:
+    """Run every statement, or the one of the case's number, against a store in a new folder."""
+    tried, refused, broken = attack(folder, int(options.case) if (options.case or "").isdigit() else None)
+    outcome = Outcome({"statements": tried, "refused": refused})
+    for line in broken:
+        outcome.fail(line.split(":")[0], line)
+    return outcome
+
+
+def attack(folder: Path, only: int | None = None) -> tuple[int, int, list[str]]:
+    """Run every statement, or the one of this number, against a store in a new folder.
 
     Returns
     -------
@@ -176,15 +186,17 @@ def attack(folder: Path) -> tuple[int, int, list[str]]:
         }
         tried = list(dict.fromkeys(attacks(places)))
         before = checksums(folder)
-        for statement in tried:
+        for number, statement in enumerate(tried):
+            if only not in (None, number):
+                continue
             try:
                 if SECRET in str(store.sql(statement).to_pylist()):
-                    broken.append(f"shows a file: {statement!r}")
+                    broken.append(f"{number}: shows a file: {statement!r}")
             except KinedexError:
                 refused += 1
         after = checksums(folder)
     broken += [
-        f"changed, made or removed: {name}"
+        f"all: changed, made or removed: {name}"
         for name in before.keys() | after.keys()
         if before.get(name) != after.get(name)
     ]
