@@ -5,14 +5,38 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 _LONG_WORD = re.compile(r"\S{600,}")
 _LONGEST_MESSAGE = 1500
 
 
+@dataclass(frozen=True)
+class Remedy:
+    """The way out of an error or of a finding.
+
+    Attributes
+    ----------
+    text : str
+        A clause that ends the message.
+    command : tuple of str
+        The command that does it, word by word; empty where there is none.
+    """
+
+    text: str
+    command: tuple[str, ...] = ()
+
+
 class KinedexError(Exception):
     """Anything kinedex refuses to do, with a message that a user can act on.
+
+    Parameters
+    ----------
+    message : str
+        What was found and what was expected.
+    remedy : Remedy, optional
+        The way out, which ends the message; None where the message contains it.
 
     Attributes
     ----------
@@ -21,6 +45,10 @@ class KinedexError(Exception):
     """
 
     way_out: tuple[str, str] | None = None
+
+    def __init__(self, message: str = "", *, remedy: Remedy | None = None) -> None:
+        super().__init__(message if remedy is None else f"{message}; {remedy.text}")
+        self.remedy = remedy
 
 
 class ParameterError(KinedexError, ValueError):

@@ -9,13 +9,14 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError, Remedy
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -178,7 +179,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
             function(**arguments)
         except KinedexError as fault:
-            print_error(str(fault), type(fault).__name__, FAILED, as_json)
+            print_error(str(fault), type(fault).__name__, FAILED, as_json, fault.remedy)
         except KeyboardInterrupt:
             message = "stopped; the same command continues where it was"
             print_error(message, "KeyboardInterrupt", INTERRUPTED, as_json)
@@ -216,7 +217,7 @@ def _is_closed_pipe(fault: OSError) -> bool:
     )
 
 
-def print_error(message: str, kind: str, code: int, as_json: bool) -> None:
+def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remedy | None = None) -> None:
     """Print an error: one message on standard error, or one JSON object on standard output.
 
     Parameters
@@ -228,10 +229,12 @@ def print_error(message: str, kind: str, code: int, as_json: bool) -> None:
     code : int
         Exit code of the command.
     as_json : bool
-        Print `{"error": {"type", "message", "exit_code"}}`.
+        Print `{"error": {"type", "message", "exit_code", "remedy"}}`.
+    remedy : Remedy, optional
+        The way out.
     """
     if as_json:
-        error = {"type": kind, "message": message, "exit_code": code}
+        error = {"type": kind, "message": message, "exit_code": code, "remedy": remedy and asdict(remedy)}
         print(json.dumps({"error": error}, indent=1, ensure_ascii=False))
     else:
         print(f"kinedex: {message}", file=sys.stderr)

@@ -76,4 +76,5 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "installed_path": "folder of the installed package, or null",
     },
 }
-"""Command → key → meaning. A command that fails prints `error` with `type`, `message` and `exit_code` instead."""
+"""Command → key → meaning. A command that fails prints `error` with `type`, `message`, `exit_code` and `remedy`
+instead."""

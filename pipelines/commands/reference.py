@@ -124,8 +124,9 @@ def _common() -> str:
 def _documents() -> list[str]:
     introduction = (
         "With `--json` these commands print one JSON object to standard output, and nothing else; messages go to "
-        "standard error. A command that fails prints `error` with its `type`, `message` and `exit_code`, and exits "
-        "with that code.\n"
+        "standard error. A command that fails prints `error` with its `type`, `message`, `exit_code` and `remedy`, and "
+        "exits with that code. A remedy has a `text` and a `command`, the list of its words, which is empty where no "
+        "command helps; the remedy is null where the message itself is the way out.\n"
     )
     return [introduction] + [
         f"### kinedex {command} --json\n\n"
