@@ -19,6 +19,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.ops.words import NO_WORD
 from kinedex.storage.disk import sync_file, sync_folder, write_errors
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import TEMPORARY, Part
 from kinedex.storage.snapshot.schemas import frames_schema
 
@@ -225,6 +226,7 @@ def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
         use_dictionary=["take_id", "word"],
         use_byte_stream_split=floats,
         write_statistics=["take_id", "frame", "word"],
+        write_page_checksum=True,
     )
 
 
@@ -234,7 +236,7 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
     try:
         with write_errors(store / folder):
             (store / folder).mkdir(parents=True, exist_ok=True)
-            pq.write_table(table, temporary, compression="zstd")
+            pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
         return publish_part(store, temporary, folder, table.num_rows, take_ids)
     finally:
         temporary.unlink(missing_ok=True)
@@ -280,7 +282,9 @@ class _Growing:
         with write_errors(self._store / self._folder):
             if self._writer is None:
                 self._temporary.parent.mkdir(parents=True, exist_ok=True)
-                self._writer = pq.ParquetWriter(self._temporary.absolute(), piece.schema, compression="zstd")
+                self._writer = pq.ParquetWriter(
+                    self._temporary.absolute(), piece.schema, compression="zstd", write_page_checksum=True
+                )
             self._writer.write_table(piece)
             self._rows += piece.num_rows
             return self._temporary.stat().st_size
@@ -321,7 +325,7 @@ def read_errors(file: Path) -> Iterator[None]:
         yield
     except (OSError, pa.ArrowException) as fault:
         reason = str(fault).splitlines()[0]
-        raise StoreError(f"{file}: the part cannot be read: {reason}; see `kinedex verify`") from None
+        raise StoreError(f"{file}: the part cannot be read: {reason}", remedy=repair(store_of(file))) from None
 
 
 def _rename(temporary: Path, path: Path) -> None:
@@ -338,5 +342,10 @@ def part_file(store: Path, path: str) -> Path:
     """Return the file of a part; a StoreError reports that it is missing."""
     file = store / path
     if not file.is_file():
-        raise StoreError(f"{file}: the manifest names this part, but the file is missing; see `kinedex verify`")
+        raise StoreError(f"{file}: the manifest names this part, but the file is missing", remedy=repair(store))
     return file
+
+
+def store_of(file: Path) -> Path:
+    """Return the store that a part lies in: frames and takes have a folder each, results one for each kind."""
+    return file.parents[1] if file.parent.name in ("frames", "takes") else file.parents[2]
