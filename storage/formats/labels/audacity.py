@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
-from kinedex.storage.formats.labels.texts import lines_of, parse_seconds, read_text, shown
+from kinedex.storage.formats.labels.texts import open_lines, parse_seconds, refuse_long, refuse_many, shown
 
 
 def write(labels: TakeLabels) -> str:
@@ -28,10 +28,12 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        A line is no label, has no text, or is a point in time (start = stop); the error names the line.
+        A line is no label, has no text, or is a point in time (start = stop), or the file is beyond a limit; the error
+        names the line.
     """
-    take, found = Path(path).stem, []
-    for line, text in enumerate(lines_of(read_text(path)), 1):
+    take, found = Path(path).stem, list[ManualSegment]()
+    for line, whole in enumerate(open_lines(path), 1):
+        text = whole.removesuffix("\n")
         if not text.strip() or text.startswith("\\"):
             continue
         parts = text.split("\t", 2)
@@ -47,5 +49,7 @@ def read(path: str | Path) -> LabelFile:
             raise SourceError(path, "the label has no text, which would be its class", line=line)
         if start >= stop:
             raise SourceError(path, f"start {start:g} s must be before stop {stop:g} s", line=line)
+        refuse_long(path, len(label), line)
+        refuse_many(path, len(found) + 1, line)
         found.append(ManualSegment(take, label, start, stop, str(path), line, in_seconds=True))
     return LabelFile.of_take(path, take, found)

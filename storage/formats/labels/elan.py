@@ -9,7 +9,10 @@ from xml.parsers import expat
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
-from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, read_bytes, shown
+from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, read_bytes, refuse_long, refuse_many, shown
+
+DEEPEST = 100
+"""Levels of elements; EAF files have six."""
 
 _TAKE = "kinedex take"
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
@@ -97,6 +100,8 @@ class _Document:
     slots: dict[str, int | None] = field(default_factory=dict)
     annotations: list[_Annotation] = field(default_factory=list)
     text: list[str] | None = None
+    letters: int = 0
+    depth: int = 0
     open: _Annotation | None = None
 
     def error(self, message: str, line: int | None = None) -> SourceError:
@@ -106,6 +111,9 @@ class _Document:
         raise self.error("has a document type declaration, which an EAF file has no need of; it is not read")
 
     def start(self, name: str, given: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise self.error(f"has elements in more than {DEEPEST} levels, and EAF files have six")
         if not self.root:
             self.root = name
             if name != "ANNOTATION_DOCUMENT":
@@ -115,31 +123,36 @@ class _Document:
             if unit != "milliseconds":
                 raise self.error(f"TIME_UNITS must be milliseconds, got '{shown(unit)}'")
         elif name == "PROPERTY" and given.get("NAME") == _TAKE:
-            self.text = []
+            self.text, self.letters = [], 0
         elif name == "TIME_SLOT":
+            refuse_many(self.path, len(self.slots) // 2, self.parser.CurrentLineNumber)
             self.slots[self._attribute(name, given, "TIME_SLOT_ID")] = self._time(given)
         elif name == "TIER":
             # a tier that depends on another one adds details to that one's annotations
             own = self._attribute(name, given, "TIER_ID")
+            refuse_long(self.path, len(own), self.parser.CurrentLineNumber, "TIER_ID")
             self.tier = None if given.get("PARENT_REF") else own
         elif name == "ALIGNABLE_ANNOTATION" and self.tier is not None:
             ends = (self._attribute(name, given, "TIME_SLOT_REF1"), self._attribute(name, given, "TIME_SLOT_REF2"))
             own = given.get("ANNOTATION_ID", f"number {len(self.annotations) + 1}")
             self.open = _Annotation(self.parser.CurrentLineNumber, self.tier, ends, shown(own))
         elif name == "ANNOTATION_VALUE" and self.open is not None:
-            self.text = []
+            self.text, self.letters = [], 0
 
     def characters(self, text: str) -> None:
         if self.text is not None:
+            self.letters += len(text)
+            refuse_long(self.path, self.letters, self.parser.CurrentLineNumber)
             self.text.append(text)
 
     def end(self, name: str) -> None:
-        content = "".join(self.text or ()).strip()
+        self.depth -= 1
         if name == "PROPERTY" and self.text is not None:
-            self.take, self.text = content, None
+            self.take, self.text = "".join(self.text).strip(), None
         elif name == "ANNOTATION_VALUE" and self.open is not None:
-            self.open.value, self.text = content, None
+            self.open.value, self.text = "".join(self.text or ()).strip(), None
         elif name == "ALIGNABLE_ANNOTATION" and self.open is not None:
+            refuse_many(self.path, len(self.annotations) + 1, self.open.line)
             self.annotations.append(self.open)
             self.open = None
         elif name == "TIER":
@@ -204,8 +217,8 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The file is no XML or no EAF, has a document type declaration (none is followed, no entity is expanded), or a
-        time is missing or out of order; the error names the line.
+        The file is no XML or no EAF, has a document type declaration (none is followed, no entity is expanded), a time
+        is missing or out of order, or the file is beyond a limit; the error names the line.
     """
     data = read_bytes(path)
     parser = expat.ParserCreate()

@@ -11,7 +11,16 @@ from typing import Any
 
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
-from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, parse_seconds, read_text, shown
+from kinedex.storage.formats.labels.texts import (
+    LONGEST_SECONDS,
+    MOST_LABELS,
+    open_lines,
+    parse_seconds,
+    read_text,
+    refuse_long,
+    refuse_many,
+    shown,
+)
 
 NAMES = ("take", "class")
 FRAMES = ("start", "stop")
@@ -21,6 +30,7 @@ COLUMNS = (*NAMES, *FRAMES)
 
 _WRITTEN = ("take", "class", "subclass", *FRAMES, *SECONDS, "cost", "confidence")
 _MOST_DIGITS = 15
+_MOST_VALUES = 4 * MOST_LABELS  # lists and objects of a JSON file, which take far more memory than their text
 
 
 def write_csv(takes: Sequence[TakeLabels]) -> str:
@@ -82,11 +92,11 @@ def read_csv(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        A column is missing, a name is empty, a frame is no whole number, or a segment does not end after its start; the
-        error names the line.
+        A column is missing, a name is empty, a frame is no whole number, a segment does not end after its start, or the
+        file is beyond a limit; the error names the line.
     """
     try:
-        rows = list(_csv_rows(str(path), csv.DictReader(io.StringIO(read_text(path), newline=""))))
+        rows = list(_csv_rows(str(path), csv.DictReader(open_lines(path, newline=""))))
     except csv.Error as fault:
         raise SourceError(path, f"is not a CSV file: {fault}") from None
     segments = tuple(segment for _, segment in rows if segment is not None)
@@ -101,11 +111,13 @@ def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, Man
     reader.fieldnames = header
     edges = SECONDS if not set(FRAMES) & set(header) and set(SECONDS) & set(header) else FRAMES
     columns = (*NAMES, *edges)
+    parse = _frame if edges is FRAMES else _second
     for name in columns:
         if name not in header:
             raise SourceError(path, f"has no column '{name}'{did_you_mean(name, header)}", line=1)
-    for row in reader:
+    for count, row in enumerate(reader, 1):
         line = reader.line_num
+        refuse_many(path, count, line)
         texts = {name: (row[name] or "").strip() for name in columns}
         if not any(texts.values()):
             continue
@@ -116,7 +128,7 @@ def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, Man
         for name in NAMES:
             if not texts[name]:
                 raise SourceError(path, f"{name} is empty", line=line)
-        parse = _frame if edges is FRAMES else _second
+            refuse_long(path, len(texts[name]), line, name)
         start, stop = (parse(path, line, name, texts[name]) for name in edges)
         if start >= stop:
             unit = "half-open source frames" if edges is FRAMES else "seconds"
@@ -156,20 +168,26 @@ def read_json(path: str | Path) -> LabelFile:
     SourceError
         The file is no JSON (the error names the line), or an element is wrong (it names it: "takes[0].segments[3]").
     """
+    text = read_text(path)
+    values = text.count("{") + text.count("[")
+    if values > _MOST_VALUES:
+        raise SourceError(path, f"has {values:,} lists and objects; JSON files of labels have at most {_MOST_VALUES:,}")
     try:
-        content = json.loads(read_text(path), parse_constant=_no_number)
+        content = json.loads(text, parse_constant=_no_number)
     except json.JSONDecodeError as fault:
         raise SourceError(path, f"is not JSON: {fault.msg}", line=fault.lineno) from None
     except RecursionError:
-        raise SourceError(path, "is nested too deeply") from None
+        raise SourceError(path, "is nested too deeply: it has hundreds of levels, and labels have six") from None
     except ValueError as fault:
         raise SourceError(path, f"is not JSON: {fault}") from None
-    names, found = [], []
+    names, found = list[str](), list[ManualSegment]()
     for number, take in enumerate(_list(path, content, "takes", "the file")):
         place = f"takes[{number}]"
         name = _name(path, take, "take", place)
         names.append(name)
+        refuse_many(path, len(names))
         for count, one in enumerate(_list(path, take, "segments", place)):
+            refuse_many(path, len(found) + 1)
             found.append(_segment(path, name, one, f"{place}.segments[{count}]"))
     return LabelFile(str(path), tuple(dict.fromkeys(names)), tuple(found))
 
@@ -189,6 +207,7 @@ def _name(path: str | Path, value: Any, key: str, place: str) -> str:
     name = value.get(key) if isinstance(value, dict) else None
     if not isinstance(name, str) or not name.strip():
         raise SourceError(path, f"{place} must have a name '{key}'")
+    refuse_long(path, len(name), place=f"{place}.{key}")
     return _unicode(path, name.strip(), f"{place}.{key}")
 
 

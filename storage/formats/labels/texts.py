@@ -1,7 +1,8 @@
-"""Label files as text: decoding, lines and times, with the file and line of every fault."""
+"""Label files as text: limits of size, decoding, lines and times, with the file and line of every fault."""
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
@@ -10,28 +11,78 @@ from kinedex.ops.errors import SourceError
 LONGEST_SECONDS = 10_000_000
 """Of a take; a label that ends later is a slip of the pen."""
 
+MOST_BYTES = 64_000_000
+"""Bytes of a label file; a larger one is refused before it is read."""
+
+MOST_LABELS = 500_000
+"""Labels, and takes, of a label file."""
+
+MOST_LETTERS = 100_000
+"""Characters of a class or of a take's name."""
+
 _SECONDS = re.compile(r"[0-9]{1,9}(?:\.[0-9]{1,20})?|\.[0-9]{1,20}", re.ASCII)
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Return the bytes of a file; a SourceError reports that it cannot be read."""
+    """Return the bytes of a file; a SourceError reports that it cannot be read, or is larger than `MOST_BYTES`."""
     try:
-        return Path(path).read_bytes()
+        with Path(path).open("rb") as file:
+            size = file.seek(0, io.SEEK_END) if file.seekable() else 0
+            if size <= MOST_BYTES:
+                if size:
+                    file.seek(0)
+                data = file.read(MOST_BYTES + 1)
+                size = len(data)
     except OSError as fault:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    if size > MOST_BYTES:
+        got = f"has {size / 1e6:.1f} MB" if size != MOST_BYTES + 1 else "is larger"
+        raise SourceError(path, f"{got}; label files have at most {MOST_BYTES / 1e6:g} MB: divide it by takes")
+    return data
 
 
 def read_text(path: str | Path) -> str:
     """Return a file as UTF-8 text, without a byte order mark; a SourceError reports another encoding."""
+    return _decoded(path, read_bytes(path))
+
+
+def _decoded(path: str | Path, data: bytes) -> str:
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as fault:
         raise SourceError(path, f"is not UTF-8 text (byte {fault.start})") from None
 
 
-def lines_of(text: str) -> list[str]:
-    """Split a text into lines, whatever ends them (LF, CR LF, CR)."""
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+def open_lines(path: str | Path, newline: str | None = None) -> io.TextIOWrapper:
+    """Return the lines of a file one by one, as UTF-8 text; errors as `read_text`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    newline : str or None
+        As for `open`: None to end every line by LF, whatever ends it in the file (LF, CR LF, CR); "" to leave it so.
+    """
+    data = read_bytes(path)
+    _decoded(path, data)  # a fault is found here, with its place in the whole file
+    return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=newline)
+
+
+def refuse_many(path: str | Path, count: int, line: int | None = None) -> None:
+    """Raise a SourceError if there are more labels (or takes) than `MOST_LABELS`."""
+    if count > MOST_LABELS:
+        raise SourceError(
+            path, f"has more than {MOST_LABELS:,} labels, the most of one file: divide it by takes", line=line
+        )
+
+
+def refuse_long(path: str | Path, length: int, line: int | None = None, place: str = "the text") -> None:
+    """Raise a SourceError if a text has more characters than `MOST_LETTERS`."""
+    if length > MOST_LETTERS:
+        raise SourceError(
+            path, f"{place} has {length:,} characters or more; a class or a take's name has at most {MOST_LETTERS:,}",
+            line=line,
+        )  # fmt: skip
 
 
 def shown(text: str) -> str:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
-from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, lines_of, read_text, shown
+from kinedex.storage.formats.labels.texts import (
+    LONGEST_SECONDS,
+    MOST_LABELS,
+    open_lines,
+    refuse_long,
+    refuse_many,
+    shown,
+)
 
 _TIME = r"(?:([0-9]{2,6}):)?([0-5][0-9]):([0-5][0-9])\.([0-9]{3})"
 _TIMING = re.compile(rf"{_TIME}[ \t]+-->[ \t]+{_TIME}(?:[ \t].*)?", re.ASCII)
@@ -41,26 +49,44 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The first line is not WEBVTT, a cue has no times or no text, or times are out of order; the error names the
-        line.
+        The first line is not WEBVTT, a cue has no times or no text, times are out of order, or the file is beyond a
+        limit; the error names the line.
     """
-    lines = lines_of(read_text(path))
-    if not re.fullmatch(r"WEBVTT(?:[ \t].*)?", lines[0]):
-        raise SourceError(path, "is no WebVTT file: its first line must be WEBVTT", line=1)
-    take, found, at = Path(path).stem, list[ManualSegment](), 0
-    while at < len(lines):
-        if not lines[at].strip():
-            at += 1
-            continue
-        end = next((place for place in range(at, len(lines)) if not lines[place].strip()), len(lines))
-        block = lines[at:end]
+    take, found = Path(path).stem, list[ManualSegment]()
+    for line, block in _blocks(path, open_lines(path)):
         if re.match(r"NOTE(?:\s|$)", block[0]):
-            own = [line for line in block[1:] if line.startswith(_TAKE)]
-            take = html.unescape(own[0].removeprefix(_TAKE)).strip() or take if own else take
-        elif at > 0 and not re.fullmatch(r"(?:STYLE|REGION)[ \t]*", block[0]):
-            found += _cue(path, take, block, at + 1)
-        at = end
+            own = [text for text in block[1:] if text.startswith(_TAKE)]
+            take = _unescaped(path, own[0].removeprefix(_TAKE), line) or take if own else take
+        elif line > 1 and not re.fullmatch(r"(?:STYLE|REGION)[ \t]*", block[0]):
+            found += _cue(path, take, block, line)
+            refuse_many(path, len(found), line)
     return LabelFile.of_take(path, take, found)
+
+
+def _blocks(path: str | Path, lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number of the first line, and the lines, of every block between blank lines."""
+    block = [next(lines, "").removesuffix("\n")]
+    if not re.fullmatch(r"WEBVTT(?:[ \t].*)?", block[0]):
+        raise SourceError(path, "is no WebVTT file: its first line must be WEBVTT", line=1)
+    number = 1
+    for number, line in enumerate(lines, 2):
+        if line.strip():
+            block.append(line.removesuffix("\n"))
+            if len(block) > MOST_LABELS:
+                raise SourceError(path, f"has more than {MOST_LABELS:,} lines without a blank one", line=number)
+        elif block:
+            yield number - len(block), block
+            block = []
+    if block:
+        yield number + 1 - len(block), block
+
+
+def _unescaped(path: str | Path, text: str, line: int) -> str:
+    refuse_long(path, len(text), line)
+    try:
+        return html.unescape(text).strip()
+    except ValueError:
+        raise SourceError(path, f"a reference has thousands of digits: '{shown(text)}'", line=line) from None
 
 
 def _cue(path: str | Path, take: str, block: list[str], line: int) -> list[ManualSegment]:
@@ -73,7 +99,7 @@ def _cue(path: str | Path, take: str, block: list[str], line: int) -> list[Manua
     line += first
     if not start < stop <= LONGEST_SECONDS:
         raise SourceError(path, f"start {start:g} s must be before stop {stop:g} s", line=line)
-    texts = [html.unescape(_TAG.sub("", text)).strip() for text in block[first + 1 :]]
+    texts = [_unescaped(path, _TAG.sub("", text), line + at) for at, text in enumerate(block[first + 1 :], 1)]
     if not any(texts):
         raise SourceError(path, "the cue has no text, which would be its class", line=line)
     return [
