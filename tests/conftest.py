@@ -12,9 +12,16 @@ settings.register_profile("kinedex", deadline=None)
 settings.load_profile("kinedex")
 
 
+SLOW_SECONDS = 900
+"""The time-out of a slow test; that of the others stands in pyproject.toml."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the slow tests: one of them at the end would be waited for by all other processes."""
+    """Begin with the slow tests, for one of them at the end would be waited for by all other processes."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    for item in items:
+        if item.get_closest_marker("slow") is not None and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(SLOW_SECONDS))
 
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
