@@ -66,6 +66,18 @@ def sync_file(path: Path) -> FileSums:
         return FileSums(os.fstat(file.fileno()).st_size, sha256.hexdigest(), xxh3.hexdigest())
 
 
+def xxh3_of(path: Path) -> tuple[str, os.stat_result]:
+    """Return the XXH3 of a file, and the status that it had when it was opened."""
+    xxh3 = xxhash.xxh3_128()
+    # not mapped into memory: a fault of the disk would end the process there
+    with open(path, "rb", buffering=0) as file:
+        status = os.fstat(file.fileno())
+        block = memoryview(bytearray(min(_BLOCK, max(1, status.st_size))))
+        while count := file.readinto(block):
+            xxh3.update(block[:count])
+    return xxh3.hexdigest(), status
+
+
 def sync_folder(folder: Path) -> None:
     """Flush a folder's entries to disk, so that a rename in it outlives a power cut; Windows has no such call."""
     if os.name == "nt":

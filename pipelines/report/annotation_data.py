@@ -30,7 +30,6 @@ from kinedex.pipelines.report.data import (
 from kinedex.pipelines.report.reproduction import command
 from kinedex.pipelines.report.take_selection import median_take
 from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
-from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, data_frame
 
@@ -167,7 +166,7 @@ class Reader:
         schema = result_schema(kind)
         wanted = pa.schema([schema.field(name) for name in columns or schema.names])
         tables = [
-            pq.read_table(part_file(self._store.path, part.path), columns=wanted.names, filters=filters)
+            pq.read_table(self._store.checked.part(part), columns=wanted.names, filters=filters)
             for part in self.parts(kind, role or ROLES[kind])
         ]
         return pa.concat_tables([wanted.empty_table(), *(table.cast(wanted) for table in tables)])

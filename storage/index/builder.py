@@ -306,7 +306,7 @@ def _insert(
 
     def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, tables.ShardRows]:
         number, parts = item
-        words = read_words(store.path, replace(store.manifest, frames=parts), None)
+        words = read_words(store.checked, replace(store.manifest, frames=parts), None)
         slices = slice_words(words.words, words.offsets, features)
         written = write_slices(folder / slices_name(number), words.take_ids, slices)
         rows = tables.make_shard(words, store.feature_set)

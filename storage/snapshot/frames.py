@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,21 +11,22 @@ import pyarrow.parquet as pq
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD, TakeWords
+from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import Manifest, Part
-from kinedex.storage.snapshot.parts import part_file, read_errors
+from kinedex.storage.snapshot.parts import read_errors
 
 I64 = npt.NDArray[np.int64]
 
 
-def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) -> TakeWords:
+def read_words(files: CheckedFiles, manifest: Manifest, take_ids: Sequence[int] | None) -> TakeWords:
     """Read the words of takes in order of take_id.
 
     Only the columns take_id and word of the parts and row groups that hold these takes are read.
 
     Parameters
     ----------
-    store : Path
-        The store's directory.
+    files : CheckedFiles
+        The files of the store.
     manifest : Manifest
         The version to read.
     take_ids : sequence of int or None
@@ -41,9 +41,9 @@ def read_words(store: Path, manifest: Manifest, take_ids: Sequence[int] | None) 
     wanted = alive if take_ids is None else sorted({int(take) for take in take_ids})
     if take_ids is not None and (unknown := sorted(set(wanted).difference(alive))):
         shown = ", ".join(map(str, unknown[:5]))
-        raise StoreError(f"{store}: no live take has the id {shown}; `Store.takes()` lists those that are")
+        raise StoreError(f"{files.store}: no live take has the id {shown}; `Store.takes()` lists those that are")
     asked = np.array(wanted, np.int64)
-    read = [_part_words(store, part, here) for part in manifest.frames if (here := _here(part, asked)) is not None]
+    read = [_part_words(files, part, here) for part in manifest.frames if (here := _here(part, asked)) is not None]
     ids = np.concatenate([np.empty(0, np.int64), *(takes for takes, _, _ in read)])
     lengths = np.concatenate([np.empty(0, np.int64), *(counts for _, counts, _ in read)])
     # a copy even of a single part: what Arrow holds cannot be written to, and kernels would be compiled for it anew
@@ -67,9 +67,9 @@ def _here(part: Part, asked: I64) -> I64 | None:
     return here if len(here) else None
 
 
-def _part_words(store: Path, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
+def _part_words(files: CheckedFiles, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
     """Return the wanted takes of one part, their lengths, and their words; no copy of a whole part."""
-    table = _read(store, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
+    table = _read(files, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
     ids = table.column("take_id").to_numpy()
     words = words_of(table)
     starts = np.searchsorted(ids, takes, side="left")
@@ -85,18 +85,18 @@ def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
     return words
 
 
-def read_frames(store: Path, manifest: Manifest, take_id: int, start: int, stop: int) -> pa.Table:
+def read_frames(files: CheckedFiles, manifest: Manifest, take_id: int, start: int, stop: int) -> pa.Table:
     """Read the rows of frames [start, stop) of one live take, all columns."""
     part = next(part for part in manifest.frames if take_id in part.live)
-    table = _read(store, part, None, take_id, take_id)
+    table = _read(files, part, None, take_id, take_id)
     ids = table.column("take_id").to_numpy()
     first = int(np.searchsorted(ids, take_id, side="left"))
     return table.slice(first + start, stop - start).combine_chunks()
 
 
-def _read(store: Path, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
+def _read(files: CheckedFiles, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
     """Read the row groups that can hold takes from lowest to highest; the parts are sorted by take."""
-    path = part_file(store, part.path)
+    path = files.part(part)
     with read_errors(path), pq.ParquetFile(path) as file:
         column = file.schema_arrow.get_field_index("take_id")
         groups = []

@@ -13,9 +13,10 @@ import pyarrow.parquet as pq
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import TakeWords
+from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.frames import read_frames, read_words
 from kinedex.storage.snapshot.manifest import Manifest, ResultPart
-from kinedex.storage.snapshot.parts import part_file, read_errors
+from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import result_schema, takes_schema
 
 
@@ -28,11 +29,14 @@ class Snapshot:
         The store's directory.
     manifest : Manifest
         The version to read.
+    checked : CheckedFiles, optional
+        The files that are known to be sound; without it each file is checked before it is first read.
     """
 
-    def __init__(self, path: Path, manifest: Manifest) -> None:
+    def __init__(self, path: Path, manifest: Manifest, checked: CheckedFiles | None = None) -> None:
         self.path = path
         self.manifest = manifest
+        self.checked = checked or CheckedFiles(path)
 
     @property
     def feature_set(self) -> FeatureSet:
@@ -50,7 +54,7 @@ class Snapshot:
         schema = takes_schema()
         tables = []
         for part in self.manifest.takes:
-            table = _read_part(part_file(self.path, part.path), schema)
+            table = _read_part(self.checked.part(part), schema)
             if part.dropped:
                 dropped = set(part.dropped)
                 keep = [take not in dropped for take in table.column("take_id").to_pylist()]
@@ -99,7 +103,7 @@ class Snapshot:
         StoreError
             No live take has one of the ids.
         """
-        return read_words(self.path, self.manifest, take_ids)
+        return read_words(self.checked, self.manifest, take_ids)
 
     def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
         """Return the frames [start, stop) of a take, one row per analysis frame.
@@ -127,7 +131,7 @@ class Snapshot:
         end = count if stop is None else stop
         if not 0 <= start <= end <= count:
             raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
-        return read_frames(self.path, self.manifest, take_id, start, end)
+        return read_frames(self.checked, self.manifest, take_id, start, end)
 
     def result(
         self, kind: str, run: str | None = None, pipeline: str | None = None, stage: str | None = None
@@ -147,7 +151,7 @@ class Snapshot:
         """
         schema = result_schema(kind)
         tables = [
-            _read_part(part_file(self.path, part.path), schema)
+            _read_part(self.checked.part(part), schema)
             for part in self.manifest.results.get(kind, ())
             if (run is None or part.run == run)
             and (pipeline is None or part.stage.startswith(f"{pipeline}/"))
@@ -159,7 +163,7 @@ class Snapshot:
         """Yield the rows of parts of one kind of result, one row group after the other."""
         schema = result_schema(kind)
         for part in parts:
-            file = part_file(self.path, part.path)
+            file = self.checked.part(part)
             with read_errors(file), pq.ParquetFile(file) as opened:
                 for group in range(opened.num_row_groups):
                     yield opened.read_row_group(group).cast(schema)

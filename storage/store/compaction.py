@@ -15,7 +15,6 @@ replaced or dropped since it was made.
 
 from __future__ import annotations
 
-import hashlib
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -29,9 +28,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.ops.errors import StoreError
+from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import Part, ResultPart
-from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter, part_file, write_part
+from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter, read_errors, write_part
 from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.writer import StoreWriter
@@ -194,8 +193,9 @@ def merge(task: Merge) -> Part:
     get a fresh checksum.
     """
     homes = {take: place for place, part in enumerate(task.parts) for take in part.live}
-    row_ranges = [_row_ranges(task.store, part) for part in task.parts]
-    groups = _RowGroups([task.store / part.path for part in task.parts])
+    files = CheckedFiles(task.store).parts(task.parts)
+    row_ranges = [_row_ranges(file, part) for file, part in zip(files, task.parts, strict=True)]
+    groups = _RowGroups(files)
     with FramesWriter(task.store, task.feature_set, task.rate_hz) as writer:
         for place, takes in groupby(task.take_ids, key=homes.__getitem__):
             ids = list(takes)
@@ -241,29 +241,13 @@ def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int)
     return merges
 
 
-def _row_ranges(store: Path, part: Part) -> dict[int, tuple[int, int]]:
-    """Return the rows [start, stop) of each live take of a part, once the part is found to be sound."""
-    path = _sound(store, part)
-    try:
-        ids = pq.read_table(path, columns=["take_id"]).column("take_id").to_numpy()
-    except (OSError, pa.ArrowException) as fault:
-        raise _unreadable(path, fault) from None
+def _row_ranges(file: Path, part: Part) -> dict[int, tuple[int, int]]:
+    """Return the rows [start, stop) of each live take of a part."""
+    with read_errors(file):
+        ids = pq.read_table(file, columns=["take_id"]).column("take_id").to_numpy()
     live = np.array(part.live, np.int64)
     starts, stops = np.searchsorted(ids, live, "left"), np.searchsorted(ids, live, "right")
     return dict(zip(part.live, zip(starts.tolist(), stops.tolist(), strict=True), strict=True))
-
-
-def _sound(store: Path, part: Part) -> Path:
-    """Return the file of a part whose content fits its checksum."""
-    path = part_file(store, part.path)
-    try:
-        with open(path, "rb") as content:
-            found = hashlib.file_digest(content, "sha256").hexdigest()
-    except OSError as fault:
-        raise _unreadable(path, fault) from None
-    if found != part.sha256:
-        raise StoreError(f"{path}: its content does not fit its checksum, so it is not merged; {_VERIFY}")
-    return path
 
 
 def _joined(ids: list[int], row_ranges: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
@@ -312,11 +296,8 @@ class _RowGroups:
     def _group(self, file: int, group: int) -> pa.Table:
         key = (file, group)
         if key not in self._kept:
-            try:
-                with pq.ParquetFile(self._files[file]) as opened:
-                    table = opened.read_row_group(group)
-            except (OSError, pa.ArrowException) as fault:
-                raise _unreadable(self._files[file], fault) from None
+            with read_errors(self._files[file]), pq.ParquetFile(self._files[file]) as opened:
+                table = opened.read_row_group(group)
             rows = table.num_rows + sum(kept.num_rows for kept in self._kept.values())
             while self._kept and rows > KEPT_ROWS:
                 rows -= self._kept.popitem(last=False)[1].num_rows
@@ -329,19 +310,10 @@ def _merge_takes(store: Snapshot, parts: list[Part]) -> Part:
     """Write the live rows of takes parts as one part; a row is some hundred bytes, so they fit into memory."""
     tables = []
     for part in parts:
-        path = _sound(store.path, part)
-        try:
-            table = pq.read_table(path, schema=takes_schema())
-        except (OSError, pa.ArrowException) as fault:
-            raise _unreadable(path, fault) from None
+        file = store.checked.part(part)
+        with read_errors(file):
+            table = pq.read_table(file, schema=takes_schema())
         gone = set(part.dropped)
         tables.append(table.filter(pa.array([t not in gone for t in table.column("take_id").to_pylist()], pa.bool_())))
     rows = pa.concat_tables(tables).sort_by("take_id")
     return write_part(store.path, "takes", rows, rows.column("take_id").to_pylist())
-
-
-_VERIFY = "see `kinedex verify`"
-
-
-def _unreadable(path: Path, fault: Exception) -> StoreError:
-    return StoreError(f"{path}: the part cannot be read: {str(fault).splitlines()[0]}; {_VERIFY}")

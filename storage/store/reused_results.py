@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from kinedex.storage.snapshot.manifest import ResultPart
-from kinedex.storage.snapshot.parts import FULL_BYTES, part_file, read_errors
+from kinedex.storage.snapshot.parts import FULL_BYTES, read_errors
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.compaction import worthwhile
 
@@ -70,7 +70,7 @@ def reused_parts(store: Snapshot, kind: str, stage: str, take_ids: Collection[in
 
 
 def _takes_of(store: Snapshot, part: ResultPart) -> set[int]:
-    file = part_file(store.path, part.path)
+    file = store.checked.part(part)
     with read_errors(file):
         column = pq.read_table(file, columns=["take_id"]).column("take_id")
     return set(pc.unique(column).to_pylist())

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, overload
 
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.generations import FILE, current_generation, missing_index
+from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import Manifest, read_newest
 from kinedex.storage.snapshot.snapshot import Snapshot
 
@@ -61,10 +62,14 @@ class Store(Snapshot):
         The version to read.
     files : tuple of Path, optional
         Folders outside the store whose files SQL may read.
+    checked : CheckedFiles, optional
+        The files that are known to be sound; without it each file is checked before it is first read.
     """
 
-    def __init__(self, path: Path, manifest: Manifest, files: tuple[Path, ...] = ()) -> None:
-        super().__init__(path, manifest)
+    def __init__(
+        self, path: Path, manifest: Manifest, files: tuple[Path, ...] = (), checked: CheckedFiles | None = None
+    ) -> None:
+        super().__init__(path, manifest, checked)
         self._files = files
         self._lock = Lock()
         self._connections: Connections | None = None
@@ -208,9 +213,9 @@ class Store(Snapshot):
     ) -> None:
         self.close()
 
-    def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...]]]:
+    def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...], CheckedFiles]]:
         # a worker gets the same version and opens its own connections
-        return Store, (self.path, self.manifest, self._files)
+        return Store, (self.path, self.manifest, self._files, self.checked)
 
 
 def data_frame(table: pa.Table) -> pl.DataFrame:

@@ -16,6 +16,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import write_errors
 from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import (
     Manifest,
     Part,
@@ -56,7 +57,8 @@ class StoreWriter:
         self._lock = lock
         self._takes: dict[int, pa.Table] = {}
         self._changes: list[Any] = []
-        takes = Snapshot(path, manifest)
+        self._checked = CheckedFiles(path)
+        takes = Snapshot(path, manifest, self._checked)
         self._ids = dict(takes.take_ids)
         self._rows = dict(takes.take_frames)
         self._next = manifest.next_take_id
@@ -115,7 +117,7 @@ class StoreWriter:
     @property
     def store(self) -> Store:
         """The store as it was committed last."""
-        return Store(self.path, self._committed)
+        return Store(self.path, self._committed, checked=self._checked)
 
     def assign_take_ids(self, names: Iterable[str]) -> dict[str, int]:
         """Give each take name its id: takes of the store keep theirs, new ones get the next ids in order of name."""

@@ -1,0 +1,150 @@
+"""Checks of the files of an open store: the checksum of each is computed once, before anything is read from it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import uuid
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Lock
+from typing import NamedTuple
+
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import xxh3_of
+from kinedex.storage.snapshot.manifest import Part, ResultPart
+from kinedex.storage.snapshot.parts import part_file, read_errors
+
+_THREADS = min(4, os.cpu_count() or 1)
+"""Number of files that are checked at a time: four cores read memory as fast as more."""
+
+
+class _Identity(NamedTuple):
+    """Values that change with every new content of a file, except by a fault of the disk."""
+
+    device: int
+    inode: int
+    bytes: int
+    mtime_ns: int
+
+
+def _identity(status: os.stat_result) -> _Identity:
+    return _Identity(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+class CheckedFiles:
+    """The files of one open store whose checksums were found to be right; any thread may use it.
+
+    A file is checked when it is first asked for, and again once its inode, size or time has changed. A process that
+    receives the object from another one keeps what the sender knew, and what it has found itself since.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    """
+
+    def __init__(self, store: Path) -> None:
+        self.store = store
+        self._origin = uuid.uuid4().hex
+        self._known: dict[str, _Identity] = {}
+        self._busy: dict[str, Lock] = {}
+
+    def part(self, part: Part | ResultPart) -> Path:
+        """Return the file of a part whose content fits its checksum.
+
+        Raises
+        ------
+        StoreError
+            The file is missing, cannot be read, or has another checksum than the manifest records.
+        """
+        file = part_file(self.store, part.path)
+        # parts of format 3 have no XXH3
+        xxh3 = getattr(part, "xxh3", "")
+        recorded, compute = (xxh3, xxh3_of) if xxh3 else (part.sha256, _sha256_of)
+        with read_errors(file):
+            self.check(file, recorded, lambda: _damaged_part(self.store, file), compute)
+        return file
+
+    def parts(self, parts: Iterable[Part | ResultPart]) -> list[Path]:
+        """Return the files of parts as `part` does; several are checked at a time."""
+        asked = list(parts)
+        if len(asked) < 2 or all(str(self.store / part.path) in self._known for part in asked):
+            return [self.part(part) for part in asked]
+        pool = ThreadPoolExecutor(_THREADS)
+        try:
+            return list(pool.map(self.part, asked))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def check(
+        self,
+        file: Path,
+        recorded: str,
+        damaged: Callable[[], StoreError],
+        compute: Callable[[Path], tuple[str, os.stat_result]] = xxh3_of,
+    ) -> None:
+        """Check the checksum of a file, unless that was done before.
+
+        Parameters
+        ----------
+        file : Path
+            A file of the store.
+        recorded : str
+            The checksum that it must have.
+        damaged : callable
+            Returns the error for another checksum.
+        compute : callable, optional
+            Returns the checksum of a file, and its status when it was opened.
+
+        Raises
+        ------
+        StoreError
+            The error of `damaged`.
+        OSError
+            The file cannot be read.
+        """
+        name = str(file)
+        if self._known.get(name) == _identity(os.stat(file)):
+            return
+        # of several threads that need a file, one computes and the others wait
+        with self._busy.setdefault(name, Lock()):
+            if self._known.get(name) == _identity(os.stat(file)):
+                return
+            found, status = compute(file)
+            if found != recorded:
+                raise damaged()
+            self._known[name] = _identity(status)
+
+    def __reduce__(self) -> tuple[Callable[..., CheckedFiles], tuple[object, ...]]:
+        return _received, (self._origin, self.store, dict(self._known))
+
+
+_copies: dict[str, CheckedFiles] = {}
+"""The object that this process received last: the tasks of one run share what it has found."""
+
+
+def _received(origin: str, store: Path, known: dict[str, _Identity]) -> CheckedFiles:
+    """Return this process's copy of an object of another process."""
+    copy = _copies.get(origin)
+    if copy is None:
+        copy = CheckedFiles(store)
+        copy._origin = origin
+        _copies.clear()
+        _copies[origin] = copy
+    copy._known.update(known)
+    return copy
+
+
+def _sha256_of(file: Path) -> tuple[str, os.stat_result]:
+    with open(file, "rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest(), os.fstat(content.fileno())
+
+
+def _damaged_part(store: Path, file: Path) -> StoreError:
+    return StoreError(
+        f"{file}: the part is damaged: its content does not fit its checksum; "
+        f"`kinedex repair {shlex.quote(str(store))}` reports what is lost and makes it again where it can"
+    )
