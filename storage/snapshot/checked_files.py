@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shlex
 import uuid
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +13,7 @@ from typing import NamedTuple
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.parts import part_file, read_errors
 
@@ -62,10 +62,12 @@ class CheckedFiles:
         """
         file = part_file(self.store, part.path)
         # parts of format 3 have no XXH3
-        xxh3 = getattr(part, "xxh3", "")
-        recorded, compute = (xxh3, xxh3_of) if xxh3 else (part.sha256, _sha256_of)
+        recorded, compute = (part.xxh3, xxh3_of) if part.xxh3 else (part.sha256, _sha256_of)
         with read_errors(file):
-            self.check(file, recorded, lambda: _damaged_part(self.store, file), compute)
+            if not self.is_sound(file, recorded, compute):
+                raise StoreError(
+                    f"{file}: the part is damaged: its content does not fit its checksum", remedy=repair(self.store)
+                )
         return file
 
     def parts(self, parts: Iterable[Part | ResultPart]) -> list[Path]:
@@ -79,14 +81,10 @@ class CheckedFiles:
         finally:
             pool.shutdown(cancel_futures=True)
 
-    def check(
-        self,
-        file: Path,
-        recorded: str,
-        damaged: Callable[[], StoreError],
-        compute: Callable[[Path], tuple[str, os.stat_result]] = xxh3_of,
-    ) -> None:
-        """Check the checksum of a file, unless that was done before.
+    def is_sound(
+        self, file: Path, recorded: str, compute: Callable[[Path], tuple[str, os.stat_result]] = xxh3_of
+    ) -> bool:
+        """Return whether a file has a checksum; it is not computed again for a file that had it before.
 
         Parameters
         ----------
@@ -94,29 +92,25 @@ class CheckedFiles:
             A file of the store.
         recorded : str
             The checksum that it must have.
-        damaged : callable
-            Returns the error for another checksum.
         compute : callable, optional
             Returns the checksum of a file, and its status when it was opened.
 
         Raises
         ------
-        StoreError
-            The error of `damaged`.
         OSError
             The file cannot be read.
         """
         name = str(file)
         if self._known.get(name) == _identity(os.stat(file)):
-            return
+            return True
         # of several threads that need a file, one computes and the others wait
         with self._busy.setdefault(name, Lock()):
             if self._known.get(name) == _identity(os.stat(file)):
-                return
+                return True
             found, status = compute(file)
-            if found != recorded:
-                raise damaged()
-            self._known[name] = _identity(status)
+            if found == recorded:
+                self._known[name] = _identity(status)
+            return found == recorded
 
     def __reduce__(self) -> tuple[Callable[..., CheckedFiles], tuple[object, ...]]:
         return _received, (self._origin, self.store, dict(self._known))
@@ -141,10 +135,3 @@ def _received(origin: str, store: Path, known: dict[str, _Identity]) -> CheckedF
 def _sha256_of(file: Path) -> tuple[str, os.stat_result]:
     with open(file, "rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest(), os.fstat(content.fileno())
-
-
-def _damaged_part(store: Path, file: Path) -> StoreError:
-    return StoreError(
-        f"{file}: the part is damaged: its content does not fit its checksum; "
-        f"`kinedex repair {shlex.quote(str(store))}` reports what is lost and makes it again where it can"
-    )
