@@ -21,6 +21,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS
 
 FOLDER = "manifest"
@@ -344,22 +345,34 @@ def _content(path: Path) -> dict[str, Any]:
         raise _damaged(path, f"it is not valid JSON ({fault})") from None
     if not isinstance(content, dict):
         raise _damaged(path, "it is not a JSON object")
-    if content.get("format_version") not in READ_VERSIONS:
+    checksum = content.pop("checksum", None)
+    sound = checksum == _checksum(content)
+    if sound and content.get("format_version") not in READ_VERSIONS:
         raise StoreError(
             f"{path}: the store has format version {content.get('format_version')}, this kinedex reads versions "
             f"{' and '.join(map(str, READ_VERSIONS))}; use the kinedex that wrote it, or ingest into a new store"
         )
-    checksum = content.pop("checksum", None)
-    if checksum != _checksum(content):
+    if not sound:
         raise _damaged(path, "its content does not fit its checksum")
     return content
 
 
-def _damaged(path: Path, reason: str) -> StoreError:
-    return StoreError(
-        f"{path}: the manifest is damaged: {reason}; bring the file back from a copy, "
-        "or move it away to fall back to the version before"
-    )
+class DamagedManifest(StoreError):
+    """The manifest of a version is damaged.
+
+    Attributes
+    ----------
+    problem : str
+        The damage.
+    """
+
+    problem = ""
+
+
+def _damaged(path: Path, problem: str) -> DamagedManifest:
+    fault = DamagedManifest(f"{path}: the manifest is damaged: {problem}", remedy=repair(path.parents[1]))
+    fault.problem = problem
+    return fault
 
 
 def _checksum(content: dict[str, Any]) -> str:

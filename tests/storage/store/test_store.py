@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 from pathlib import Path
 
@@ -153,6 +155,11 @@ def test_no_store_and_other_directories_are_told_apart(tmp_path: Path) -> None:
 def test_a_store_of_another_format_is_refused(path: Path) -> None:
     newest = manifest_path(path, 2)
     newest.write_text(newest.read_text().replace(f'"format_version": {FORMAT_VERSION}', '"format_version": 7'))
+    with pytest.raises(StoreError, match="the manifest is damaged"):
+        open_store(path)
+    content = {name: value for name, value in json.loads(newest.read_text()).items() if name != "checksum"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    newest.write_text(json.dumps(content | {"checksum": hashlib.sha256(text.encode()).hexdigest()}))
     with pytest.raises(StoreError, match="format version 7, this kinedex reads versions 3 and 4"):
         open_store(path)
 
