@@ -19,7 +19,7 @@ author = "the kinedex authors"
 project_copyright = "the kinedex authors, Apache-2.0"
 release = version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 root_doc = "README"
-exclude_patterns = ["conf.py"]
+exclude_patterns = ["conf.py", "generators"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
 myst_heading_anchors = 4

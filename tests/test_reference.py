@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from docs.generators.reference import PARTS, reference
 from kinedex.catalog.configs import KINDS, config_names
-from kinedex.pipelines.commands.reference import PARTS, reference
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")
 
 
 def test_the_reference_is_up_to_date() -> None:
-    assert reference() == PAGE, "python -m kinedex.pipelines.commands.reference"
+    assert reference() == PAGE, "python -m docs.generators.reference"
 
 
 @pytest.mark.parametrize("stage", BUILT_IN)

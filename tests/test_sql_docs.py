@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from docs.generators.sql_reference import renewed
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
-from kinedex.catalog.sql.reference import renewed
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
@@ -49,7 +49,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def test_the_reference_is_up_to_date() -> None:
-    assert renewed(PAGE) == PAGE, "python -m kinedex.catalog.sql.reference"
+    assert renewed(PAGE) == PAGE, "python -m docs.generators.sql_reference"
 
 
 def test_the_page_has_every_view_and_macro_once() -> None:

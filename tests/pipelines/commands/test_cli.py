@@ -18,8 +18,8 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
+from docs.generators.json_documents import DOCUMENTS
 from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.commands.json_documents import DOCUMENTS
 from tests.pipelines.archives import write_archive
 
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]

@@ -1,4 +1,4 @@
-"""The page docs/reference.md, generated from the code (`python -m kinedex.pipelines.commands.reference`)."""
+"""The page docs/reference.md, generated from the code (`python -m docs.generators.reference`)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from typer.core import TyperArgument
 
+from docs.generators.json_documents import DOCUMENTS
+from docs.generators.markdown_tables import table
 from kinedex.catalog.configs import KINDS, config_names, config_path, load_yaml
 from kinedex.pipelines.commands.app import COMMON_OPTIONS, PANELS
 from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.commands.json_documents import DOCUMENTS
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 from kinedex.pipelines.evaluation.scheme import Method, Split
@@ -28,7 +29,7 @@ from kinedex.pipelines.templates.recipes import Combination
 INTRODUCTION = """\
 # Reference
 
-Generated from the code by `python -m kinedex.pipelines.commands.reference`; a test compares it with the code. Do not
+Generated from the code by `python -m docs.generators.reference`; a test compares it with the code. Do not
 edit it.
 
 Views and macros of SQL are in [sql.md](sql.md), formats of motion files in [formats.md](formats.md), label files in
@@ -118,7 +119,7 @@ def _common() -> str:
     root: Any = typer.main.get_command(app)
     options = [one for one in root.commands["takes"].params if one.name in COMMON_OPTIONS]
     rows = [(_option(one), one.help) for one in options]
-    return f"{app.info.epilog}\n\nEvery command has these options:\n\n{_table(('option', 'what it does'), rows)}"
+    return f"{app.info.epilog}\n\nEvery command has these options:\n\n{table(('option', 'what it does'), rows)}"
 
 
 def _documents() -> list[str]:
@@ -130,7 +131,7 @@ def _documents() -> list[str]:
     )
     return [introduction] + [
         f"### kinedex {command} --json\n\n"
-        + _table(("key", "value"), [(f"`{key}`", meaning) for key, meaning in keys.items()])
+        + table(("key", "value"), [(f"`{key}`", meaning) for key, meaning in keys.items()])
         for command, keys in DOCUMENTS.items()
     ]
 
@@ -155,7 +156,7 @@ def _command(one: Any, name: str) -> list[str]:
     rows = [(f"`{_usage(each).strip('[]')}`", _shown(each), each.help or "") for each in arguments]
     rows += [(_option(each), _shown(each), each.help or "") for each in options]
     text = " ".join((one.help or "").split())
-    return [f"### {usage}\n\n{text}\n\n{_table(('argument or option', 'default', 'what it is'), rows)}"]
+    return [f"### {usage}\n\n{text}\n\n{table(('argument or option', 'default', 'what it is'), rows)}"]
 
 
 def _usage(argument: Any) -> str:
@@ -200,7 +201,7 @@ def _fields(model: type[BaseModel]) -> str:
     header = ("key", "type", "default", "what it is")
     if not rows:
         return "It has no parameters.\n"
-    return _table(header, rows) if described else _table(header[:3], [row[:3] for row in rows])
+    return table(header, rows) if described else table(header[:3], [row[:3] for row in rows])
 
 
 def _default(field: FieldInfo) -> str:
@@ -274,9 +275,9 @@ def _pipeline(name: str) -> str:
         )
         for key, value in settings.items()
     ]
-    table = _table(("setting", "default", "what it is"), rows) if rows else "It has no settings.\n"
+    settings_table = table(("setting", "default", "what it is"), rows) if rows else "It has no settings.\n"
     file = f"[`{name}.yaml`](../configs/pipelines/{name}.yaml)"
-    return f"### {name}\n\n{body['description']} ({file})\n\nStages: {stages}.\n\n{table}"
+    return f"### {name}\n\n{body['description']} ({file})\n\nStages: {stages}.\n\n{settings_table}"
 
 
 def _comment(lines: Sequence[str], number: int | None) -> str:
@@ -294,11 +295,6 @@ def _kind(kind: str) -> str:
         parts.append(f"{title}\n\n{_fields(model)}")
     body = "\n".join(parts)
     return f"### configs/{kind}\n\n{WHERE[kind]} Shipped: {names}.\n\n{body}"
-
-
-def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [header, ("---",) * len(header), *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
-"""The reference part of docs/sql.md, made from the views and macros (`python -m kinedex.catalog.sql.reference`)."""
+"""The reference part of docs/sql.md, made from the views and macros (`python -m docs.generators.sql_reference`)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
+from docs.generators.markdown_tables import table
 from kinedex.catalog.sql.macros import Macro
 from kinedex.catalog.sql.views import MACROS, VIEWS, View
 
-BEGIN, END = "<!-- the reference begins: python -m kinedex.catalog.sql.reference -->", "<!-- the reference ends -->"
+BEGIN, END = "<!-- the reference begins: python -m docs.generators.sql_reference -->", "<!-- the reference ends -->"
 ORIGINS = {
     "index": "Views of the index",
     "parts": "Frames",
@@ -40,17 +40,12 @@ def _macro(macro: Macro) -> str:
         for name, default, meaning in macro.arguments
     ]
     kind = "Stands in FROM." if macro.table else "An expression."
-    return f"### {macro.signature}\n\n{macro.summary} {kind}\n\n{_table(('argument', 'meaning'), rows)}\n{_sql(macro)}"
+    return f"### {macro.signature}\n\n{macro.summary} {kind}\n\n{table(('argument', 'meaning'), rows)}\n{_sql(macro)}"
 
 
 def _view(view: View) -> str:
     rows = [(f"`{column.name}`", column.type, column.meaning) for column in view.columns]
-    return f"### {view.name}\n\n{view.summary}\n\n{_table(('column', 'type', 'meaning'), rows)}\n{_sql(view)}"
-
-
-def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [header, ("---",) * len(header), *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+    return f"### {view.name}\n\n{view.summary}\n\n{table(('column', 'type', 'meaning'), rows)}\n{_sql(view)}"
 
 
 def _sql(entry: View | Macro) -> str:
