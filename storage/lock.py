@@ -8,7 +8,9 @@ import socket
 import sys
 import time
 import weakref
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +21,34 @@ from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import write_errors
 
 _POLL_SECONDS = 0.1
+
+_NAMED_SECONDS = 0.5
+"""The holder of a lock has written its name so long after it has got the lock, unless the disk is full."""
+
+REPORT_SECONDS = 30.0
+"""A process that waits reports so often for whom."""
+
+
+@dataclass(frozen=True)
+class Wait:
+    """The time that a writer waits while another one is at work.
+
+    Attributes
+    ----------
+    seconds : float
+        The longest time to wait; 0 fails at once.
+    report : callable, optional
+        Shows a line of text: for whom the writer waits, at once and then every `REPORT_SECONDS`.
+    option : str, optional
+        The option or argument that makes the user's command wait longer, for the message of one that did not.
+    """
+
+    seconds: float = 0.0
+    report: Callable[[str], object] | None = None
+    option: str = ""
+
+
+NO_WAIT = Wait()
 
 
 class Lock:
@@ -33,8 +63,8 @@ class Lock:
         The lock's file; it is made where it is missing, and never removed.
     purpose : str
         The work that must wait while another process holds the lock, for the message.
-    wait_seconds : float, optional
-        Time to wait for that process to finish.
+    wait : Wait, optional
+        The time to wait for that process to finish.
 
     Raises
     ------
@@ -42,25 +72,42 @@ class Lock:
         Another process holds the lock (the message names it), or the file system has no locks.
     """
 
-    def __init__(self, path: Path, purpose: str, wait_seconds: float = 0.0) -> None:
+    def __init__(self, path: Path, purpose: str, wait: Wait = NO_WAIT) -> None:
         self.path = path
         with write_errors(path):
             self._file = open(path, "a+b", buffering=0)  # noqa: SIM115 (held beyond this function)
-        deadline = time.monotonic() + wait_seconds
-        while not self._try_lock():
-            if time.monotonic() >= deadline:
-                holder = self._holder()
-                self._file.close()
-                raise StoreError(f"{path.parent} is being written by {holder}; {purpose} must wait")
-            time.sleep(_POLL_SECONDS)
+        try:
+            if not self._try_lock():
+                self._wait(purpose, wait)
+        except BaseException:
+            self._file.close()
+            raise
         self._write_holder()
         _held.add(self)
+
+    def _wait(self, purpose: str, wait: Wait) -> None:
+        """Try again until the lock is free or the time is over."""
+        began = time.monotonic()
+        reports = 0
+        while not self._try_lock():
+            waited = time.monotonic() - began
+            if waited >= wait.seconds:
+                advice = f" (`{wait.option}` waits for it)" if wait.option else ""
+                raise StoreError(
+                    f"{self.path.parent} is being written by {self._holder()}; {purpose} must wait{advice}"
+                )
+            if wait.report is not None and waited >= reports * REPORT_SECONDS:
+                reports += 1
+                wait.report(
+                    f"waiting for {self._holder()}, which writes {self.path.parent}: {waited:.0f} s of at most "
+                    f"{wait.seconds:.0f} s"
+                )
+            time.sleep(min(_POLL_SECONDS, wait.seconds))
 
     def _try_lock(self) -> bool:
         try:
             return lock_descriptor(self._file.fileno(), blocking=False)
         except OSError as fault:
-            self._file.close()
             raise StoreError(f"{self.path}: this file system does not lock files ({fault.strerror})") from None
 
     def _write_holder(self) -> None:
@@ -76,14 +123,23 @@ class Lock:
             self._file.write(json.dumps(holder).encode())
 
     def _holder(self) -> str:
-        """Describe the process that holds the lock."""
+        """Describe the process that holds the lock; one that has just got it is about to write its name."""
+        deadline = time.monotonic() + _NAMED_SECONDS
+        while (name := self._read_holder()) is None and time.monotonic() < deadline:
+            time.sleep(_POLL_SECONDS / 10)
+        return name or "another process"
+
+    def _read_holder(self) -> str | None:
+        """Return the process that the file names; None where it names none, or one that has ended."""
         try:
             # Windows lets nobody else read the locked byte, which is the first one: the brace of the JSON object
             self._file.seek(1)
             found = json.loads(b"{" + (self._file.read(4096) or b""))
+            if found["host"] == socket.gethostname() and not _runs(int(found["pid"])):
+                return None
             return f"process {found['pid']} on {found['host']} (since {found['started']}, command: {found['command']})"
         except (OSError, ValueError, KeyError, TypeError):
-            return "another process"
+            return None
 
     def release(self) -> None:
         """Let the next writer in; a second call does nothing."""
@@ -100,6 +156,19 @@ class Lock:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
+
+
+def _runs(pid: int) -> bool:
+    """Return whether a process of this host runs; True where the system does not tell."""
+    if os.name == "nt":
+        return True  # a signal would end it
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        pass
+    return True
 
 
 _held: weakref.WeakSet[Lock] = weakref.WeakSet()

@@ -27,6 +27,7 @@ def run_pipeline(
     workers: int | None = None,
     scheduler: str | None = None,
     force: Iterable[str] = (),
+    wait_seconds: float = 0.0,
     verbose: bool = False,
 ) -> Outcome:
     """Run what is not done yet of a pipeline.
@@ -49,6 +50,8 @@ def run_pipeline(
         The address of a Dask scheduler.
     force : iterable of str, optional
         Stages that run in any case.
+    wait_seconds : float, optional
+        The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
         True prints what the stages report.
 
@@ -80,6 +83,7 @@ def run_pipeline(
             workers=workers,
             scheduler=scheduler,
             force=force,
+            wait_seconds=wait_seconds,
             terminal=terminal,
         )
     except KinedexError as fault:
@@ -100,6 +104,7 @@ def ingest(
     settings: Mapping[str, Any] | None = None,
     executor: Executor = "serial",
     workers: int | None = None,
+    wait_seconds: float = 0.0,
     verbose: bool = False,
 ) -> Outcome:
     r"""Bring the motion files of a folder into a store, and index them.
@@ -128,6 +133,8 @@ def ingest(
         The way the work is spread, as for `run_pipeline`.
     workers : int, optional
         The number of worker processes; that of the cores unless given.
+    wait_seconds : float, optional
+        The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
         True prints what the stages report.
 
@@ -153,7 +160,9 @@ def ingest(
     optional = {"skeleton": mapping, "patterns": patterns, "override_rate_hz": rate}
     given |= {name: value for name, value in optional.items() if value is not None}
     given |= {name: True for name, wanted in (("prune", prune), ("strict", strict)) if wanted}
-    return run_pipeline("ingest", store, given, executor=executor, workers=workers, verbose=verbose)
+    return run_pipeline(
+        "ingest", store, given, executor=executor, workers=workers, wait_seconds=wait_seconds, verbose=verbose
+    )
 
 
 def _plain(value: Any) -> Any:

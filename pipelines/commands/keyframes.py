@@ -17,6 +17,7 @@ from kinedex.pipelines.commands.options import (
     SchedulerOption,
     SetOption,
     StorePath,
+    WaitOption,
     WorkersOption,
     assignments_of,
 )
@@ -49,6 +50,7 @@ def learn(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
+    wait: WaitOption = None,
 ) -> None:
     """Learn a keyframe query for each class; an interruption loses at most 20 seconds of finished runs."""
     from kinedex.pipelines.engine.runner import run_pipeline
@@ -57,7 +59,7 @@ def learn(
     open_store(store)
     outcome = run_pipeline(
         pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
-        force=frozenset(force or ()),
+        force=frozenset(force or ()), wait_seconds=wait or 0.0,
     )  # fmt: skip
     show_outcome(outcome, store)
 

@@ -10,7 +10,7 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import FAILED, MAINTAIN, command
-from kinedex.pipelines.commands.options import JsonOption, RateOption, StorePath
+from kinedex.pipelines.commands.options import JsonOption, RateOption, StorePath, WaitOption, wait_of
 from kinedex.pipelines.commands.output import print_json
 
 
@@ -88,12 +88,13 @@ def gc(
     store: StorePath,
     keep: Annotated[int, typer.Option(min=1, help="Number of the newest versions that stay readable.")] = 2,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List what would be removed, and remove nothing.")] = False,
+    wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Remove old versions of a store."""
     from kinedex.storage.store.garbage_collection import collect, summary
 
-    found = collect(store, keep=keep, dry_run=dry_run)
+    found = collect(store, keep=keep, dry_run=dry_run, wait=wait_of(wait))
     if as_json:
         rows = [{"path": one.path, "bytes": one.bytes, "kind": one.kind} for one in found]
         print_json({"store": store, "dry_run": dry_run, "removed": rows})

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.commands.output import print_message
+
+if TYPE_CHECKING:
+    from kinedex.storage.lock import Wait
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Directory of the store.")]
 StoreOption = Annotated[
@@ -49,6 +54,38 @@ OutputOption = Annotated[
     Path | None,
     typer.Option(
         "--output", "-o", help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given."
+    ),
+]
+
+
+def seconds_of(text: str | float) -> float:
+    """Return the seconds of a duration such as 30s, 10m, 2h or 30d.
+
+    Raises
+    ------
+    BadParameter
+        The text is no duration.
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd])", str(text).strip())
+    if match is None:
+        raise typer.BadParameter(f"'{text}' is no duration; expected a number and its unit: 30s, 10m, 2h, 30d")
+    return float(match[1]) * {"s": 1, "m": 60, "h": 3600, "d": 86400}[match[2]]
+
+
+def wait_of(seconds: float | None) -> Wait:
+    """Return the patience that `--wait` asks for; while it lasts, messages report for whom the command waits."""
+    from kinedex.storage.lock import Wait
+
+    return Wait(seconds or 0.0, print_message, "--wait 10m")
+
+
+WaitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--wait",
+        parser=seconds_of,
+        metavar="DURATION",
+        help="Wait so long (30s, 10m, 2h) for another writer; fail at once unless given.",
     ),
 ]
 JsonOption = Annotated[

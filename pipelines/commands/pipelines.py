@@ -18,6 +18,7 @@ from kinedex.pipelines.commands.options import (
     SetOption,
     StoreOption,
     StorePath,
+    WaitOption,
     WorkersOption,
     assignments_of,
 )
@@ -56,6 +57,7 @@ def run(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
+    wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the stages of a pipeline that are not up to date.
@@ -66,7 +68,7 @@ def run(
 
     outcome = run_pipeline(
         pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
-        force=frozenset(force or ()),
+        force=frozenset(force or ()), wait_seconds=wait or 0.0,
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 
@@ -127,6 +129,7 @@ def ingest(
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Read motion files into a store and index them.
@@ -143,8 +146,9 @@ def ingest(
     if rate is not None:
         assignments["ingest.override_rate_hz"] = str(rate)
     outcome = run_pipeline(
-        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler
-    )
+        "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
+        wait_seconds=wait or 0.0,
+    )  # fmt: skip
     show_outcome(outcome, store, as_json)
 
 

@@ -14,6 +14,7 @@ from rich.console import RenderableType
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.pipelines.engine.executors import Executor
+from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -106,6 +107,8 @@ class StageContext:
         A hash of the code that the stage runs, for stages that reuse earlier work; empty where it is not known.
     anew : bool
         All is to be done again, whatever was done before (`--force`).
+    wait : Wait
+        The time to wait for another writer.
     """
 
     store_path: Path
@@ -120,6 +123,7 @@ class StageContext:
     params: dict[str, BaseModel] = field(default_factory=dict)
     code: str = ""
     anew: bool = False
+    wait: Wait = NO_WAIT
 
     def params_of(self, role: str, kind: type[Parameters]) -> Parameters:
         """Return the parameters of the stage that plays a role."""
@@ -149,7 +153,7 @@ class StageContext:
 
     def writer(self) -> StoreWriter:
         """Return the store's writer, a context manager that holds its lock."""
-        return StoreWriter.open(self.store_path, self.feature_set)
+        return StoreWriter.open(self.store_path, self.feature_set, wait=self.wait)
 
     def put_results(self, **tables: pa.Table) -> None:
         """Store the results of the stage, one table for each kind, in one commit."""

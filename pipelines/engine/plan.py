@@ -7,12 +7,12 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.code_digest import code_digest, part_digest
 from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import STAGES, TAKES, Stage
-from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.manifest import StageRecord, versions
 from kinedex.storage.store.store import Store, open_store
 
 FORCED = "--force"
@@ -148,12 +148,7 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
 
 
 def _open(path: Path) -> Store | None:
-    try:
-        return open_store(path)
-    except StoreError:
-        if (path / "manifest").is_dir() and any((path / "manifest").glob("*.json")):
-            raise
-        return None
+    return open_store(path) if versions(path) else None
 
 
 def _reading(stage: PipelineStage, store: Store | None) -> Reading | None:

@@ -7,7 +7,7 @@ import secrets
 import shlex
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -21,10 +21,14 @@ from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
+from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.manifest import StageRecord, now, versions
 from kinedex.storage.store.store import data_frame, open_store
 
 _log = logging.getLogger("kinedex.engine")
+
+COMMIT_SECONDS = 600.0
+"""A run that has begun waits at least so long for another writer, rather than lose the work of a stage."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,8 @@ class StageFailed(KinedexError):
 class _Run:
     """The things that the stages of one run share.
 
-    `resume` is the command that continues after a failure; None for a caller in Python, who calls again.
+    `resume` is the command that continues after a failure; None for a caller in Python, who calls again. `wait` is the
+    time that the next stage waits for another writer.
     """
 
     pipeline: Pipeline
@@ -79,6 +84,11 @@ class _Run:
     pool: Executor
     terminal: Display
     resume: str | None
+    wait: Wait
+
+    def begun(self) -> _Run:
+        """Return the run with the patience of one that has work to lose."""
+        return replace(self, wait=replace(self.wait, seconds=max(self.wait.seconds, COMMIT_SECONDS)))
 
 
 def run_pipeline(
@@ -91,6 +101,7 @@ def run_pipeline(
     workers: int | None = None,
     scheduler: str | None = None,
     force: Iterable[str] = (),
+    wait_seconds: float = 0.0,
     terminal: Display | None = None,
 ) -> Outcome:
     """Run the stages of a pipeline that have not been done yet.
@@ -115,6 +126,9 @@ def run_pipeline(
         The address of a running Dask scheduler.
     force : iterable of str
         Stages that run in any case.
+    wait_seconds : float, optional
+        The time to wait for another writer of the store; 0 fails at once. A run that has begun waits at least
+        `COMMIT_SECONDS` between its stages and to commit.
     terminal : Display, optional
         Shows messages and progress; standard output by default.
 
@@ -141,10 +155,14 @@ def run_pipeline(
     resume = None
     if assignments is not None:
         resume = _resume(name_or_path, store_path, assignments, executor, workers, scheduler, force)
-    run = _Run(pipeline, store_path, pool, terminal, resume)
+    option = "wait_seconds=600" if resume is None else "--wait 10m"
+    run = _Run(pipeline, store_path, pool, terminal, resume, Wait(wait_seconds, terminal.say, option))
+    steps: list[Step] = []
     try:
         pool.check(store_path)
-        steps = [_take_step(run, planner, number) for number in range(len(pipeline.stages))]
+        for number in range(len(pipeline.stages)):
+            steps.append(_take_step(run, planner, number))
+            run = run if steps[-1].reason is None else run.begun()
     except BaseException:
         pool.abort()
         raise
@@ -198,6 +216,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
         params={other.name: other.params for other in run.pipeline.stages},
         code=step.parts["code"],
         anew=step.reason == FORCED,
+        wait=run.wait,
     )
     begin = time.perf_counter()
     try:
@@ -207,9 +226,10 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
             with context.writer() as writer:
                 writer.forget_stage(context.key())
                 writer.commit()
+            context = replace(context, wait=run.begun().wait)
         summary = stage.kind.run(context, stage.params)
         seconds = time.perf_counter() - begin
-        _record(context, planner.done(step), summary, seconds)
+        _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds)
     except KinedexError as fault:
         raise _failed(run, stage.name, str(fault), fault) from fault
     except OSError as fault:

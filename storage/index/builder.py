@@ -39,7 +39,7 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.index.shard_plan import SHARD_FRAMES, ShardPlan, plan_shards, shard_parts
 from kinedex.storage.index.slice_files import write_slices
-from kinedex.storage.lock import Lock
+from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.frames import read_words
 from kinedex.storage.snapshot.manifest import Part, now
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -58,7 +58,11 @@ Result = TypeVar("Result")
 
 
 def build_index(
-    store: Snapshot, threads: int | None = None, memory_mb: int | None = None, shard_frames: int = SHARD_FRAMES
+    store: Snapshot,
+    threads: int | None = None,
+    memory_mb: int | None = None,
+    shard_frames: int = SHARD_FRAMES,
+    wait: Wait = NO_WAIT,
 ) -> Path:
     """Build and publish the index of a store's live takes, unless it exists already; the newest `KEPT` stay.
 
@@ -74,6 +78,8 @@ def build_index(
         Most memory that DuckDB uses, in MB; DuckDB decides without it.
     shard_frames : int, optional
         Number of frames from which a shard is full.
+    wait : Wait, optional
+        The time to wait for another build to finish.
 
     Returns
     -------
@@ -89,7 +95,7 @@ def build_index(
     folder = store.path / "index"
     with write_errors(folder):
         folder.mkdir(exist_ok=True)
-    with Lock(folder / "lock", "this build"):
+    with Lock(folder / "lock", "this build", wait):
         standing = current_generation(store.path, store.manifest)
         if standing is not None and _stands(store, standing):
             return standing

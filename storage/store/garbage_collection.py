@@ -12,7 +12,7 @@ from pathlib import Path
 from kinedex.ops.errors import ParameterError
 from kinedex.storage.disk import write_errors
 from kinedex.storage.index.generations import BUILDING, GENERATION, INDEX_VERSION, read_generation
-from kinedex.storage.lock import Lock
+from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.manifest import (
     FOLDER,
     TEMPORARY,
@@ -47,7 +47,9 @@ class Garbage:
     kind: str
 
 
-def collect(store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = False) -> list[Garbage]:
+def collect(
+    store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = False, wait: Wait = NO_WAIT
+) -> list[Garbage]:
     """Remove all files that the newest versions of a store do not need; files of others are not touched.
 
     Versions go before their parts, so that the store is sound when the process is killed at any moment. Readers that
@@ -61,6 +63,8 @@ def collect(store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = Fal
         Number of the newest versions that stay, at least 1.
     dry_run : bool, optional
         Remove nothing; only return what would be removed.
+    wait : Wait, optional
+        The time to wait for a writer or an index build to finish.
 
     Returns
     -------
@@ -79,7 +83,10 @@ def collect(store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = Fal
     read_newest(root)
     with write_errors(root):
         (root / "index").mkdir(exist_ok=True)
-    with Lock(root / "lock", "garbage collection"), Lock(root / "index" / "lock", "garbage collection"):
+    with (
+        Lock(root / "lock", "garbage collection", wait),
+        Lock(root / "index" / "lock", "garbage collection", wait),
+    ):
         found = [*_old_versions(root, keep), *_parts(root, keep), *_unfinished(root), *_generations(root, keep)]
         if not dry_run:
             for garbage in found:

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import write_errors
-from kinedex.storage.lock import Lock
+from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import (
     Manifest,
@@ -65,7 +65,7 @@ class StoreWriter:
 
     @classmethod
     def open(
-        cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0, wait_seconds: float = 0.0
+        cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0, wait: Wait = NO_WAIT
     ) -> StoreWriter:
         """Lock a store for writing; make an empty one if there is none.
 
@@ -77,8 +77,8 @@ class StoreWriter:
             The feature set of its words, which must be that of an existing store.
         rate_hz : float, optional
             Analysis frames per second, which must be those of an existing store.
-        wait_seconds : float, optional
-            Time to wait for another writer to finish.
+        wait : Wait, optional
+            The time to wait for another writer to finish.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class StoreWriter:
         with write_errors(root):
             root.mkdir(parents=True, exist_ok=True)
         since = last_opened(root / "lock")
-        lock = Lock(root / "lock", "this one", wait_seconds)
+        lock = Lock(root / "lock", "this one", wait)
         try:
             manifest = read_newest(root) if versions(root) else None
             if manifest is not None:

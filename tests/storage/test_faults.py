@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.lock import Lock
+from kinedex.storage.lock import Lock, Wait
 from kinedex.storage.snapshot.manifest import (
     Manifest,
     _checksum,
@@ -138,11 +138,11 @@ def test_a_writer_may_wait_for_another_to_finish(tmp_path: Path) -> None:
     make_store(tmp_path, {"a": 5})
     first = StoreWriter.open(tmp_path, BODY)
     threading.Timer(0.3, first.close).start()
-    with StoreWriter.open(tmp_path, BODY, wait_seconds=20) as second:
+    with StoreWriter.open(tmp_path, BODY, wait=Wait(20)) as second:
         assert second.manifest.version == 2
         began = time.monotonic()
         with pytest.raises(StoreError, match="must wait"):
-            Lock(tmp_path / "lock", "this one", wait_seconds=0.2)
+            Lock(tmp_path / "lock", "this one", Wait(0.2))
         assert time.monotonic() - began >= 0.2
 
 
