@@ -17,7 +17,7 @@ from types import TracebackType
 
 from filelock import lock_descriptor, unlock_descriptor
 
-from kinedex.ops.errors import StoreError
+from kinedex.ops.errors import Remedy, StoreError
 from kinedex.storage.disk import write_errors
 
 _POLL_SECONDS = 0.1
@@ -92,9 +92,9 @@ class Lock:
         while not self._try_lock():
             waited = time.monotonic() - began
             if waited >= wait.seconds:
-                advice = f" (`{wait.option}` waits for it)" if wait.option else ""
                 raise StoreError(
-                    f"{self.path.parent} is being written by {self._holder()}; {purpose} must wait{advice}"
+                    f"{self.path.parent} is being written by {self._holder()}; {purpose} must wait",
+                    remedy=Remedy(f"`{wait.option}` waits for it") if wait.option else None,
                 )
             if wait.report is not None and waited >= reports * REPORT_SECONDS:
                 reports += 1
