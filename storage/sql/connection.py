@@ -12,13 +12,21 @@ import pyarrow as pa
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 from kinedex.storage import duck
-from kinedex.storage.index.generations import BUILD, FILE, current_generation, missing_index
+from kinedex.storage.index.generations import (
+    BUILD,
+    FILE,
+    current_generation,
+    file_digest,
+    missing_index,
+    read_generation,
+)
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.sql.queries import Unreadable, interruptible_query
 from kinedex.storage.sql.read_only import UnknownName
+from kinedex.storage.sql.read_parts import check_parts, parts_of
 
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """The names of all views and macros."""
@@ -32,7 +40,7 @@ INDEXED = frozenset(
 
 
 def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
-    """Open a connection with all views and macros of a store.
+    """Open a connection with all views and macros of a store, once all of its parts are found to be sound.
 
     The index is attached read-only. Frames and results are read from the parts of this version, wherever the store is.
     Where the index is missing or stale, a query over the views `INDEXED` or the macros over them fails with the
@@ -52,6 +60,7 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
     StoreError
         The index or a part cannot be read; the message names the file and the way out.
     """
+    store.checked.parts(store.manifest.parts)
     connection = duck.connect(threads, memory_mb)
     try:
         indexed = _attach_index(connection, store)
@@ -138,11 +147,9 @@ def _define(connection: duck.Connection, store: Snapshot, indexed: bool, *, comp
             _without_index(connection, store)
         _view(connection, "help", duck.literal_rows(help_table()))
         frames = frames_schema(store.feature_set, store.rate_hz)
-        files = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
-        _view(connection, "frames", duck.parquet_rows(frames, files))
+        _parts_view(connection, store, "frames", frames)
         for kind in RESULT_KINDS:
-            parts = [(part_file(store.path, part.path), ()) for part in store.manifest.results.get(kind, ())]
-            _view(connection, kind, duck.parquet_rows(result_schema(kind), parts))
+            _parts_view(connection, store, kind, result_schema(kind))
         for view in VIEWS:
             if view.origin == "derived":
                 _view(connection, view.name, view.body)
@@ -151,6 +158,7 @@ def _define(connection: duck.Connection, store: Snapshot, indexed: bool, *, comp
             if indexed or complete or not _reads_index(macro):
                 connection.execute(macro.sql(temporary=True))
     except duck.Error as fault:
+        store.checked.parts(store.manifest.parts)
         raise StoreError(f"{store.path}: SQL over this store does not work: {duck.first_line(fault)}") from None
 
 
@@ -204,15 +212,25 @@ def run_query(
     KinedexError
         The query is refused or fails; the message names what is missing or damaged in the store.
     """
+    check_parts(store, connection, text)
     try:
         return interruptible_query(connection, text, parameters, _MACROS, files=files)
     except UnknownName as fault:
         raise _explain_unknown(store, fault) from None
     except Unreadable as fault:
+        _report_damaged_index(store, str(fault))
         raise KinedexError(
             f"{fault}\n  if this is a file of the store: `kinedex verify` lists the damaged ones; "
             f"an index is built again: {BUILD}"
         ) from None
+
+
+def _report_damaged_index(store: Snapshot, reason: str) -> None:
+    """Raise a StoreError that names the file of the index if it is damaged; DuckDB checks every block that it reads."""
+    generation = current_generation(store.path, store.manifest)
+    record = None if generation is None else read_generation(generation)
+    if generation is not None and record is not None and file_digest(generation / FILE) != record.sha256:
+        raise StoreError(f"{generation / FILE}: the index is damaged: {reason.splitlines()[0]}; {BUILD}")
 
 
 def _explain_unknown(store: Snapshot, fault: UnknownName) -> KinedexError:
@@ -235,15 +253,15 @@ def _reads_index(macro: Macro) -> bool:
 
 
 def _without_index(connection: duck.Connection, store: Snapshot) -> None:
-    takes = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.takes]
-    _view(connection, "takes", duck.parquet_rows(takes_schema(), takes))
+    _parts_view(connection, store, "takes", takes_schema())
     _view(connection, "features", duck.literal_rows(features_table(store.feature_set)))
 
 
+def _parts_view(connection: duck.Connection, store: Snapshot, name: str, schema: pa.Schema) -> None:
+    """Make a view over Parquet parts; DuckDB reads the columns of the first one, but no rows."""
+    files = [(part_file(store.path, part.path), getattr(part, "dropped", ())) for part in parts_of(store, name)]
+    _view(connection, name, duck.parquet_rows(schema, files))
+
+
 def _view(connection: duck.Connection, name: str, query: str) -> None:
-    try:
-        connection.execute(f"CREATE TEMP VIEW {name} AS {query}")
-    except duck.Error as fault:
-        raise StoreError(
-            f"the parts of {name} cannot be read: {duck.first_line(fault)}; see `kinedex verify`"
-        ) from None
+    connection.execute(f"CREATE TEMP VIEW {name} AS {query}")

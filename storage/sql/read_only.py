@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import duckdb
 
@@ -125,7 +125,60 @@ def checked(
     return text
 
 
+class Names(NamedTuple):
+    """The names in a statement, in lower case.
+
+    Attributes
+    ----------
+    tables : frozenset of str
+        The tables and views that it reads; `"pragma"` for a PRAGMA.
+    functions : frozenset of str
+        The functions and macros that it calls.
+    own : frozenset of str
+        The names that it defines itself with WITH.
+    """
+
+    tables: frozenset[str]
+    functions: frozenset[str]
+    own: frozenset[str]
+
+
+def names_in(connection: duckdb.DuckDBPyConnection, text: str) -> Names:
+    """Return the names in a statement that `checked` allows.
+
+    Raises
+    ------
+    KinedexError
+        The statement has no tree, so that `checked` refuses it as well.
+    """
+    if explained := _EXPLAIN.fullmatch(text):
+        return names_in(connection, explained["query"])
+    if _PRAGMA.fullmatch(text):
+        return Names(frozenset(("pragma",)), frozenset(), frozenset())
+    if pivot := _PIVOT.fullmatch(text):
+        return Names(frozenset((pivot["source"].strip('"').lower(),)), frozenset(), frozenset())
+    nodes = list(_nodes(_tree(connection, text)))
+    tables, functions = (
+        frozenset(str(node[key]).lower() for node in nodes if key in node) for key in ("table_name", "function_name")
+    )
+    return Names(tables, functions, frozenset(str(node["key"]).lower() for node in nodes if "key" in node))
+
+
+_last_tree: tuple[str, Any] = ("", None)
+"""The text whose tree was asked for last, and its tree: the check and the search for names need the same."""
+
+
 def _tree(connection: duckdb.DuckDBPyConnection, text: str) -> Any:
+    """Return the parsed tree of a text, which nobody may change."""
+    global _last_tree
+    last_text, tree = _last_tree
+    if tree is None or last_text != text:
+        tree = _parsed(connection, text)
+        _last_tree = text, tree
+    return tree
+
+
+def _parsed(connection: duckdb.DuckDBPyConnection, text: str) -> Any:
     try:
         serialised = "SELECT json_serialize_sql(?, skip_null := true, skip_empty := true)"
         rows = connection.execute(serialised, [text]).fetchall()

@@ -128,6 +128,9 @@ class Store(Snapshot):
         The index is attached read-only, and nothing done to the views or to tables made here reaches the store. It is
         a whole DuckDB connection, though: COPY and ATTACH write wherever the user may. `sql` runs only what reads.
 
+        The checksums of all parts of the store are checked here, at once, because nobody sees what the connection will
+        read; `sql` checks only the parts that a query reads.
+
         Parameters
         ----------
         threads : int, optional

@@ -303,7 +303,7 @@ def test_a_broken_part_is_named(tmp_path: Path) -> None:
     store = open_store(make_store(tmp_path, {"a": 9}))
     part = tmp_path / store.manifest.frames[0].path
     part.write_bytes(part.read_bytes()[:-9])
-    with pytest.raises(KinedexError, match=f"parts of frames cannot be read: .*{part.name}.* see `kinedex verify`"):
+    with pytest.raises(StoreError, match=f"{part.name}: the part is damaged.* `kinedex repair"):
         store.sql("FROM takes")
 
 

@@ -1,0 +1,88 @@
+"""The parts that a query reads: those behind the views and macros that its parsed tree names, checked before it runs.
+
+DuckDB does not check the content of Parquet files. The parts of other views stay unread and unchecked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+
+from kinedex.catalog.sql.views import MACROS, VIEWS
+from kinedex.ops.errors import KinedexError
+from kinedex.storage import duck
+from kinedex.storage.snapshot.manifest import Part, ResultPart
+from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.sql.read_only import Names, names_in
+
+_BODIES = {view.name: view.body for view in VIEWS if view.body} | {
+    macro.name: macro.body if macro.table else f"SELECT {macro.body}" for macro in MACROS
+}
+_VIEWS = frozenset(view.name for view in VIEWS)
+
+_read_by: dict[str, frozenset[str]] = {}
+"""Views and macros → the names in their bodies, as far as they were needed before."""
+
+
+def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> None:
+    """Check the parts that a statement reads, unless they were checked before.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The store of the connection.
+    connection : Connection
+        The connection whose parser is asked; nothing of the text is run on it.
+    text : str
+        A statement that `storage.sql.read_only.checked` allows; another one is ignored here.
+
+    Raises
+    ------
+    StoreError
+        A part is missing or damaged; the message names its file.
+    """
+    try:
+        names = names_in(connection, text)
+    except KinedexError:
+        return  # `checked` reports why this statement is refused
+    views = _VIEWS & set(_reached(connection, names.tables | names.functions))
+    parts = [part for view in sorted(views) for part in parts_of(store, view)]
+    if _reads_catalogue(names):
+        parts += [part for view in sorted(_VIEWS) for part in _described_by(parts_of(store, view))]
+    store.checked.parts(parts)
+
+
+def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:
+    """Return the parts that a view reads by itself; none for views of the index and for derived views."""
+    manifest = store.manifest
+    if view in RESULT_KINDS:
+        return manifest.results.get(view, ())
+    return {"frames": manifest.frames, "takes": manifest.takes}.get(view, ())
+
+
+def _reached(connection: duck.Connection, names: Iterable[str]) -> Iterator[str]:
+    """Yield names and, of views and macros among them, the names that their bodies read."""
+    waiting, seen = list(names), set()
+    while waiting:
+        name = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        yield name
+        if name in _BODIES:
+            if name not in _read_by:
+                found = names_in(connection, _BODIES[name])
+                _read_by[name] = found.tables | found.functions
+            waiting.extend(_read_by[name])
+
+
+def _reads_catalogue(names: Names) -> bool:
+    """Return whether a statement may show the columns of any view."""
+    others = (name for name in names.tables - names.own - _VIEWS if re.fullmatch(r"\w+", name))
+    return any(others) or any(name.startswith(("duckdb_", "pragma_")) for name in names.functions)
+
+
+def _described_by(parts: Iterable[Part | ResultPart]) -> Iterator[Part | ResultPart]:
+    """Yield the parts from which DuckDB takes the columns of a view: the first one of each of its scans."""
+    return iter({bool(part.dropped_rows): part for part in reversed(list(parts))}.values())

@@ -1,0 +1,72 @@
+"""A query is answered only from parts whose checksums are right, and asks for no others."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from kinedex.catalog.sql.views import MACROS, VIEWS
+from kinedex.ops.errors import StoreError
+from kinedex.storage import duck
+from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.sql.read_parts import _reached
+from kinedex.storage.store.store import Store, open_store
+from tests.storage.flipped import flip_bit
+from tests.storage.made_up import make_store
+
+
+@pytest.fixture
+def damaged(tmp_path: Path) -> Store:
+    """A store with a flipped bit amid its frames, which nothing but the checksum shows."""
+    store = open_store(make_store(tmp_path / "store", {"a": 60, "b": 50}))
+    part = store.path / store.manifest.frames[0].path
+    flip_bit(part, part.stat().st_size // 3)
+    return store
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "FROM frames",
+        "SELECT count(*) FROM FRAMES",
+        'SELECT word FROM "frames" LIMIT 1',
+        "WITH frames AS (SELECT 1), a AS (SELECT * FROM temp.frames) FROM a",
+        "SELECT (SELECT max(rwrist.y) FROM frames) FROM takes",
+        "SELECT name FROM takes WHERE take_id IN (SELECT take_id FROM frames)",
+        "SUMMARIZE frames",
+        "DESCRIBE frames",
+        "SHOW frames",
+        "SHOW ALL TABLES",
+        "FROM duckdb_columns()",
+        "FROM information_schema.columns",
+        "PRAGMA table_info('frames')",
+        "EXPLAIN FROM frames",
+        "EXPLAIN ANALYZE FROM frames",
+        "PIVOT frames ON take_id USING count(*)",
+        "PIVOT frames ON take_id IN (1) USING count(*)",
+    ],
+)
+def test_no_query_reads_a_damaged_part(damaged: Store, query: str) -> None:
+    with pytest.raises(StoreError, match=r"frames/part-\w+\.parquet: the part is damaged"):
+        damaged.sql(query)
+
+
+@pytest.mark.parametrize("query", ["FROM takes", "SELECT frames FROM takes", "FROM annotations", "FROM help"])
+def test_a_query_over_other_views_is_answered(damaged: Store, query: str) -> None:
+    assert damaged.sql(query) is not None
+
+
+def test_a_raw_connection_is_only_opened_over_sound_parts(damaged: Store) -> None:
+    with pytest.raises(StoreError, match="the part is damaged"):
+        damaged.connect()
+
+
+def test_views_and_macros_lead_to_every_view_in_their_bodies() -> None:
+    """Names in the bodies that stand behind FROM or JOIN are those of the parsed tree."""
+    with duck.connect() as connection:
+        for name, body in [(view.name, view.body) for view in VIEWS] + [(macro.name, macro.body) for macro in MACROS]:
+            words = body.replace("(", " ").replace(")", " ").replace(",", " ").split()
+            named = {after for before, after in pairwise(words) if before in ("FROM", "JOIN")}
+            assert named & {"frames", "takes", *RESULT_KINDS} <= set(_reached(connection, [name])), name
