@@ -187,7 +187,7 @@ def sliced_words(words: TakeWords, feature_set: FeatureSet) -> SlicedWords:
 
 
 def sliced_store(store: Store) -> SlicedWords:
-    """Map the bit slices in the index of a store; nothing of them is read before it is searched.
+    """Map the bit slices in the index of a store, once their checksums are found to be right.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def sliced_index(store: Store) -> SlicedWords | None:
             # a build may put a newer generation in its place, or somebody removes the index: look again
             with suppress(FileNotFoundError):
                 if described is not None:
-                    _mapped[store] = _live_takes(store, open_slices(generation, described))
+                    _mapped[store] = _live_takes(store, open_slices(store.checked, generation, described))
                     break
     return _mapped.get(store)
 

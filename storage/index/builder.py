@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import time
@@ -14,6 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import TypeVar
+
+import xxhash
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import slice_words
@@ -210,7 +211,7 @@ def _write_record(
     seconds: float,
 ) -> None:
     """Flush the DuckDB file to disk and write the generation's record."""
-    size, sha256, _ = sync_file(folder / FILE)
+    sums = sync_file(folder / FILE)
     old = {shard.number for shard in start.shards}
     record = Generation(
         index_version=INDEX_VERSION,
@@ -222,9 +223,9 @@ def _write_record(
         shards=shards,
         rows=rows,
         valid_frames=valid_frames,
-        bytes=size,
-        sha256=sha256,
-        whole_bytes_per_frame=start.whole_bytes_per_frame or size / max(1, sum(shard.frames for shard in shards)),
+        bytes=sums.bytes,
+        xxh3=sums.xxh3,
+        whole_bytes_per_frame=start.whole_bytes_per_frame or sums.bytes / max(1, sum(shard.frames for shard in shards)),
         built=now(),
         built_frames=sum(shard.frames for shard in shards if shard.number not in old),
         build_seconds=round(seconds, 3),
@@ -240,10 +241,9 @@ def _copied(store: Snapshot, file: Path) -> _Start:
     for generation in generations(store.path):
         record = read_generation(generation)
         if record is not None and _can_start(store, record):
-            if _copy(generation / FILE, file) == record.sha256:
+            if _copy(generation / FILE, file) == record.xxh3:
                 whole = [
-                    file_digest(generation / slices_name(shard.number)) == shard.slices_sha256
-                    for shard in record.shards
+                    file_digest(generation / slices_name(shard.number)) == shard.slices_xxh3 for shard in record.shards
                 ]
                 return _Start(
                     generation,
@@ -269,7 +269,7 @@ def _can_start(store: Snapshot, record: Generation) -> bool:
 
 def _copy(source: Path, target: Path) -> str:
     """Copy a file and return its checksum; an empty text where there is no file."""
-    digest = hashlib.sha256()
+    digest = xxhash.xxh3_128()
     try:
         with open(source, "rb") as content, open(target, "wb") as copy:
             while piece := content.read(1 << 20):

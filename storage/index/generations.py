@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -12,9 +11,10 @@ from itertools import chain
 from pathlib import Path
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.snapshot.manifest import Manifest, versions
+from kinedex.storage.disk import xxh3_of
+from kinedex.storage.snapshot.manifest import Manifest, json_checksum, versions
 
-INDEX_VERSION = 4
+INDEX_VERSION = 5
 """Version of the index's tables and of its other files; an index of another version is built again."""
 
 KEPT = 8
@@ -64,8 +64,8 @@ class Shard:
         Frames when the shard was made; rows of takes that it has lost since were deleted.
     slices_bytes : int
         Size of the file of its bit slices (`storage.index.slice_files`), which is never rewritten.
-    slices_sha256 : str
-        Checksum of that file.
+    slices_xxh3 : str
+        XXH3 of that file.
     """
 
     number: int
@@ -73,7 +73,7 @@ class Shard:
     frames: int
     built_frames: int
     slices_bytes: int
-    slices_sha256: str
+    slices_xxh3: str
 
     @property
     def take_ids(self) -> Iterator[int]:
@@ -107,8 +107,8 @@ class Generation:
         Frames of all takes that have a word.
     bytes : int
         Size of the DuckDB file.
-    sha256 : str
-        Checksum of the DuckDB file.
+    xxh3 : str
+        XXH3 of the DuckDB file.
     whole_bytes_per_frame : float
         Bytes per frame when the file was last written whole.
     built : str
@@ -129,7 +129,7 @@ class Generation:
     rows: dict[str, int]
     valid_frames: int
     bytes: int
-    sha256: str
+    xxh3: str
     whole_bytes_per_frame: float
     built: str
     built_frames: int
@@ -141,13 +141,16 @@ class Generation:
         return sum(shard.frames for shard in self.shards)
 
     def to_json(self) -> str:
-        """Return the text of `generation.json`."""
-        return json.dumps(asdict(self), indent=1)
+        """Return the text of `generation.json`, which ends with a checksum of its content."""
+        values = asdict(self)
+        return json.dumps(values | {"checksum": json_checksum(values)}, indent=1)
 
     @classmethod
     def from_json(cls, text: str) -> Generation:
         """Read the text of `generation.json`; a ValueError, TypeError or KeyError reports a damaged one."""
         values = json.loads(text)
+        if values.pop("checksum") != json_checksum(values):
+            raise ValueError("its content does not fit its checksum")
         values["shards"] = tuple(_shard(shard) for shard in values["shards"])
         return cls(**values)
 
@@ -171,9 +174,6 @@ def current_generation(store: Path, manifest: Manifest) -> Path | None:
             if record is not None and record.content == content and _sound(generation, record):
                 return generation
     return None
-
-
-_OTHER = "it is damaged, or was built by another version of kinedex"
 
 
 def _sound(generation: Path, record: Generation | None) -> bool:
@@ -206,9 +206,9 @@ def slices_name(number: int) -> str:
 
 
 def index_files(record: Generation) -> dict[str, tuple[int, str]]:
-    """Return the files of a generation that readers open: name → size in bytes and SHA-256."""
-    slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_sha256) for shard in record.shards}
-    return {FILE: (record.bytes, record.sha256), **slices}
+    """Return the files of a generation that readers open: name → size in bytes and XXH3."""
+    slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_xxh3) for shard in record.shards}
+    return {FILE: (record.bytes, record.xxh3), **slices}
 
 
 def read_generation(generation: Path) -> Generation | None:
@@ -223,15 +223,14 @@ def is_whole(generation: Path) -> bool:
     """Return whether the files have the checksums with which they were published."""
     record = read_generation(generation)
     return record is not None and all(
-        file_digest(generation / name) == sha256 for name, (_, sha256) in index_files(record).items()
+        file_digest(generation / name) == xxh3 for name, (_, xxh3) in index_files(record).items()
     )
 
 
 def file_digest(file: Path) -> str:
-    """Return the SHA-256 of a file; an empty text where it cannot be read."""
+    """Return the XXH3 of a file; an empty text where it cannot be read."""
     try:
-        with open(file, "rb") as content:
-            return hashlib.file_digest(content, "sha256").hexdigest()
+        return xxh3_of(file)[0]
     except OSError:
         return ""
 
@@ -246,8 +245,13 @@ def missing_index(store: Path, manifest: Manifest) -> StoreError:
         )
     state = "missing"
     if found := generations(store):
-        sound = _sound(found[0], read_generation(found[0]))
-        state = f"stale: {'the takes have changed since it was built' if sound else _OTHER}"
+        record = read_generation(found[0])
+        damaged = found[0] / RECORD if record is None else found[0]
+        state = "stale: " + (
+            "the takes have changed since it was built"
+            if _sound(found[0], record)
+            else f"{damaged} is damaged, or was built by another version of kinedex"
+        )
     return StoreError(f"{store}: the index is {state}; {BUILD}")
 
 

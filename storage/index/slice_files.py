@@ -10,7 +10,6 @@ of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (
 
 from __future__ import annotations
 
-import hashlib
 import mmap
 import os
 from collections.abc import Iterator
@@ -20,11 +19,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xxhash
 
 from kinedex.ops.errors import StoreError
-from kinedex.ops.search.bit_slices import BLOCK, BitSlices, coarse_words
-from kinedex.ops.words import I64, MOST_FEATURES
+from kinedex.ops.search.bit_slices import BitSlices, coarse_words
+from kinedex.ops.words import I64
 from kinedex.storage.index.generations import BUILD, Generation, Shard, slices_name
+from kinedex.storage.snapshot.checked_files import CheckedFiles
 
 MAGIC = b"KDXSLICE"
 
@@ -70,12 +71,12 @@ def write_slices(file: Path, take_ids: I64, slices: BitSlices) -> tuple[int, str
     -------
     size : int
         The file's size in bytes.
-    sha256 : str
-        The file's checksum.
+    xxh3 : str
+        The file's XXH3.
     """
     counts = [LAYOUT, slices.features, len(slices), len(slices.left)]
     head = MAGIC + np.array(counts, "<u8").tobytes()
-    digest = hashlib.sha256()
+    digest = xxhash.xxh3_128()
     with open(file, "xb") as target:
 
         def put(piece: bytes | memoryview) -> None:
@@ -94,11 +95,13 @@ def write_slices(file: Path, take_ids: I64, slices: BitSlices) -> tuple[int, str
         return target.tell(), digest.hexdigest()
 
 
-def open_slices(generation: Path, record: Generation) -> tuple[ShardSlices, ...]:
-    """Map the slices of all shards of a published generation, read-only; no page of the slices themselves is read.
+def open_slices(files: CheckedFiles, generation: Path, record: Generation) -> tuple[ShardSlices, ...]:
+    """Map the slices of all shards of a published generation, read-only, once their checksums are found to be right.
 
     Parameters
     ----------
+    files : CheckedFiles
+        The files of the store.
     generation : Path
         Folder of the generation.
     record : Generation
@@ -111,55 +114,23 @@ def open_slices(generation: Path, record: Generation) -> tuple[ShardSlices, ...]
     StoreError
         A file is damaged.
     """
-    return tuple(_open(generation / slices_name(shard.number), shard) for shard in record.shards)
+    return tuple(_open(files, generation / slices_name(shard.number), shard) for shard in record.shards)
 
 
-def _open(file: Path, shard: Shard) -> ShardSlices:
+def _open(files: CheckedFiles, file: Path, shard: Shard) -> ShardSlices:
+    # search uses the numbers of the file as indices; only the checksum keeps it inside the file
+    if not files.is_sound(file, shard.slices_xxh3):
+        raise StoreError(f"{file}: the index is damaged: its content does not fit its checksum; {BUILD}")
     with open(file, "rb") as content:
-        size = os.fstat(content.fileno()).st_size
-        if size != shard.slices_bytes or size < _HEAD:
-            raise _damaged(file, f"has {size} bytes, the index records {shard.slices_bytes}")
         pages = mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ)
-    if pages[: len(MAGIC)] != MAGIC:
-        raise _damaged(file, "does not begin with the mark of bit slices")
-    layout, features, takes, blocks = np.frombuffer(pages, "<u8", 4, len(MAGIC)).tolist()
-    if layout != LAYOUT or not 1 <= features <= MOST_FEATURES or max(takes, blocks) > size:
-        raise _damaged(file, f"has layout {layout} and {features} features")
+    _, features, takes, blocks = np.frombuffer(pages, "<u8", 4, len(MAGIC)).tolist()
     arrays: dict[str, npt.NDArray[Any]] = {}
     at = _HEAD
     for name, kind, count in _shapes(features, takes, blocks):
-        if at + count * np.dtype(kind).itemsize > size:
-            raise _damaged(file, "is too short for the counts in its head")
         arrays[name] = np.frombuffer(pages, kind, count, at)
         at += -(-arrays[name].nbytes // _ALIGNED) * _ALIGNED
-    if at != size:
-        raise _damaged(file, "is too long for the counts in its head")
     take_ids = arrays.pop("take_ids")
-    # search uses these as indices; nothing else in a damaged file could lead it out of the file
-    if not _fit(arrays["first"], arrays["frames"], arrays["left"]):
-        raise _damaged(file, "holds takes that do not fit together")
-    live = _live(take_ids, shard)
-    if (take_ids[1:] <= take_ids[:-1]).any() or not np.array_equal(take_ids[live], _wanted(shard)):
-        raise _damaged(file, "holds other takes than its shard")
-    return ShardSlices(take_ids, live, BitSlices(features=features, **arrays))
-
-
-def _fit(first: I64, frames: I64, left: npt.NDArray[np.int32]) -> bool:
-    """Return whether the takes have the blocks that their lengths need, one after the other."""
-    lengths = np.diff(first)
-    return bool(
-        first[0] == 0
-        and first[-1] == len(left)
-        and (frames >= 0).all()
-        and (lengths == frames // BLOCK + 1).all()
-        and (left == np.repeat(first[1:], lengths) - 1 - np.arange(len(left))).all()
-    )
-
-
-def _wanted(shard: Shard) -> I64:
-    """Return the ids of the takes that a shard holds, ascending."""
-    ranges = sorted(pair for part in shard.parts for pair in part.takes)
-    return np.concatenate([np.empty(0, np.int64), *(np.arange(first, stop) for first, stop in ranges)])
+    return ShardSlices(take_ids, _live(take_ids, shard), BitSlices(features=features, **arrays))
 
 
 def _live(take_ids: I64, shard: Shard) -> npt.NDArray[np.bool_]:
@@ -179,7 +150,3 @@ def _shapes(features: int, takes: int, blocks: int) -> Iterator[tuple[str, str, 
     yield "left", "<i4", blocks
     yield "coarse", "<u8", (2 * features + 1) * coarse_words(blocks)
     yield "bits", "<u8", blocks * (features + 1)
-
-
-def _damaged(file: Path, what: str) -> StoreError:
-    return StoreError(f"{file}: the index is damaged: the file {what}; {BUILD}")

@@ -39,7 +39,7 @@ def index_problems(
     """
     for problem in _tables(store, generation, record):
         yield FILE, problem
-    for shard, found in zip(record.shards, open_slices(generation, record), strict=True):
+    for shard, found in zip(record.shards, open_slices(store.checked, generation, record), strict=True):
         for problem in _slices(store, shard, found, words):
             yield slices_name(shard.number), problem
 
@@ -47,6 +47,9 @@ def index_problems(
 def _slices(store: Snapshot, shard: Shard, found: ShardSlices, against_words: bool) -> Iterator[str]:
     wanted = sorted(shard.take_ids)
     if not against_words:
+        return
+    if not np.array_equal(found.take_ids[found.live], wanted):
+        yield "it holds other takes than its shard"
         return
     words = store.words(wanted)
     expected = slice_words(words.words, words.offsets, len(store.feature_set.features))

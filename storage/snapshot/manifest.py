@@ -346,7 +346,7 @@ def _content(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise _damaged(path, "it is not a JSON object")
     checksum = content.pop("checksum", None)
-    sound = checksum == _checksum(content)
+    sound = checksum == json_checksum(content)
     if sound and content.get("format_version") not in READ_VERSIONS:
         raise StoreError(
             f"{path}: the store has format version {content.get('format_version')}, this kinedex reads versions "
@@ -375,7 +375,8 @@ def _damaged(path: Path, problem: str) -> DamagedManifest:
     return fault
 
 
-def _checksum(content: dict[str, Any]) -> str:
+def json_checksum(content: dict[str, Any]) -> str:
+    """Return the SHA-256 of a JSON object, whatever its blanks and the order of its keys."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -430,7 +431,7 @@ def _text(manifest: Manifest) -> str:
     content["results"] = {kind: [asdict(part) for part in parts] for kind, parts in manifest.results.items()}
     content["stages"] = {name: asdict(record) for name, record in manifest.stages.items()}
     lines = []
-    for name, value in {**content, "checksum": _checksum(content)}.items():
+    for name, value in {**content, "checksum": json_checksum(content)}.items():
         if name in ("frames", "takes"):
             text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if value else "[]"
         elif name == "stages":

@@ -229,7 +229,7 @@ def _report_damaged_index(store: Snapshot, reason: str) -> None:
     """Raise a StoreError that names the file of the index if it is damaged; DuckDB checks every block that it reads."""
     generation = current_generation(store.path, store.manifest)
     record = None if generation is None else read_generation(generation)
-    if generation is not None and record is not None and file_digest(generation / FILE) != record.sha256:
+    if generation is not None and record is not None and file_digest(generation / FILE) != record.xxh3:
         raise StoreError(f"{generation / FILE}: the index is damaged: {reason.splitlines()[0]}; {BUILD}")
 
 

@@ -228,7 +228,7 @@ def _index(store: Snapshot, *, sound: bool) -> Iterable[Finding]:
     record = read_generation(generation)
     assert record is not None
     folder = f"index/{generation.name}"
-    wrong = [name for name, (_, sha256) in index_files(record).items() if file_digest(generation / name) != sha256]
+    wrong = [name for name, (_, xxh3) in index_files(record).items() if file_digest(generation / name) != xxh3]
     for name in wrong:
         yield Finding(f"{folder}/{name}", "its content does not fit its checksum", BUILD)
     # a build keeps an index whose checksums fit
