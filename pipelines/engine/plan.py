@@ -13,6 +13,7 @@ from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import STAGES, TAKES, Stage
 from kinedex.storage.snapshot.manifest import StageRecord, versions
+from kinedex.storage.store.report_sums import wrong_files
 from kinedex.storage.store.store import Store, open_store
 
 FORCED = "--force"
@@ -196,8 +197,9 @@ def _gone(stage: PipelineStage, store: Store, record: StageRecord) -> str | None
     """Return a sentence about the first result of a stage that no longer exists; None if all exist."""
     if not stage.kind.is_current(store):
         return "what it made is gone or stale"
-    missing = [name for name in record.summary.get("files", ()) if not (store.path / name).is_file()]
-    return f"{missing[0]} is gone" if missing else None
+    for name, problem in wrong_files(store.path, [record]):
+        return f"{name} is gone" if problem == "is missing" else f"{name}: {problem}"
+    return None
 
 
 def _code(stage: PipelineStage) -> str:

@@ -23,6 +23,7 @@ from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.manifest import StageRecord, now, versions
+from kinedex.storage.store.report_sums import SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
 
 _log = logging.getLogger("kinedex.engine")
@@ -259,18 +260,20 @@ def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = Non
     return StageFailed(f"{text}\nonce it is fixed, continue with:\n    {run.resume}")
 
 
-_OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts")
+_OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts", SUMS)
 """The fields of a record's summary that the runner adds."""
 
 
 def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float) -> None:
-    full = {
+    full: dict[str, Any] = {
         **summary,
         "uses": step.stage.uses,
         "params": step.stage.params.model_dump(mode="json"),
         "inputs": dict(step.stage.inputs),
         "fingerprint_parts": step.parts,
     }
+    if files := full.get("files"):
+        full[SUMS] = file_sums(context.store_path, files)
     with context.writer() as writer:
         writer.record_stage(StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full))
         writer.commit()

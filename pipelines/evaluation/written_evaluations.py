@@ -9,6 +9,7 @@ from typing import Any
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.storage.store.report_sums import refuse_damaged_report
 
 MARK = "::"
 """This stands between a path and the name of a method."""
@@ -111,6 +112,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _read(file: Path) -> list[MethodEvaluation]:
+    refuse_damaged_report(file)
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except OSError as fault:

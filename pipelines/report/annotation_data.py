@@ -31,6 +31,7 @@ from kinedex.pipelines.report.reproduction import command
 from kinedex.pipelines.report.take_selection import median_take
 from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
 from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.report_sums import SUMS
 from kinedex.storage.store.store import Store, data_frame
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")
@@ -46,7 +47,7 @@ ROLES = {
 }
 """Kind of result → the input of the stage `report` that made it."""
 
-BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts"}
+BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts", SUMS}
 """The keys that the runner adds to the summary of a stage."""
 
 

@@ -29,6 +29,7 @@ from kinedex.storage.index.verification import index_problems
 from kinedex.storage.snapshot.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.report_sums import wrong_files
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,8 @@ def verify(store: Snapshot) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
-    are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; leftover files; and
-    the index's checksums, counts and bit slices.
+    are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; the checksums of
+    reports; leftover files; and the index's checksums, counts and bit slices.
 
     Parameters
     ----------
@@ -83,6 +84,7 @@ def verify(store: Snapshot) -> list[Finding]:
         *parts,
         *_live_twice("frames", store.manifest.frames),
         *_live_twice("takes", store.manifest.takes),
+        *_reports(store),
         *_leftovers(store),
         *_index(store, sound=not parts),
     ]
@@ -199,6 +201,13 @@ def _live_twice(what: str, parts: Sequence[Part]) -> Iterator[Finding]:
         if count > 1:
             paths = [part.path for part in parts if take in part.live]
             yield Finding(paths[1], f"take {take} is live here and in {paths[0]} ({what})", _COPY)
+
+
+def _reports(store: Snapshot) -> Iterator[Finding]:
+    if store.manifest.version == max(versions(store.path)):
+        # later runs have written over the reports of older versions
+        for name, problem in wrong_files(store.path, store.manifest.stages.values()):
+            yield Finding(name, problem, _RESULT, fault=problem != "is missing")
 
 
 def _leftovers(store: Snapshot) -> Iterator[Finding]:
