@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml
+from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml, read_text
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.pipelines.engine.stage import STAGES, Input, Stage, load_stage
 
@@ -56,6 +56,7 @@ class Pipeline:
     path: Path
     description: str
     stages: tuple[PipelineStage, ...] = field(default_factory=tuple)
+    text: str = ""
 
     def stage(self, name: str) -> PipelineStage:
         """Return a stage by its name; a KinedexError names the nearest one."""
@@ -160,7 +161,8 @@ class _PipelineReader:
         for one in given:
             self._assign(one)
         stages = [self._stage(name) for name in self._entries]
-        return Pipeline(self._file.name, self._located.path, self._file.description, _ordered(stages))
+        text = read_text(self._located.path)
+        return Pipeline(self._file.name, self._located.path, self._file.description, _ordered(stages), text)
 
     def _assign(self, one: _Given) -> None:
         stage, dot, key = one.name.partition(".")

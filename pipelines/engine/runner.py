@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import os
 import secrets
 import shlex
 import time
@@ -22,7 +24,8 @@ from kinedex.pipelines.engine.context import Display, StageContext, feature_set_
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.storage.lock import Wait
-from kinedex.storage.snapshot.manifest import StageRecord, now, versions
+from kinedex.storage.provenance import kinedex_version, running_command
+from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now, versions
 from kinedex.storage.store.report_sums import SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
 
@@ -86,6 +89,7 @@ class _Run:
     terminal: Display
     resume: str | None
     wait: Wait
+    record: PipelineRecord
 
     def begun(self) -> _Run:
         """Return the run with the patience of one that has work to lose."""
@@ -157,7 +161,9 @@ def run_pipeline(
     if assignments is not None:
         resume = _resume(name_or_path, store_path, assignments, executor, workers, scheduler, force)
     option = "wait_seconds=600" if resume is None else "--wait 10m"
-    run = _Run(pipeline, store_path, pool, terminal, resume, Wait(wait_seconds, terminal.say, option))
+    wait = Wait(wait_seconds, terminal.say, option)
+    record = _pipeline_record(pipeline, assignments or settings or {})
+    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record)
     steps: list[Step] = []
     try:
         pool.check(store_path)
@@ -230,7 +236,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
             context = replace(context, wait=run.begun().wait)
         summary = stage.kind.run(context, stage.params)
         seconds = time.perf_counter() - begin
-        _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds)
+        _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run.record)
     except KinedexError as fault:
         raise _failed(run, stage.name, str(fault), fault) from fault
     except OSError as fault:
@@ -264,7 +270,24 @@ _OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts", SUMS)
 """The fields of a record's summary that the runner adds."""
 
 
-def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float) -> None:
+def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> PipelineRecord:
+    """Return what the store keeps of a run of a pipeline, so that it can be run again."""
+    sources = {getattr(stage.params, "source", None) for stage in pipeline.stages} - {None}
+    return PipelineRecord(
+        yaml=pipeline.text,
+        path=str(pipeline.path.absolute()),
+        settings=json.loads(json.dumps(dict(settings), default=str)),
+        sources=tuple(sorted(os.path.realpath(Path(source).expanduser()) for source in sources if source)),
+        command=running_command(),
+        kinedex=kinedex_version(),
+        run=new_run_id(),
+        recorded=now(),
+    )
+
+
+def _record(
+    context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, pipeline: PipelineRecord
+) -> None:
     full: dict[str, Any] = {
         **summary,
         "uses": step.stage.uses,
@@ -276,6 +299,7 @@ def _record(context: StageContext, step: Step, summary: Mapping[str, object], se
         full[SUMS] = file_sums(context.store_path, files)
     with context.writer() as writer:
         writer.record_stage(StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full))
+        writer.record_pipeline(context.pipeline, replace(pipeline, recorded=now()))
         writer.commit()
 
 

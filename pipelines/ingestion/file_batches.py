@@ -105,7 +105,7 @@ def _read(batch: Batch, task: Task) -> tuple[str, Body]:
 
 def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
     groups = dict(task.groups)
-    return {
+    return groups | {
         "take_id": task.take_id,
         "name": task.name,
         "source": task.motion.path,

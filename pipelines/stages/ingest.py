@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from contextlib import closing
@@ -30,7 +31,7 @@ from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
-from kinedex.storage.snapshot.schemas import takes_schema
+from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
@@ -101,6 +102,25 @@ class Params(BaseModel):
         return patterns
 
     @property
+    def remembered(self) -> dict[str, Any]:
+        """The parameters that a store remembers for a source, as JSON values with absolute paths of files.
+
+        Those that concern a single run (prune, strict, batch_mb) are not among them.
+        """
+        values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb"})
+        values |= {"source": os.path.realpath(Path(self.source).expanduser())}
+        for name in ("skeleton", "features", "body_model"):
+            if values[name] is not None and Path(values[name]).suffix:
+                values[name] = str(Path(values[name]).expanduser().absolute())
+        return values
+
+    @property
+    def group_columns(self) -> dict[str, TakeColumn]:
+        """The columns of takes for the named groups of the patterns, apart from actor, class and clip."""
+        names = dict.fromkeys(name for pattern in self.patterns for name in re.compile(pattern).groupindex)
+        return {name: GROUP_COLUMN for name in names if name not in ("actor", "class", "clip")}
+
+    @property
     def given(self) -> ReadSettings:
         """The settings of the user for reading files."""
         model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
@@ -136,6 +156,8 @@ class Ingest(Stage[Params]):
             if plan.renamed and not params.prune:
                 raise _named_otherwise(plan)
             _report_changes(context, params, found, plan)
+            _declare_groups(context, writer, params)
+            writer.record_source(found.motions[0].root, context.key(), params.remembered)
             failures = list(plan.failures)
             frames = 0
             if not (params.strict and failures):
@@ -157,7 +179,7 @@ class Ingest(Stage[Params]):
             dropped = [*plan.gone, *(take for take, _, _ in plan.renamed)] if params.prune else []
             if dropped:
                 writer.drop_takes(dropped)
-            writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=takes_schema()))
+            writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=writer.takes_schema))
             writer.commit()
             _compact(context, writer)
             total = len(writer.manifest.live_takes)
@@ -171,6 +193,20 @@ class Ingest(Stage[Params]):
             "not_read": len(found.unread),
             "dropped": len(dropped),
         }
+
+
+def _declare_groups(context: StageContext, writer: StoreWriter, params: Params) -> None:
+    """Declare the columns of the named groups; report those that cannot be columns of takes."""
+    columns: dict[str, TakeColumn] = {}
+    for name, column in params.group_columns.items():
+        if (problem := column_problem(name, column, writer.manifest.columns | columns)) is None:
+            columns[name] = column
+        else:
+            context.say(
+                f"the named group '{name}' is no column of takes: {problem}; its values are in the column `groups`; "
+                "give it another name in `patterns`"
+            )
+    writer.declare_columns(columns)
 
 
 def _no_motion_files(found: Scan, source: str) -> KinedexError:
@@ -240,7 +276,7 @@ def _read_files(
             for batch, written in results:
                 failures.extend(written.failures)
                 if written.part is not None:
-                    writer.add_takes(pa.Table.from_pylist(written.takes, schema=takes_schema()), written.part)
+                    writer.add_takes(pa.Table.from_pylist(written.takes, schema=writer.takes_schema), written.part)
                     writer.commit()
                     frames += written.part.rows
                 progress.advance(len(batch.tasks))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.manifest import Part, ResultPart
+from kinedex.storage.snapshot.manifest import AnyPart
 from kinedex.storage.snapshot.parts import part_file, read_errors
 
 _THREADS = min(4, os.cpu_count() or 1)
@@ -52,7 +52,7 @@ class CheckedFiles:
         self._known: dict[str, _Identity] = {}
         self._busy: dict[str, Lock] = {}
 
-    def part(self, part: Part | ResultPart) -> Path:
+    def part(self, part: AnyPart) -> Path:
         """Return the file of a part whose content fits its checksum.
 
         Raises
@@ -70,7 +70,7 @@ class CheckedFiles:
                 )
         return file
 
-    def parts(self, parts: Iterable[Part | ResultPart]) -> list[Path]:
+    def parts(self, parts: Iterable[AnyPart]) -> list[Path]:
         """Return the files of parts as `part` does; several are checked at a time."""
         asked = list(parts)
         if len(asked) < 2 or all(str(self.store / part.path) in self._known for part in asked):

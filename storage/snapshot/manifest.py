@@ -16,13 +16,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
+import pyarrow as pa
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_folder, write_errors
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS, TakeColumn, takes_schema
 
 FOLDER = "manifest"
 TEMPORARY = ".tmp-"
@@ -153,6 +154,88 @@ class ResultPart:
 
 
 @dataclass(frozen=True)
+class LabelPart:
+    """A Parquet file of labels: statements of people, which no run makes again.
+
+    Attributes
+    ----------
+    path : str
+        Path relative to the store, with /.
+    rows : int
+        Number of its rows, all of which count for good.
+    bytes : int
+        Size of the file.
+    sha256 : str
+        Checksum of the file.
+    xxh3 : str
+        XXH3 checksum of the file, 128 bits in hexadecimal digits.
+    """
+
+    path: str
+    rows: int
+    bytes: int
+    sha256: str
+    xxh3: str
+
+
+AnyPart = Part | ResultPart | LabelPart
+"""A Parquet file that a version names."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """The settings with which a source folder was ingested last.
+
+    Attributes
+    ----------
+    stage : str
+        The stage that ingested it, "<pipeline>/<stage>".
+    settings : dict
+        The parameters of the stage, as JSON values; paths are absolute.
+    recorded : str
+        Time of that, ISO 8601 in UTC.
+    """
+
+    stage: str
+    settings: dict[str, Any]
+    recorded: str
+
+
+@dataclass(frozen=True)
+class PipelineRecord:
+    """All that it takes to run a pipeline again.
+
+    Attributes
+    ----------
+    yaml : str
+        The text of the pipeline's file.
+    path : str
+        The path of that file.
+    settings : dict
+        The settings that the run was given in place of those of the file, as JSON values.
+    sources : tuple of str
+        The folders that its stages read motion files from, absolute.
+    command : str
+        The command line of the process that ran it.
+    kinedex : str
+        Version of kinedex.
+    run : str
+        Id of the pipeline run.
+    recorded : str
+        Time when the last stage of the run was recorded, ISO 8601 in UTC.
+    """
+
+    yaml: str
+    path: str
+    settings: dict[str, Any]
+    sources: tuple[str, ...]
+    command: str
+    kinedex: str
+    run: str
+    recorded: str
+
+
+@dataclass(frozen=True)
 class StageRecord:
     """The record of a finished stage.
 
@@ -209,6 +292,20 @@ class Manifest:
         Kind of result → its parts.
     stages : dict of str to StageRecord
         "<pipeline>/<stage>" → its record.
+    kinedex : str
+        Version of the kinedex that made this version; empty in a store of format 3, as are `command` and `changes`.
+    command : str
+        Command line of the process that made it.
+    changes : dict of str to object
+        Its differences from the version before (`storage.store.version_changes`), as JSON values.
+    columns : dict of str to TakeColumn
+        The declared columns of takes, by name.
+    labels : tuple of LabelPart
+        The parts with labels; every later version names all of their rows.
+    sources : dict of str to Source
+        Source folder, absolute → the settings with which it was ingested last.
+    pipelines : dict of str to PipelineRecord
+        Name of a pipeline that has results → its last run.
     """
 
     format_version: int
@@ -222,11 +319,23 @@ class Manifest:
     takes: tuple[Part, ...] = ()
     results: dict[str, tuple[ResultPart, ...]] = field(default_factory=dict)
     stages: dict[str, StageRecord] = field(default_factory=dict)
+    kinedex: str = ""
+    command: str = ""
+    changes: dict[str, Any] = field(default_factory=dict)
+    columns: dict[str, TakeColumn] = field(default_factory=dict)
+    labels: tuple[LabelPart, ...] = ()
+    sources: dict[str, Source] = field(default_factory=dict)
+    pipelines: dict[str, PipelineRecord] = field(default_factory=dict)
 
     @property
-    def parts(self) -> tuple[Part | ResultPart, ...]:
+    def parts(self) -> tuple[AnyPart, ...]:
         """Every part that this version names."""
-        return (*self.frames, *self.takes, *(part for parts in self.results.values() for part in parts))
+        return (*self.frames, *self.takes, *self.labels, *chain.from_iterable(self.results.values()))
+
+    @property
+    def takes_schema(self) -> pa.Schema:
+        """The columns of takes, the declared ones among them."""
+        return takes_schema(self.columns)
 
     @property
     def live_takes(self) -> tuple[int, ...]:
@@ -330,7 +439,7 @@ def named_files(store: Path, version: int) -> set[str]:
     content = _content(path)
     try:
         results = chain.from_iterable(content["results"].values())
-        return {part["path"] for part in chain(content["frames"], content["takes"], results)}
+        return {part["path"] for part in chain(content["frames"], content["takes"], content.get("labels", ()), results)}
     except (KeyError, TypeError, AttributeError) as fault:
         raise _damaged(path, f"it names no parts ({fault!r})") from None
 
@@ -423,19 +532,21 @@ def publish(store: Path, manifest: Manifest) -> Path:
 
 
 def _text(manifest: Manifest) -> str:
-    """Return the manifest as JSON that people can read: a line for each part, each stage, and everything else."""
+    """Return the manifest as JSON that people can read: a line for each part, each record, and everything else."""
     content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
     content["feature_set"] = manifest.feature_set.encoded
     content["frames"] = [part.encoded for part in manifest.frames]
     content["takes"] = [part.encoded for part in manifest.takes]
+    content["labels"] = [asdict(part) for part in manifest.labels]
     content["results"] = {kind: [asdict(part) for part in parts] for kind, parts in manifest.results.items()}
-    content["stages"] = {name: asdict(record) for name, record in manifest.stages.items()}
+    for name in ("columns", "sources", "pipelines", "stages"):
+        content[name] = {key: asdict(record) for key, record in content[name].items()}
     lines = []
     for name, value in {**content, "checksum": json_checksum(content)}.items():
-        if name in ("frames", "takes"):
+        if name in ("frames", "takes", "labels"):
             text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if value else "[]"
-        elif name == "stages":
-            items = (f"{json.dumps(stage)}: {json.dumps(record)}" for stage, record in value.items())
+        elif name in ("columns", "sources", "pipelines", "stages"):
+            items = (f"{json.dumps(key)}: {json.dumps(record)}" for key, record in value.items())
             text = "{\n  " + ",\n  ".join(items) + "\n }" if value else "{}"
         else:
             text = json.dumps(value)

@@ -347,5 +347,5 @@ def part_file(store: Path, path: str) -> Path:
 
 
 def store_of(file: Path) -> Path:
-    """Return the store that a part lies in: frames and takes have a folder each, results one for each kind."""
-    return file.parents[1] if file.parent.name in ("frames", "takes") else file.parents[2]
+    """Return the store that a part lies in: frames, takes and labels have a folder each, results one for each kind."""
+    return file.parents[1] if file.parent.name in ("frames", "takes", "labels") else file.parents[2]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
 
 import pyarrow as pa
 
@@ -48,9 +51,73 @@ _TAKES = _fields(
     ("clip", pa.string()),
     ("groups", pa.string()),
     ("warnings", pa.list_(pa.string())),
+    ("known", pa.uint64()),
 )
 """One row per take. `invalid_frames` of its frames have no word. `groups` is a JSON object with the further named
-groups of the source pattern."""
+groups of the source pattern, each of which is a declared column, too (`TakeColumn`). `known` is a mask of the features
+that the body has joints for, with the bits of the word; null stands for all."""
+
+COLUMN_TYPES = {
+    "VARCHAR": pa.string(),
+    "DOUBLE": pa.float64(),
+    "BIGINT": pa.int64(),
+    "BOOLEAN": pa.bool_(),
+    "VARCHAR[]": pa.list_(pa.string()),
+}
+"""The types of declared columns of takes, as SQL names them."""
+
+
+@dataclass(frozen=True)
+class TakeColumn:
+    """A declared column of takes: one that this store has beside those that every store has.
+
+    Attributes
+    ----------
+    type : str
+        One of `COLUMN_TYPES`.
+    origin : str
+        Source of its values: "pattern" (a named group of `patterns`), "metadata" (a table of the user's) or "quality"
+        (a figure that is measured at ingest).
+    unit : str
+        Unit of its values; empty if they have none.
+    meaning : str
+        Its description, for lists of columns.
+    """
+
+    type: str
+    origin: Literal["pattern", "metadata", "quality"]
+    unit: str = ""
+    meaning: str = ""
+
+
+GROUP_COLUMN = TakeColumn("VARCHAR", "pattern", meaning="a named group of `patterns`")
+"""The declaration of the column of a named group."""
+
+_LABELS = _fields(
+    ("id", pa.string()),
+    ("replaces", pa.string()),
+    ("take", pa.string()),
+    ("checksum", pa.string()),
+    ("class", pa.string()),
+    ("start", pa.int32()),
+    ("stop", pa.int32()),
+    ("limb", pa.string()),
+    ("verdict", pa.string()),
+    ("annotator", pa.string()),
+    ("origin", pa.string()),
+    ("source", pa.string()),
+    ("created", pa.timestamp("us", tz="UTC")),
+    ("confidence", pa.float64()),
+    ("note", pa.string()),
+)
+"""One row per statement of a person about the frames [start, stop) of a take. Rows are never changed: a row replaces an
+earlier one by its id. `checksum` is that of the take's source file when the statement was made."""
+
+LABEL_VERDICTS = ("positive", "negative", "withdrawn")
+"""The statements of a label: the frames show the class; they do not; the row that it replaces counts no more."""
+
+LABEL_ORIGINS = ("imported", "accepted", "corrected", "drawn")
+"""Origins of a label: a file, an annotation that a person accepted or rejected, one that was corrected, a person."""
 
 _RUN = ("run", pa.string())
 _TAKE = (("take_id", pa.int64()), ("take", pa.string()))
@@ -231,13 +298,66 @@ _RESULTS: dict[str, pa.Schema] = {
     ),
 }
 
+_REQUIRED = {
+    "takes": tuple(name for name in _TAKES.names if name != "known"),
+    "labels": tuple(_LABELS.names),
+}
+"""The columns that every part has; of frames all, of results `run`. A column that is added to a schema is not listed:
+older parts lack it, and its values in their rows are null."""
+
 RESULT_KINDS = tuple(_RESULTS)
 """The kinds of result; each is a folder of `results/` and a view of that name."""
 
+PART_FOLDERS = ("frames", "takes", "labels", *(f"results/{kind}" for kind in RESULT_KINDS))
+"""The folders of parts, relative to the store."""
 
-def takes_schema() -> pa.Schema:
-    """Return the schema of a takes part."""
-    return _TAKES.with_metadata({_METADATA + "kind": "takes", _METADATA + "format_version": str(FORMAT_VERSION)})
+
+def takes_schema(columns: Mapping[str, TakeColumn] | None = None) -> pa.Schema:
+    """Return the schema of takes.
+
+    Parameters
+    ----------
+    columns : mapping of str to TakeColumn, optional
+        The declared columns of the store (`Manifest.columns`), which follow the others.
+    """
+    declared = {name: column for name, column in (columns or {}).items() if name.lower() not in _TAKES.names}
+    fields = [*_TAKES, *(pa.field(name, COLUMN_TYPES[column.type]) for name, column in declared.items())]
+    return pa.schema(fields, {_METADATA + "kind": "takes", _METADATA + "format_version": str(FORMAT_VERSION)})
+
+
+def labels_schema() -> pa.Schema:
+    """Return the schema of a labels part."""
+    return _LABELS.with_metadata({_METADATA + "kind": "labels", _METADATA + "format_version": str(FORMAT_VERSION)})
+
+
+def column_problem(name: str, column: TakeColumn, declared: Mapping[str, TakeColumn]) -> str | None:
+    """Return the reason for which a column of takes cannot be declared; None if it can.
+
+    Parameters
+    ----------
+    name : str
+        The name of the column; SQL does not distinguish capital letters.
+    column : TakeColumn
+        Its declaration.
+    declared : mapping of str to TakeColumn
+        The columns that the store has declared.
+    """
+    standing = declared.get(name)
+    if column.type not in COLUMN_TYPES:
+        return f"its type is {column.type}, and must be one of {', '.join(COLUMN_TYPES)}"
+    if name.lower() in _TAKES.names:
+        return "every store has a column of this name"
+    if not name.isprintable() or not name.strip() or len(name) > LONGEST_COLUMN_NAME:
+        return f"its name must be printable, of 1 to {LONGEST_COLUMN_NAME} characters"
+    if standing is not None and (standing.type, standing.origin) != (column.type, column.origin):
+        return f"the store has a column of this name already, {standing.type} of origin {standing.origin}"
+    if standing is None and (same := [other for other in declared if other.lower() == name.lower()]):
+        return f"the store has a column '{same[0]}', which SQL does not distinguish from it"
+    return None
+
+
+LONGEST_COLUMN_NAME = 100
+"""Most characters of the name of a declared column of takes."""
 
 
 def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
@@ -279,6 +399,20 @@ def result_schema(kind: str) -> pa.Schema:
     return _RESULTS[kind].with_metadata(metadata)
 
 
+def with_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return the table with exactly the columns of the schema; those that it lacks are null.
+
+    It reads parts that were written before a column existed. Columns that the schema lacks are dropped.
+    """
+    columns = [
+        table.column(field.name).cast(field.type)
+        if field.name in table.column_names
+        else pa.nulls(table.num_rows, field.type)
+        for field in schema
+    ]
+    return pa.table(columns, schema=schema)
+
+
 def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
     """Return the table with exactly the columns of the schema, in order and type.
 
@@ -315,14 +449,20 @@ def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
 
 
 def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
-    """Return the first difference of a part's schema from the one that the store expects; None if there is none."""
+    """Return the first difference of a part's schema from the one that the store expects; None if there is none.
+
+    Columns that were added later may be missing (`_REQUIRED`): a part keeps those of the kinedex that wrote it.
+    """
+    kind = (expected.metadata or {}).get(f"{_METADATA}kind".encode(), b"").decode()
+    required = expected.names if kind == "frames" else _REQUIRED.get(kind, ("run",))
     for field in expected:
         position = found.get_field_index(field.name)
-        if position < 0:
+        if position < 0 and field.name in required:
             return f"column {field.name} is missing"
-        if found.field(position).type != field.type:
+        if position >= 0 and found.field(position).type != field.type:
             return f"column {field.name} is {found.field(position).type}, expected {field.type}"
-    if found.names != expected.names:
+    unknown = [name for name in found.names if name not in expected.names]
+    if unknown or len(set(found.names)) != len(found.names):
         return f"columns are {', '.join(found.names)}, expected {', '.join(expected.names)}"
     has = found.metadata or {}
     for key, value in (expected.metadata or {}).items():

@@ -15,9 +15,10 @@ from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.frames import read_frames, read_words
+from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest, ResultPart
 from kinedex.storage.snapshot.parts import read_errors
-from kinedex.storage.snapshot.schemas import result_schema, takes_schema
+from kinedex.storage.snapshot.schemas import labels_schema, result_schema, with_columns
 
 
 class Snapshot:
@@ -51,7 +52,7 @@ class Snapshot:
     @cached_property
     def take_rows(self) -> pa.Table:
         """The rows of all live takes, sorted by name."""
-        schema = takes_schema()
+        schema = self.manifest.takes_schema
         tables = []
         for part in self.manifest.takes:
             table = _read_part(self.checked.part(part), schema)
@@ -133,6 +134,19 @@ class Snapshot:
             raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
         return read_frames(self.checked, self.manifest, take_id, start, end)
 
+    def labels(self, *, history: bool = False) -> pa.Table:
+        """Return the labels of the store, in the order in which they were put.
+
+        Parameters
+        ----------
+        history : bool, optional
+            Also return rows that others replace or withdraw, and those that withdraw them.
+        """
+        schema = labels_schema()
+        tables = [_read_part(self.checked.part(part), schema) for part in self.manifest.labels]
+        rows = pa.concat_tables([schema.empty_table(), *tables])
+        return rows if history else current_labels(rows)
+
     def result(
         self, kind: str, run: str | None = None, pipeline: str | None = None, stage: str | None = None
     ) -> pa.Table:
@@ -166,17 +180,11 @@ class Snapshot:
             file = self.checked.part(part)
             with read_errors(file), pq.ParquetFile(file) as opened:
                 for group in range(opened.num_row_groups):
-                    yield opened.read_row_group(group).cast(schema)
+                    yield with_columns(opened.read_row_group(group), schema)
 
 
 def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
     """Read a part; columns that an older kinedex did not write are null."""
     # not pq.read_table, which loads pyarrow.dataset: that takes longer than reading a small part
     with read_errors(file), pq.ParquetFile(file) as opened:
-        table = opened.read()
-        columns = [
-            table.column(field.name).cast(field.type) if field.name in table.column_names
-            else pa.nulls(table.num_rows, field.type)
-            for field in schema
-        ]  # fmt: skip
-        return pa.table(columns, schema=schema)
+        return with_columns(opened.read(), schema)

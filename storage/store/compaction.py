@@ -31,7 +31,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter, read_errors, write_part
-from kinedex.storage.snapshot.schemas import takes_schema
+from kinedex.storage.snapshot.schemas import with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.writer import StoreWriter
 
@@ -312,7 +312,7 @@ def _merge_takes(store: Snapshot, parts: list[Part]) -> Part:
     for part in parts:
         file = store.checked.part(part)
         with read_errors(file):
-            table = pq.read_table(file, schema=takes_schema())
+            table = with_columns(pq.read_table(file), store.manifest.takes_schema)
         gone = set(part.dropped)
         tables.append(table.filter(pa.array([t not in gone for t in table.column("take_id").to_pylist()], pa.bool_())))
     rows = pa.concat_tables(tables).sort_by("take_id")

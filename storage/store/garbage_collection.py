@@ -22,7 +22,7 @@ from kinedex.storage.snapshot.manifest import (
     read_version,
     versions,
 )
-from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import PART_FOLDERS
 
 KEPT_VERSIONS = 2
 """Number of the newest versions that stay: the newest, and one to fall back to should its manifest be damaged."""
@@ -39,7 +39,8 @@ class Garbage:
     bytes : int
         Space that it takes.
     kind : str
-        "old version", "frames part", "takes part", "results part", "index generation" or "unfinished file".
+        "old version", "frames part", "takes part", "labels part", "results part", "index generation" or
+        "unfinished file".
     """
 
     path: str
@@ -123,7 +124,7 @@ def _old_versions(root: Path, keep: int) -> Iterator[Garbage]:
 
 def _parts(root: Path, keep: int) -> Iterator[Garbage]:
     needed = set().union(*(named_files(root, version) for version in versions(root)[-keep:]))
-    for folder in ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+    for folder in PART_FOLDERS:
         kind = f"{folder.split('/')[0]} part"
         for name in sorted(os.listdir(root / folder)) if (root / folder).is_dir() else ():
             if name.startswith("part-") and f"{folder}/{name}" not in needed:
@@ -131,7 +132,7 @@ def _parts(root: Path, keep: int) -> Iterator[Garbage]:
 
 
 def _unfinished(root: Path) -> Iterator[Garbage]:
-    for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+    for folder in (FOLDER, *PART_FOLDERS):
         for path in sorted((root / folder).glob(f"{TEMPORARY}*")):
             yield Garbage(path.relative_to(root).as_posix(), path.stat().st_size, "unfinished file")
 

@@ -26,8 +26,15 @@ from kinedex.storage.index.generations import (
     wrong_sizes,
 )
 from kinedex.storage.index.verification import index_problems
-from kinedex.storage.snapshot.manifest import FOLDER, Part, ResultPart, named_files, read_version, versions
-from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, schema_problem, takes_schema
+from kinedex.storage.snapshot.manifest import FOLDER, AnyPart, Part, ResultPart, named_files, read_version, versions
+from kinedex.storage.snapshot.schemas import (
+    PART_FOLDERS,
+    RESULT_KINDS,
+    frames_schema,
+    labels_schema,
+    result_schema,
+    schema_problem,
+)
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.report_sums import wrong_files
 
@@ -110,9 +117,11 @@ def _parts(store: Snapshot) -> Iterator[Finding]:
         sound &= not found
         yield from found
     for part in store.manifest.takes:
-        found = list(_file(store, part, takes_schema(), _COPY)) or list(_takes_rows(store, part))
+        found = list(_file(store, part, store.manifest.takes_schema, _COPY)) or list(_takes_rows(store, part))
         sound &= not found
         yield from found
+    for labels in store.manifest.labels:
+        yield from _file(store, labels, labels_schema(), _COPY)
     for kind, parts in store.manifest.results.items():
         for result in parts:
             if kind not in RESULT_KINDS:
@@ -127,7 +136,7 @@ def _parts(store: Snapshot) -> Iterator[Finding]:
                 yield Finding(part.path, problem, _COPY)
 
 
-def _file(store: Snapshot, part: Part | ResultPart, schema: pa.Schema, remedy: str) -> list[Finding]:
+def _file(store: Snapshot, part: AnyPart, schema: pa.Schema, remedy: str) -> list[Finding]:
     """Check a part as a file: size, checksum, number of rows, schema."""
     file = store.path / part.path
     try:
@@ -215,7 +224,7 @@ def _leftovers(store: Snapshot) -> Iterator[Finding]:
         named = set().union(*(named_files(store.path, version) for version in versions(store.path)))
     except KinedexError:
         return  # reported above; the parts that a damaged manifest names are not known
-    for folder in ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+    for folder in PART_FOLDERS:
         for name in sorted(os.listdir(store.path / folder)) if (store.path / folder).is_dir() else ():
             if f"{folder}/{name}" not in named:
                 remedy = "a killed run has left it, and the next writer removes it" if _ours(name) else "remove it"

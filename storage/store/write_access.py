@@ -9,9 +9,9 @@ from pathlib import Path
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import NewStoreError, StoreError
 from kinedex.storage.snapshot.manifest import FOLDER, TEMPORARY, Manifest, named_files, versions
-from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import PART_FOLDERS
 
-FOLDERS = (FOLDER, "frames", "takes", "index", "results")
+FOLDERS = (FOLDER, "frames", "takes", "labels", "index", "results")
 """The folders of a store."""
 
 _CLOCK_SECONDS = 2.0
@@ -70,7 +70,7 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
         are not looked up: replaced ones may be named by none of a thousand newer manifests.
     """
     candidates = set()
-    for folder in (FOLDER, "frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS)):
+    for folder in (FOLDER, *PART_FOLDERS):
         for name in os.listdir(root / folder) if (root / folder).is_dir() else ():
             if name.startswith(TEMPORARY):
                 _remove(root / folder / name)

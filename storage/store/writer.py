@@ -16,11 +16,16 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
+from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.snapshot.checked_files import CheckedFiles
+from kinedex.storage.snapshot.labels import new_labels
 from kinedex.storage.snapshot.manifest import (
+    LabelPart,
     Manifest,
     Part,
+    PipelineRecord,
     ResultPart,
+    Source,
     StageRecord,
     changed_content,
     now,
@@ -30,9 +35,19 @@ from kinedex.storage.snapshot.manifest import (
     versions,
 )
 from kinedex.storage.snapshot.parts import FramesWriter, part_file, write_part, write_pieces
-from kinedex.storage.snapshot.schemas import FORMAT_VERSION, conform, frames_schema, result_schema, takes_schema
+from kinedex.storage.snapshot.schemas import (
+    FORMAT_VERSION,
+    TakeColumn,
+    column_problem,
+    conform,
+    frames_schema,
+    labels_schema,
+    result_schema,
+    with_columns,
+)
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import Store
+from kinedex.storage.store.version_changes import Facts
 from kinedex.storage.store.write_access import (
     FOLDERS,
     last_opened,
@@ -57,10 +72,12 @@ class StoreWriter:
         self._lock = lock
         self._takes: dict[int, pa.Table] = {}
         self._changes: list[Any] = []
+        self._facts = Facts()
         self._checked = CheckedFiles(path)
         takes = Snapshot(path, manifest, self._checked)
         self._ids = dict(takes.take_ids)
         self._rows = dict(takes.take_frames)
+        self._live = set(self._rows)
         self._next = manifest.next_take_id
 
     @classmethod
@@ -100,7 +117,7 @@ class StoreWriter:
                 for folder in FOLDERS:
                     (root / folder).mkdir(exist_ok=True)
             if manifest is None:
-                publish(root, Manifest(FORMAT_VERSION, 1, now(), feature_set, float(rate_hz), 1))
+                publish(root, _first_version(feature_set, rate_hz))
                 manifest = read_newest(root)
             refuse_other_words(root, manifest, feature_set, rate_hz)
             remove_leftovers(root, manifest, since)
@@ -113,6 +130,11 @@ class StoreWriter:
     def manifest(self) -> Manifest:
         """The version that was committed last."""
         return self._committed
+
+    @property
+    def takes_schema(self) -> pa.Schema:
+        """The columns of takes, with those that were declared since the last commit."""
+        return self._manifest.takes_schema
 
     @property
     def store(self) -> Store:
@@ -134,7 +156,8 @@ class StoreWriter:
         Parameters
         ----------
         takes : pyarrow.Table
-            One row per take, `takes_schema`, ids from `assign_take_ids`.
+            One row per take, ids from `assign_take_ids`: the columns of `takes_schema` and declared ones
+            (`declare_columns`); of the latter, and of those that may be null in any store, some may be missing.
         frames : pyarrow.Table, Part or sequence of Part
             The frames of exactly these takes: parts that workers have written, or a table sorted by take_id and frame.
 
@@ -143,7 +166,7 @@ class StoreWriter:
         StoreError
             The frames are not those of the takes, or an id was not assigned to its take's name.
         """
-        takes = conform(takes, takes_schema(), "takes")
+        takes = self._take_rows(takes)
         parts = self._frames_parts(takes, frames)
         self._check_takes(takes, parts)
         ids = [take for part in parts for take in part.take_ids]
@@ -152,6 +175,9 @@ class StoreWriter:
         again = {part.path for part in parts}
         others = tuple(part for part in self._manifest.frames if part.path not in again)
         self._manifest = replace(self._manifest, frames=_without(others, ids, self._rows) + tuple(parts))
+        self._facts.count("takes_replaced", len(self._live.intersection(ids)))
+        self._facts.count("takes_added", len(set(ids) - self._live))
+        self._live.update(ids)
         self._drop_take_rows(ids)
         for row, take in enumerate(takes.column("take_id").to_pylist()):
             self._takes[take] = takes.slice(row, 1)
@@ -167,18 +193,19 @@ class StoreWriter:
         Parameters
         ----------
         takes : pyarrow.Table
-            The new rows, `takes_schema`.
+            The new rows, with columns as for `add_takes`.
 
         Raises
         ------
         StoreError
             No live take has one of the ids.
         """
-        takes = conform(takes, takes_schema(), "takes")
+        takes = self._take_rows(takes)
         ids = takes.column("take_id").to_pylist()
         unknown = set(ids) - set(self._manifest.live_takes)
         if unknown:
             raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
+        self._facts.count("takes_restated", len(ids))
         self._drop_take_rows(ids)
         self._takes.update({take: takes.slice(row, 1) for row, take in enumerate(ids)})
 
@@ -205,6 +232,8 @@ class StoreWriter:
         self._drop_take_rows(gone)
         self._ids = {name: take for name, take in self._ids.items() if take not in gone}
         self._changes.append(["dropped", sorted(gone)])
+        self._facts.count("takes_dropped", len(gone))
+        self._live -= gone
 
     def swap_parts(self, kind: Literal["frames", "takes"], old: Sequence[Part], new: Sequence[Part]) -> None:
         """Replace parts by others that hold the same live takes in another layout.
@@ -240,6 +269,7 @@ class StoreWriter:
             part_file(self.path, part.path)
         others = tuple(part for part in standing if part.path not in gone)
         parts = others + tuple(new)
+        self._facts.count("parts_compacted", len(old))
         self._manifest = (
             replace(self._manifest, frames=parts) if kind == "frames" else replace(self._manifest, takes=parts)
         )
@@ -287,15 +317,101 @@ class StoreWriter:
             ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3) for part in parts
         )
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
+        if kept != before:
+            self._facts.name("results", kind)
+
+    def put_labels(self, labels: pa.Table) -> pa.Table:
+        """Add labels; they stay for good, and a row takes the place of the one that it replaces.
+
+        Parameters
+        ----------
+        labels : pyarrow.Table
+            Columns of `labels_schema`; those that are missing are completed (`storage.snapshot.labels.new_labels`).
+            A row whose id the store has is skipped, so that the same rows can be put twice.
+
+        Returns
+        -------
+        pyarrow.Table
+            The new rows, with their ids.
+
+        Raises
+        ------
+        ParameterError
+            A value is out of its domain; nothing is changed.
+        """
+        store = Snapshot(self.path, self._manifest, self._checked)
+        rows = store.take_rows
+        checksums = dict(zip(*(rows.column(name).to_pylist() for name in ("name", "checksum")), strict=True))
+        known = store.labels(history=True)
+        new = new_labels(labels, known, checksums)
+        if not new.num_rows:
+            return new
+        stay = list(self._manifest.labels)
+        count = new.num_rows
+        # parts double in size from the last to the first, so that there are few, and a row is seldom written again
+        while stay and stay[-1].rows < 2 * count:
+            count += stay.pop().rows
+        merged = pa.concat_tables([known.slice(sum(part.rows for part in stay)), new])
+        part = write_part(self.path, "labels", merged.replace_schema_metadata(labels_schema().metadata))
+        written = LabelPart(part.path, part.rows, part.bytes, part.sha256, part.xxh3)
+        self._manifest = replace(self._manifest, labels=(*stay, written))
+        self._facts.count("labels", new.num_rows)
+        return new
+
+    def declare_columns(self, columns: Mapping[str, TakeColumn]) -> None:
+        """Declare columns of takes beside those of every store; rows that are there already have null in them.
+
+        Parameters
+        ----------
+        columns : mapping of str to TakeColumn
+            Name → declaration; one that stands already is left as it is.
+
+        Raises
+        ------
+        StoreError
+            A name or type cannot be used, or the column is declared otherwise.
+        """
+        declared = dict(self._manifest.columns)
+        for name, column in columns.items():
+            if (problem := column_problem(name, column, declared)) is not None:
+                raise StoreError(f"{self.path}: takes cannot have a column '{name}': {problem}; give it another name")
+            if name not in declared:
+                declared[name] = column
+                self._facts.name("columns", name)
+        self._manifest = replace(self._manifest, columns=declared)
+
+    def record_source(self, root: str, stage: str, settings: Mapping[str, Any]) -> None:
+        """Record the settings with which a source folder is ingested, in place of its earlier ones.
+
+        Parameters
+        ----------
+        root : str
+            The folder, absolute.
+        stage : str
+            The stage, "<pipeline>/<stage>".
+        settings : mapping of str to object
+            The parameters of the stage, as JSON values.
+        """
+        standing = self._manifest.sources.get(root)
+        if standing is None or (standing.stage, standing.settings) != (stage, settings):
+            source = Source(stage, dict(settings), now())
+            self._manifest = replace(self._manifest, sources={**self._manifest.sources, root: source})
+
+    def record_pipeline(self, name: str, record: PipelineRecord) -> None:
+        """Record what a pipeline was run with, in place of its earlier record."""
+        self._manifest = replace(self._manifest, pipelines={**self._manifest.pipelines, name: record})
 
     def forget_stage(self, stage: str) -> None:
         """Remove a stage's record, so that it does not count as done while it runs again."""
         left = {name: record for name, record in self._manifest.stages.items() if name != stage}
+        if len(left) < len(self._manifest.stages):
+            self._facts.name("stages_begun", stage)
         self._manifest = replace(self._manifest, stages=left)
 
     def record_stage(self, record: StageRecord) -> None:
         """Record that a stage is done, in place of its earlier record."""
         self._manifest = replace(self._manifest, stages={**self._manifest.stages, record.stage: record})
+        self._facts.name("stages_done", record.stage)
 
     def commit(self) -> Manifest:
         """Publish all changes since the last commit as one new version; without changes, none is made.
@@ -312,19 +428,31 @@ class StoreWriter:
         """
         pending = self._manifest
         if self._takes:
-            rows = pa.concat_tables([self._takes[take] for take in sorted(self._takes)])
+            # a column may have been declared after a row was added
+            schema = pending.takes_schema
+            ordered = (self._takes[take] for take in sorted(self._takes))
+            rows = pa.concat_tables(row if row.schema == schema else with_columns(row, schema) for row in ordered)
             part = write_part(self.path, "takes", rows, sorted(self._takes))
             others = tuple(other for other in pending.takes if other.path != part.path)
             pending = replace(pending, takes=(*others, part))
             if self._changes:
                 self._changes.append(["rows", part.sha256])
+        facts, self._facts = self._facts, Facts()
         if pending == self._committed:
             self._changes = []
             return self._committed
         if self._changes:
             pending = replace(pending, content=changed_content(pending.content, self._changes))
         version = self._committed.version + 1
-        pending = replace(pending, version=version, created=now(), next_take_id=self._next)
+        pending = replace(
+            pending,
+            version=version,
+            created=now(),
+            next_take_id=self._next,
+            kinedex=kinedex_version(),
+            command=running_command(),
+            changes=facts.encoded,
+        )
         publish(self.path, pending)
         self._committed = self._manifest = pending
         self._takes = {}
@@ -342,6 +470,14 @@ class StoreWriter:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _take_rows(self, takes: pa.Table) -> pa.Table:
+        """Return rows of takes with all columns; those that may be missing are null."""
+        schema = self._manifest.takes_schema
+        optional = {"known", *self._manifest.columns} - set(takes.column_names)
+        for name in (name for name in schema.names if name in optional):
+            takes = takes.append_column(name, pa.nulls(takes.num_rows, schema.field(name).type))
+        return conform(takes, schema, "takes")
 
     def _drop_take_rows(self, take_ids: Iterable[int]) -> None:
         gone = set(take_ids)
@@ -387,6 +523,20 @@ class StoreWriter:
                     f"take '{name}' has the id {take}, but the store gives it {self._ids.get(name, 'none')}; "
                     "ids come from assign_take_ids"
                 )
+
+
+def _first_version(feature_set: FeatureSet, rate_hz: float) -> Manifest:
+    """Return the version of a store without takes."""
+    return Manifest(
+        FORMAT_VERSION,
+        1,
+        now(),
+        feature_set,
+        float(rate_hz),
+        1,
+        kinedex=kinedex_version(),
+        command=running_command(),
+    )
 
 
 def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:

@@ -38,3 +38,4 @@ def as_format_3(store: Path) -> None:
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         content["checksum"] = hashlib.sha256(text.encode()).hexdigest()
         path.write_text(json.dumps(content))
+    (store / "labels").rmdir()

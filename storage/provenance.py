@@ -1,0 +1,30 @@
+"""Provenance: the command and the version of kinedex that a file of a store was made by."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+LONGEST = 1000
+"""Most characters of a command that are recorded."""
+
+
+def running_command() -> str:
+    """Return the command line of this process as it would be typed, such as "kinedex ingest STORE DIR"."""
+    program, *arguments = sys.argv or [""]
+    path = Path(program)
+    name = path.parent.name if path.name == "__main__.py" else path.name
+    text = shlex.join([name or "python", *arguments])
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+
+
+@cache
+def kinedex_version() -> str:
+    """Return the version of the installed kinedex; "unknown" for a checkout that is not installed."""
+    try:
+        return version("kinedex")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,77 @@
+"""Labels: statements of people about takes. They are primary data: rows are added and replaced, never changed."""
+
+from __future__ import annotations
+
+import uuid
+from datetime import UTC, datetime
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.errors import ParameterError
+from kinedex.storage.snapshot.schemas import LABEL_ORIGINS, LABEL_VERDICTS, labels_schema, with_columns
+
+
+def current_labels(rows: pa.Table) -> pa.Table:
+    """Return the labels that count: the rows that no other row replaces, without those that only withdraw another."""
+    replaced = pc.is_in(rows.column("id"), rows.column("replaces"))
+    withdrawn = pc.equal(rows.column("verdict"), "withdrawn")
+    return rows.filter(pc.invert(pc.or_(replaced, withdrawn)))
+
+
+def new_labels(labels: pa.Table, known: pa.Table, checksums: dict[str, str]) -> pa.Table:
+    """Complete and check labels, and return those that a store does not have yet.
+
+    Parameters
+    ----------
+    labels : pyarrow.Table
+        Columns of `labels_schema`; those that are missing are null. A row without `id` gets a new one, one without
+        `created` the present time, one without `verdict` is "positive", one without `checksum` gets that of its take.
+    known : pyarrow.Table
+        All rows that the store has. A row with the id of one of them is skipped, so that rows can be put twice.
+    checksums : dict of str to str
+        Name of a take → the checksum of its source file. Labels of takes that the store lacks are kept, too.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of its domain; the message names the row's take and class.
+    """
+    unknown = [name for name in labels.column_names if name not in labels_schema().names]
+    if unknown:
+        raise ParameterError("labels", f"a table with columns of {', '.join(labels_schema().names)}", unknown[0])
+    ids = set(known.column("id").to_pylist())
+    now = datetime.now(UTC)
+    rows = []
+    for row in with_columns(labels, labels_schema()).to_pylist():
+        row["id"] = row["id"] or uuid.uuid4().hex
+        if row["id"] in ids:
+            continue
+        ids.add(row["id"])
+        row["created"] = row["created"] or now
+        row["verdict"] = row["verdict"] or "positive"
+        row["checksum"] = row["checksum"] or checksums.get(row["take"])
+        rows.append(row)
+    for row in rows:
+        _check(row, ids)
+    return pa.Table.from_pylist(rows, schema=labels_schema())
+
+
+def _check(row: dict[str, Any], ids: set[str]) -> None:
+    shown = f"of {row['take']}, {row['class']}"
+    for name in ("take", "class", "start", "stop"):
+        if row[name] is None:
+            raise ParameterError(f"{name} of a label {shown}", "given", None)
+    start, stop = row["start"], row["stop"]
+    if not 0 <= start < stop:
+        raise ParameterError(
+            f"range of the label {shown}", "frames [start, stop) with 0 <= start < stop", (start, stop)
+        )
+    for name, values in (("verdict", LABEL_VERDICTS), ("origin", LABEL_ORIGINS)):
+        if row[name] not in values:
+            raise ParameterError(f"{name} of the label {shown}", f"one of {', '.join(values)}", row[name])
+    if row["replaces"] is not None and (row["replaces"] not in ids or row["replaces"] == row["id"]):
+        raise ParameterError(f"replaces of the label {shown}", "the id of another label", row["replaces"])
+    if row["verdict"] == "withdrawn" and row["replaces"] is None:
+        raise ParameterError(f"replaces of the label {shown}", "the id of the label that it withdraws", None)
