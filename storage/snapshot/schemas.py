@@ -10,6 +10,7 @@ from typing import Literal
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.sql.result_views import RESULT_VIEWS
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 
 FORMAT_VERSION = 4
@@ -119,185 +120,21 @@ LABEL_VERDICTS = ("positive", "negative", "withdrawn")
 LABEL_ORIGINS = ("imported", "accepted", "corrected", "drawn")
 """Origins of a label: a file, an annotation that a person accepted or rejected, one that was corrected, a person."""
 
-_RUN = ("run", pa.string())
-_TAKE = (("take_id", pa.int64()), ("take", pa.string()))
-_RANGE = (
-    *((name, pa.int32()) for name in ("start", "stop")),
-    *((name, pa.float64()) for name in ("start_seconds", "stop_seconds")),
-)
-"""Frames [start, stop) of a take, and the same in seconds."""
-
-_COUNTS = (
-    "frames_both",
-    "frames_automatic",
-    "frames_manual",
-    "segments_automatic_hit",
-    "segments_automatic",
-    "segments_manual_hit",
-    "segments_manual",
-)
-_QUERY = (
-    *((name, pa.list_(pa.uint64())) for name in ("masks", "values")),
-    *((name, pa.list_(pa.int32())) for name in ("positions", "lows", "highs")),
-)
-"""A keyframe query in bits of whole words."""
-
-_RESULTS: dict[str, pa.Schema] = {
-    "templates": _fields(
-        _RUN,
-        ("subclass", pa.string()),
-        ("kind", pa.string()),
-        ("features", pa.int32()),
-        ("columns", pa.int32()),
-        ("values", pa.list_(pa.float64())),
-        ("weights", pa.list_(pa.float64())),
-        ("clips", pa.list_(pa.string())),
-        ("rounds", pa.int32()),
-        ("costs", pa.list_(pa.float64())),
-        ("take_filter", pa.string()),
-        ("origin", pa.string()),
-        ("clip_costs", pa.list_(pa.float64())),
-        ("feature_weights", pa.list_(pa.float64())),
-        ("remarks", pa.list_(pa.string())),
-    ),
-    "annotated_takes": _fields(
-        _RUN,
-        *_TAKE,
-        ("frames", pa.int64()),
-        ("searched", pa.float64()),
-        ("fingerprint", pa.string()),
-    ),
-    "distance_curves": _fields(
-        _RUN,
-        *_TAKE,
-        ("class", pa.string()),
-        ("subclass", pa.string()),
-        ("costs", pa.list_(pa.float32())),
-        ("preselected", pa.float64()),
-    ),
-    "annotations": _fields(
-        _RUN,
-        *_TAKE,
-        ("class", pa.string()),
-        ("subclass", pa.string()),
-        *_RANGE,
-        ("cost", pa.float64()),
-        ("confidence", pa.float64()),
-        ("method", pa.string()),
-    ),
-    "ground_truth": _fields(
-        _RUN,
-        *_TAKE,
-        ("class", pa.string()),
-        ("start", pa.int32()),
-        ("stop", pa.int32()),
-        ("source_start", pa.int64()),
-        ("source_stop", pa.int64()),
-        ("origin", pa.string()),
-    ),
-    "metrics": _fields(
-        _RUN,
-        ("evaluation", pa.string()),
-        ("scope", pa.string()),
-        ("name", pa.string()),
-        *((name, pa.float64()) for name in ("p1", "r1", "f1", "p2", "r2", "f2")),
-        *((name, pa.int64()) for name in _COUNTS),
-    ),
-    "queries": _fields(
-        _RUN,
-        ("subclass", pa.string()),
-        ("number", pa.int32()),
-        ("origin", pa.string()),
-        *_QUERY,
-        ("left", pa.int32()),
-        ("right", pa.int32()),
-        ("columns", pa.int32()),
-        *((name, pa.float64()) for name in ("fitness", "rank", "median", "best", "agreement", "precision", "recall")),
-        ("runs", pa.int32()),
-        ("settled", pa.bool_()),
-        ("matrix", pa.list_(pa.float64())),
-        ("clips", pa.list_(pa.string())),
-    ),
-    "keyframe_runs": _fields(
-        _RUN,
-        ("key", pa.string()),
-        ("subclass", pa.string()),
-        ("number", pa.int32()),
-        ("fitness", pa.float64()),
-        ("rank", pa.float64()),
-        ("evaluated", pa.int64()),
-        *_QUERY,
-        ("history", pa.list_(pa.float64())),
-    ),
-    "hits": _fields(
-        _RUN,
-        ("saved_as", pa.string()),
-        ("query", pa.string()),
-        *_TAKE,
-        *_RANGE,
-    ),
-    "ranked_hits": _fields(
-        _RUN,
-        ("template", pa.string()),
-        ("rank", pa.int32()),
-        *_TAKE,
-        *_RANGE,
-        ("cost", pa.float64()),
-    ),
-    "precision_recall": _fields(
-        _RUN,
-        ("variant", pa.string()),
-        ("stiffness", pa.float64()),
-        ("class", pa.string()),
-        ("relevant", pa.int32()),
-        ("ranked", pa.int32()),
-        ("found", pa.int32()),
-        *((name, pa.float64()) for name in ("kept", "average_precision")),
-        *((name, pa.list_(pa.float64())) for name in ("precision", "recall")),
-    ),
-    "retrieval": _fields(
-        _RUN,
-        ("evaluation", pa.string()),
-        ("fold", pa.string()),
-        ("class", pa.string()),
-        ("relevant", pa.int32()),
-        ("found", pa.int32()),
-        ("average_precision", pa.float64()),
-        ("recall_at_tau", pa.float64()),
-        ("confused_with", pa.list_(pa.string())),
-    ),
-    "method_cells": _fields(
-        _RUN,
-        ("cell", pa.string()),
-        ("split", pa.string()),
-        ("fold", pa.string()),
-        ("method", pa.string()),
-        ("take", pa.string()),
-        ("frames", pa.int32()),
-        ("classes", pa.list_(pa.string())),
-        *((name, pa.list_(pa.int32())) for name in ("starts", "stops")),
-        ("confidences", pa.list_(pa.float64())),
-    ),
-    "skeleton_files": _fields(
-        _RUN,
-        ("source_root", pa.string()),
-        ("source", pa.string()),
-        ("source_bytes", pa.int64()),
-        ("source_mtime_ns", pa.int64()),
-        ("checksum", pa.string()),
-    ),
-    "ingest_log": _fields(
-        _RUN,
-        ("source", pa.string()),
-        ("stage", pa.string()),
-        ("error", pa.string()),
-        ("message", pa.string()),
-        ("file", pa.string()),
-        ("line", pa.int32()),
-        ("logged_at", pa.timestamp("us", tz="UTC")),
-    ),
+_SQL_TYPES = {
+    **COLUMN_TYPES,
+    "INTEGER": pa.int32(),
+    "UBIGINT": pa.uint64(),
+    "FLOAT": pa.float32(),
+    "TIMESTAMP WITH TIME ZONE": pa.timestamp("us", tz="UTC"),
 }
 
+
+def _type(name: str) -> pa.DataType:
+    return pa.list_(_type(name.removesuffix("[]"))) if name.endswith("[]") else _SQL_TYPES[name]
+
+
+# A part of results has the columns of the view that shows it.
+_RESULTS = {view.name: _fields(*((one.name, _type(one.type)) for one in view.columns)) for view in RESULT_VIEWS}
 _REQUIRED = {
     "takes": tuple(name for name in _TAKES.names if name != "known"),
     "labels": tuple(_LABELS.names),
