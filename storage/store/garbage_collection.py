@@ -135,6 +135,8 @@ def _unfinished(root: Path) -> Iterator[Garbage]:
     for folder in (FOLDER, *PART_FOLDERS):
         for path in sorted((root / folder).glob(f"{TEMPORARY}*")):
             yield Garbage(path.relative_to(root).as_posix(), path.stat().st_size, "unfinished file")
+    for path in sorted((root / "results" / "reports").glob("*/.*")):
+        yield Garbage(path.relative_to(root).as_posix(), path.stat().st_size, "unfinished file")
 
 
 def _generations(root: Path, keep: int) -> Iterator[Garbage]:
