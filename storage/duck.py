@@ -13,6 +13,8 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
+from kinedex.storage.interruption import is_abandoned, run_bounded
+
 Connection = duckdb.DuckDBPyConnection
 Error = duckdb.Error
 Parameters = Sequence[Any] | dict[str, Any] | None
@@ -162,9 +164,10 @@ def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
         text = f"SELECT * FROM {name} WHERE (\n{condition}\n)"
         if len(connection.extract_statements(text)) != 1:
             raise duckdb.ParserException("more than one statement")
-        return connection.sql(text).to_arrow_table()
+        return run_bounded(connection, lambda: connection.sql(text).to_arrow_table())
     finally:
-        connection.close()
+        if not is_abandoned(connection):
+            connection.close()
 
 
 def message(fault: duckdb.Error) -> str:

@@ -328,12 +328,18 @@ class Store:
     # ---- SQL ---------------------------------------------------------------------------------------------
 
     @overload
-    def sql(self, query: str, params: Parameters = None, *, polars: Literal[False] = False) -> pa.Table: ...
+    def sql(
+        self, query: str, params: Parameters = None, *, polars: Literal[False] = False, timeout: float | None = None
+    ) -> pa.Table: ...
 
     @overload
-    def sql(self, query: str, params: Parameters = None, *, polars: Literal[True]) -> pl.DataFrame: ...
+    def sql(
+        self, query: str, params: Parameters = None, *, polars: Literal[True], timeout: float | None = None
+    ) -> pl.DataFrame: ...
 
-    def sql(self, query: str, params: Parameters = None, *, polars: bool = False) -> pa.Table | pl.DataFrame:
+    def sql(
+        self, query: str, params: Parameters = None, *, polars: bool = False, timeout: float | None = None
+    ) -> pa.Table | pl.DataFrame:
         """Run one SQL query that reads, over the views and macros of the store.
 
         Parameters
@@ -344,6 +350,8 @@ class Store:
             Values for ``?``, or for ``$name``.
         polars : bool, optional
             True returns a polars data frame in place of an Arrow table.
+        timeout : float, optional
+            Seconds that the query may take; as long as it needs unless given.
 
         Returns
         -------
@@ -353,7 +361,7 @@ class Store:
         Raises
         ------
         KinedexError
-            The query is not valid, or would change something.
+            The query is not valid, would change something, or does not end in time.
 
         Examples
         --------
@@ -362,7 +370,7 @@ class Store:
         >>> store.sql("SELECT name FROM takes WHERE frames > ?", [10_000], polars=True).height
         0
         """
-        table = self.stored.sql(query, params)
+        table = self.stored.sql(query, params, timeout=timeout)
         return data_frame(table) if polars else table
 
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> Connection:

@@ -7,8 +7,10 @@ import functools
 import inspect
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -21,8 +23,11 @@ from kinedex.ops.errors import KinedexError, Remedy
 if TYPE_CHECKING:
     from types import TracebackType
 
-FAILED, LEFT_OUT, INTERRUPTED = 1, 3, 130
-"""Exit codes: the command failed; it is done, but the ingest excluded source files; Ctrl-C stopped it."""
+FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
+"""Exit codes: failed; done, but the ingest excluded source files; `--timeout` ended it; Ctrl-C stopped it."""
+
+_CODES = {"TimeLimitError": TIMED_OUT}
+"""Class of an error → exit code, where it is not `FAILED`."""
 
 RUN, ASK, SEARCH, MAINTAIN = "Run pipelines", "Ask a store", "Search for motion", "Look after files and stores"
 PANELS = (RUN, ASK, SEARCH, MAINTAIN)
@@ -90,7 +95,8 @@ app = typer.Typer(
     name="kinedex",
     cls=HelpPage,
     help="A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out.",
-    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were excluded.",
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were excluded, "
+    "124 a time limit ended it, 130 Ctrl-C did.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs
@@ -179,9 +185,13 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
             function(**arguments)
         except KinedexError as fault:
-            print_error(str(fault), type(fault).__name__, FAILED, as_json, fault.remedy)
-        except KeyboardInterrupt:
-            message = "stopped; the same command continues where it was"
+            code = _CODES.get(type(fault).__name__, FAILED)
+            print_error(str(fault), type(fault).__name__, code, as_json, fault.remedy)
+            raise typer.Exit(code) from None
+        except KeyboardInterrupt as fault:
+            with suppress(ValueError):  # not the main thread
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+            message = str(fault) or "stopped; the same command continues where it was"
             print_error(message, "KeyboardInterrupt", INTERRUPTED, as_json)
             raise typer.Exit(INTERRUPTED) from None
         except OSError as fault:

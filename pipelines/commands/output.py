@@ -33,6 +33,11 @@ def print_message(text: str) -> None:
     message_console().print(text, markup=False)
 
 
+def is_for_people(form: str, output: Path | None) -> bool:
+    """Return whether `show_table` will print a table on a terminal."""
+    return form == "table" and output is None and sys.stdout.isatty()
+
+
 def show_table(table: pa.Table, form: str, output: Path | None) -> None:
     """Print a table, or write it to a file.
 

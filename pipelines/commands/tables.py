@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -11,8 +12,15 @@ import typer
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.commands.app import ASK, Command, command
-from kinedex.pipelines.commands.options import FormatOption, JsonOption, OutputOption, StorePath, WhereOption
-from kinedex.pipelines.commands.output import print_json, print_message, show_table
+from kinedex.pipelines.commands.options import (
+    FormatOption,
+    JsonOption,
+    OutputOption,
+    StorePath,
+    WhereOption,
+    seconds_of,
+)
+from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, show_table
 
 
 class _SqlCommand(Command):
@@ -40,9 +48,24 @@ def sql(
         list[Path] | None,
         typer.Option("--allow-files", metavar="DIR", help="A folder whose files SQL may read; may be repeated."),
     ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            "--timeout", metavar="DURATION", parser=seconds_of,
+            help="End a statement that takes longer (30s, 10m, 2h) with exit code 124; no limit unless given.",
+        ),
+    ] = None,
+    limit: Annotated[
+        int | None,
+        typer.Option(
+            min=0, metavar="N",
+            help="Show this many rows and report the number of the others; 0 shows all. A table on a terminal has "
+            "200 rows unless given, everything else has all.",
+        ),
+    ] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
-) -> None:
+) -> None:  # fmt: skip
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
     from kinedex.storage.store.store import open_store
 
@@ -51,6 +74,9 @@ def sql(
             raise KinedexError("--path prints the path of the index file and runs no SQL: give no statement")
         print(open_store(store).index_path().absolute())
         return
+    from kinedex.pipelines.console.sql_prompt import ROWS, rows_line, run_prompt
+    from kinedex.pipelines.console.terminal import make_console
+
     if query is not None and file is not None:
         raise KinedexError("give the SQL as an argument or with --file, not both")
     if file is not None:
@@ -59,13 +85,31 @@ def sql(
         if not folder.is_dir():
             raise KinedexError(f"--allow-files {folder}: no such folder")
     opened = open_store(store, allow_files or ())
+    _bound_memory()
+    if limit is None and (is_for_people(form, output) or (query is None and sys.stdin.isatty())):
+        limit = ROWS
     if query is None and sys.stdin.isatty():
-        from kinedex.pipelines.console.sql_prompt import run_prompt
-        from kinedex.pipelines.console.terminal import make_console
-
-        run_prompt(opened, make_console())
+        run_prompt(opened, make_console(), timeout=timeout, max_rows=limit or None)
         return
-    show_table(opened.sql(query if query is not None else sys.stdin.read()), form, output)
+    found = opened.answer(sys.stdin.read() if query is None else query, timeout=timeout, max_rows=limit or None)
+    show_table(found.table, form, output)
+    if found.rows > found.table.num_rows:
+        print(f"{rows_line(found)}; --limit 0 shows all", file=sys.stderr)
+
+
+def _bound_memory() -> None:
+    """Let allocations fail that the machine has no memory for; DuckDB's own limit does not count texts and lists.
+
+    A statement that needs more then ends with an error; without this the system would kill the process.
+    """
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    most = int(0.9 * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if hard == resource.RLIM_INFINITY or most < hard:
+        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
 
 
 def _statement_of(file: Path) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import atexit
 import os
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +13,8 @@ from rich.console import Console
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.tables import Shown
-from kinedex.storage.sql.queries import split_statements
+from kinedex.storage.interruption import abandoned_statements
+from kinedex.storage.sql.queries import Answer, split_statements
 from kinedex.storage.store.store import Store
 
 HELP = """.tables          list the views and macros
@@ -26,7 +26,7 @@ Anything else is SQL and ends with a semicolon; SELECT * FROM help; lists views 
 COMMANDS = (".tables", ".schema", ".help", ".quit")
 
 ROWS = 200
-"""Largest number of rows that the prompt prints; it reports how many more there are."""
+"""Number of rows that a terminal shows unless another is asked for; how many more there are is reported."""
 
 _ENTRIES: dict[str, View | Macro] = {entry.name: entry for entry in (*VIEWS, *MACROS)}
 
@@ -38,7 +38,14 @@ def history_file() -> Path:
     return Path(base) / "kinedex" / "sql_history"
 
 
-def run_prompt(store: Store, console: Console, read: Callable[[str], str] = input) -> None:
+def run_prompt(
+    store: Store,
+    console: Console,
+    read: Callable[[str], str] = input,
+    *,
+    timeout: float | None = None,
+    max_rows: int | None = ROWS,
+) -> None:
     """Read statements and dot commands and answer them, until the input ends.
 
     Parameters
@@ -49,36 +56,45 @@ def run_prompt(store: Store, console: Console, read: Callable[[str], str] = inpu
         Where answers are printed.
     read : callable
         Function that asks for one line; it raises EOFError at the end, KeyboardInterrupt at Ctrl-C.
+    timeout : float, optional
+        Seconds that a statement may take.
+    max_rows : int, optional
+        Most rows of an answer that are printed and held in memory; all if None.
     """
-    if read is input:
-        _load_history()
-    console.print(f"{store!r}; .help for help", markup=False)
-    typed = ""
-    while True:
-        try:
-            line = read("kinedex> " if not typed else "    ...> ")
-        except EOFError:
-            console.print()
-            return
-        except KeyboardInterrupt:
-            console.print()
-            typed = ""
-            continue
-        if not typed and line.strip().startswith("."):
-            # people type a semicolon after a command, as the DuckDB shell allows it
-            words = line.strip().rstrip(";").split() or ["."]
-            if words[0] in (".quit", ".exit"):
+    with _history() if read is input else nullcontext():
+        console.print(f"{store!r}; .help for help", markup=False)
+        typed: str | None = ""
+        while typed is not None:
+            try:
+                line = read("kinedex> " if not typed else "    ...> ")
+                typed = _take_line(store, console, f"{typed}\n{line}" if typed else line, timeout, max_rows)
+            except EOFError:
+                console.print()
                 return
-            _answer(console, partial(_dot, store, console, words))
-            continue
-        whole, typed = split_statements(f"{typed}\n{line}" if typed else line)
-        for statement in whole:
-            if not _answer(console, partial(_select, store, console, statement)):
-                break
+            except KeyboardInterrupt:
+                console.print()
+                typed = ""
+
+
+def _take_line(store: Store, console: Console, typed: str, timeout: float | None, max_rows: int | None) -> str | None:
+    """Answer what is whole of the text typed so far and return its rest; None for the command that leaves."""
+    if "\n" not in typed and typed.strip().startswith("."):
+        # people type a semicolon after a command, as the DuckDB shell allows it
+        words = typed.strip().rstrip(";").split() or ["."]
+        if words[0] in (".quit", ".exit"):
+            return None
+        _answer(console, partial(_dot, store, console, words))
+        return ""
+    whole, typed = split_statements(typed)
+    for statement in whole:
+        if not _answer(console, partial(_select, store, console, statement, timeout, max_rows)):
+            break
+    return typed
 
 
 def _answer(console: Console, work: Callable[[], None]) -> bool:
     """Answer a statement or command; return False where it fails."""
+    before = abandoned_statements()
     try:
         work()
     except KinedexError as fault:
@@ -87,14 +103,22 @@ def _answer(console: Console, work: Callable[[], None]) -> bool:
         console.print("stopped", style="red")
     else:
         return True
+    if abandoned_statements() > before:
+        console.print("its last function still computes, until it returns or you leave the prompt", style="red")
     return False
 
 
-def _select(store: Store, console: Console, statement: str) -> None:
-    table = store.sql(statement)
-    console.print(Shown(table.slice(0, ROWS)))
-    rows = f"{table.num_rows:,} row{'' if table.num_rows == 1 else 's'}"
-    console.print(rows if table.num_rows <= ROWS else f"{rows}; the first {ROWS} are shown", markup=False)
+def _select(store: Store, console: Console, statement: str, timeout: float | None, max_rows: int | None) -> None:
+    found = store.answer(statement, timeout=timeout, max_rows=max_rows)
+    console.print(Shown(found.table))
+    console.print(rows_line(found), markup=False)
+
+
+def rows_line(found: Answer) -> str:
+    """Return the line about the number of rows: all, and those that are shown where they are fewer."""
+    rows = f"{'' if found.counted else 'more than '}{found.rows:,} row{'' if found.rows == 1 else 's'}"
+    shown = found.table.num_rows
+    return rows if found.counted and shown == found.rows else f"{rows}; the first {shown:,} are shown"
 
 
 def _dot(store: Store, console: Console, words: list[str]) -> None:
@@ -144,30 +168,29 @@ def _describe(store: Store, console: Console, command: str, name: str) -> None:
         console.print(Shown(store.sql(f"{query} ORDER BY ordinal_position", [name])))
 
 
-def _load_history() -> None:
+@contextmanager
+def _history() -> Iterator[None]:
     """Switch on line editing, history and completion where Python has readline, which Windows lacks."""
     try:
         import readline
     except ImportError:
+        yield
         return
     readline.set_completer(completer([*COMMANDS, *_ENTRIES, *(c.name for view in VIEWS for c in view.columns)]))
     readline.set_completer_delims(" \t\n,;()='\"")
     readline.parse_and_bind("tab: complete")
+    readline.set_history_length(2000)
     path = history_file()
-    try:
+    # a history that cannot be read or written is no error of the command
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             readline.read_history_file(path)
-    except OSError:
-        return
-    readline.set_history_length(2000)
-
-    def save() -> None:
-        # a history that cannot be written is no error of the command
+    try:
+        yield
+    finally:
         with suppress(OSError):
             readline.write_history_file(path)
-
-    atexit.register(save)
 
 
 def completer(names: Iterable[str]) -> Callable[[str, int], str | None]:

@@ -21,15 +21,19 @@ from kinedex.storage.index.generations import (
     read_generation,
 )
 from kinedex.storage.index.reference_tables import features_table, help_table
+from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
-from kinedex.storage.sql.queries import Unreadable, interruptible_query
+from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query
 from kinedex.storage.sql.read_only import UnknownName
 from kinedex.storage.sql.read_parts import check_parts, parts_of
 
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """The names of all views and macros."""
+
+_left_open: list[Connections] = []
+"""Connections in which an abandoned statement runs."""
 
 _MACROS = frozenset(macro.name for macro in MACROS)
 
@@ -121,12 +125,17 @@ class Connections:
             raise
         return connection
 
-    def give_back(self, connection: duck.Connection) -> None:
-        """Take a connection back."""
+    def give_back(self, connection: duck.Connection) -> bool:
+        """Take a connection back; return False where none of them must be used again."""
+        if is_abandoned(connection):
+            # they stay open, since closing the first one closes all, and that would wait for the statement
+            _left_open.append(self)
+            return False
         with self._lock:
             self._taken -= 1
             self._idle.append(connection)
             self._close()
+        return True
 
     def close(self) -> None:
         """Close all connections as soon as none is in use."""
@@ -190,8 +199,15 @@ def _attach_index(connection: duck.Connection, store: Snapshot) -> bool:
 
 
 def run_query(
-    store: Snapshot, connection: duck.Connection, text: str, parameters: duck.Parameters, *, files: bool = False
-) -> pa.Table:
+    store: Snapshot,
+    connection: duck.Connection,
+    text: str,
+    parameters: duck.Parameters,
+    *,
+    files: bool = False,
+    timeout: float | None = None,
+    max_rows: int | None = None,
+) -> Answer:
     """Run one reading query on a connection of `Connections`.
 
     Parameters
@@ -206,15 +222,18 @@ def run_query(
         Values for its `?`, or for its `$name`.
     files : bool, optional
         If True, it may read the files that the connection's settings allow.
+    timeout, max_rows : optional
+        As for `storage.sql.queries.bounded_query`.
 
     Raises
     ------
     KinedexError
-        The query is refused or fails; the message names what is missing or damaged in the store.
+        The query is refused, fails, or does not end in time; the message names what is missing or damaged in the
+        store.
     """
     check_parts(store, connection, text)
     try:
-        return interruptible_query(connection, text, parameters, _MACROS, files=files)
+        return bounded_query(connection, text, parameters, _MACROS, files=files, timeout=timeout, max_rows=max_rows)
     except UnknownName as fault:
         raise _explain_unknown(store, fault) from None
     except Unreadable as fault:

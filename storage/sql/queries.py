@@ -1,31 +1,61 @@
-"""The queries of users: they may only read, and they stop at Ctrl-C."""
+"""The queries of users: they may only read, they stop at Ctrl-C and after a time, and their rows can be limited."""
 
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
 
 import duckdb
 import pyarrow as pa
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.storage.duck import Connection, Parameters, message
+from kinedex.storage.interruption import run_bounded
 from kinedex.storage.sql.read_only import UnknownName, checked
 
+COUNTED = 1_000_000
+"""Number of rows after which the rows beyond a limit are not counted any more."""
+
+_BATCH = 20_000
 _MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
 _DAMAGE = (duckdb.IOException, duckdb.SerializationException, duckdb.InternalException, duckdb.FatalException)
+_DAMAGED_STREAM = re.compile(r"(IO|Serialization|INTERNAL|FATAL) Error: ")
 
 
 class Unreadable(KinedexError):
     """A query met a file that is missing or damaged."""
 
 
+@dataclass(frozen=True)
+class Answer:
+    """The rows of a query, or the first of them.
+
+    Attributes
+    ----------
+    table : pyarrow.Table
+        The rows, at most as many as the query was limited to.
+    rows : int
+        How many rows the query has; where `counted` is False, at least how many.
+    counted : bool
+        False if the query has more than `rows` rows.
+    """
+
+    table: pa.Table
+    rows: int
+    counted: bool = True
+
+
 def read_query(
-    connection: Connection, text: str, parameters: Parameters = None, macros: Iterable[str] = (), *, files: bool = False
-) -> pa.Table:
-    """Run one reading query and return its whole result.
+    connection: Connection,
+    text: str,
+    parameters: Parameters = None,
+    macros: Iterable[str] = (),
+    *,
+    files: bool = False,
+    max_rows: int | None = None,
+) -> Answer:
+    """Run one reading query and return its result.
 
     Parameters
     ----------
@@ -40,6 +70,8 @@ def read_query(
         Names of the macros that it may call.
     files : bool, optional
         If True, it may read files (with `read_csv`, for example) where the connection's settings allow it.
+    max_rows : int, optional
+        Most rows to return; the others are counted, up to `COUNTED`, and not held in memory.
 
     Raises
     ------
@@ -48,8 +80,15 @@ def read_query(
         unknown table or function, an `Unreadable` for a file that cannot be read.
     """
     try:
-        relation = connection.sql(checked(connection, text, macros, files=files), params=parameters)
-        return pa.table({}) if relation is None else relation.to_arrow_table()
+        relation: duckdb.DuckDBPyRelation | None = connection.sql(
+            checked(connection, text, macros, files=files), params=parameters
+        )
+        if relation is None:
+            return Answer(pa.table({}), 0)
+        if max_rows is not None:
+            return _first_rows(relation, max_rows)
+        table = relation.to_arrow_table()
+        return Answer(table, table.num_rows)
     except _DAMAGE as fault:
         raise Unreadable(message(fault)) from None
     except duckdb.Error as fault:
@@ -57,21 +96,60 @@ def read_query(
         raise (UnknownName(missing[1], message(fault)) if missing else KinedexError(message(fault))) from None
 
 
-def interruptible_query(
-    connection: Connection, text: str, parameters: Parameters = None, macros: Iterable[str] = (), *, files: bool = False
-) -> pa.Table:
-    """Run a query as `read_query` does, so that Ctrl-C stops it; DuckDB alone would notice Ctrl-C only at the end."""
-    if threading.current_thread() is not threading.main_thread():
-        return read_query(connection, text, parameters, macros, files=files)
-    with ThreadPoolExecutor(1) as pool:
-        done = pool.submit(read_query, connection, text, parameters, macros, files=files)
-        try:
-            return done.result()
-        except KeyboardInterrupt:
-            while not done.done():
-                connection.interrupt()
-                wait([done], timeout=0.05)
-            raise
+def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
+    """Return the first rows, and count the others batch by batch."""
+    reader = relation.to_arrow_reader(_BATCH)
+    batches, rows = [], 0
+    try:
+        for batch in reader:
+            if rows < max_rows:
+                batches.append(batch.slice(0, max_rows - rows))
+            rows += batch.num_rows
+            if rows > max(max_rows, COUNTED):
+                return Answer(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
+    except OSError as fault:  # Arrow's reader raises DuckDB's errors in this class
+        text = message(duckdb.Error(str(fault)))
+        raise (Unreadable if _DAMAGED_STREAM.match(str(fault)) else KinedexError)(text) from None
+    finally:
+        # a connection with an open result runs no other statement
+        reader.close()
+    return Answer(pa.Table.from_batches(batches, reader.schema), rows)
+
+
+def bounded_query(
+    connection: Connection,
+    text: str,
+    parameters: Parameters = None,
+    macros: Iterable[str] = (),
+    *,
+    files: bool = False,
+    timeout: float | None = None,
+    max_rows: int | None = None,
+) -> Answer:
+    """Run a query as `read_query` does, so that Ctrl-C and a time limit end it.
+
+    Parameters
+    ----------
+    connection, text, parameters, macros, files, max_rows
+        As for `read_query`.
+    timeout : float, optional
+        Seconds that the query may take; as long as it needs without it.
+
+    Raises
+    ------
+    TimeLimitError, KeyboardInterrupt
+        As for `storage.interruption.run_bounded`.
+    KinedexError
+        As for `read_query`.
+    """
+    if max_rows is not None and max_rows < 0:
+        raise ParameterError("max_rows", "at least 0", max_rows)
+
+    return run_bounded(
+        connection,
+        lambda: read_query(connection, text, parameters, macros, files=files, max_rows=max_rows),
+        timeout,
+    )
 
 
 def _tokens(text: str) -> list[tuple[int, str]]:

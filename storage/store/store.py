@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from kinedex.storage import duck
     from kinedex.storage.sql.connection import Connections
+    from kinedex.storage.sql.queries import Answer
 
 
 def open_store(path: str | Path, files: Iterable[str | Path] = ()) -> Store:
@@ -148,15 +149,23 @@ class Store(Snapshot):
         return connect(self, threads, memory_mb)
 
     @overload
-    def sql(self, query: str, params: duck.Parameters = None) -> pa.Table: ...
+    def sql(
+        self,
+        query: str,
+        params: duck.Parameters = None,
+        *,
+        polars: Literal[False] = False,
+        timeout: float | None = None,
+    ) -> pa.Table: ...
 
     @overload
-    def sql(self, query: str, params: duck.Parameters = None, *, polars: Literal[False]) -> pa.Table: ...
+    def sql(
+        self, query: str, params: duck.Parameters = None, *, polars: Literal[True], timeout: float | None = None
+    ) -> pl.DataFrame: ...
 
-    @overload
-    def sql(self, query: str, params: duck.Parameters = None, *, polars: Literal[True]) -> pl.DataFrame: ...
-
-    def sql(self, query: str, params: duck.Parameters = None, *, polars: bool = False) -> pa.Table | pl.DataFrame:
+    def sql(
+        self, query: str, params: duck.Parameters = None, *, polars: bool = False, timeout: float | None = None
+    ) -> pa.Table | pl.DataFrame:
         """Run one SQL query over the views and macros (`catalog.sql.views`) and return its rows.
 
         Several threads may call it at the same time.
@@ -169,17 +178,45 @@ class Store(Snapshot):
             Values for its `?` (a sequence) or its `$name` (a dict).
         polars : bool, optional
             Return a polars data frame instead of an Arrow table.
+        timeout : float, optional
+            Seconds that the query may take; as long as it needs without it.
 
         Raises
         ------
         KinedexError
-            The query is not valid, or would change something.
+            The query is not valid, would change something, or does not end in time (`TimeLimitError`).
+        """
+        table = self.answer(query, params, timeout=timeout).table
+        return data_frame(table) if polars else table
+
+    def answer(
+        self,
+        query: str,
+        params: duck.Parameters = None,
+        *,
+        timeout: float | None = None,
+        max_rows: int | None = None,
+    ) -> Answer:
+        """Run one SQL query as `sql` does, and return at most so many rows with the number of all.
+
+        Parameters
+        ----------
+        query, params, timeout
+            As for `sql`.
+        max_rows : int, optional
+            Most rows to return, and to hold in memory; all without it.
+
+        Raises
+        ------
+        KinedexError
+            As for `sql`.
         """
         from kinedex.storage.sql.connection import run_query
 
         with self._connection() as connection:
-            table = run_query(self, connection, query, params, files=bool(self._files))
-        return data_frame(table) if polars else table
+            return run_query(
+                self, connection, query, params, files=bool(self._files), timeout=timeout, max_rows=max_rows
+            )
 
     @contextmanager
     def _connection(self) -> Iterator[duck.Connection]:
@@ -199,7 +236,9 @@ class Store(Snapshot):
         try:
             yield connection
         finally:
-            known.give_back(connection)
+            if not known.give_back(connection):
+                with self._lock:
+                    self._connections = None if self._connections is known else self._connections
 
     def close(self) -> None:
         """Close the connections that `sql` has opened; the store can still be used."""

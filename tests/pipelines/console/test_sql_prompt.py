@@ -56,11 +56,11 @@ def test_ctrl_c_drops_what_was_typed_and_stops_what_runs(store: Store, monkeypat
     said = typed(store, "SELECT 'never',", KeyboardInterrupt, "SELECT 42;")
     assert "42" in said
     assert "never" not in said
-    monkeypatch.setattr(Store, "sql", interrupted)
+    monkeypatch.setattr(Store, "answer", interrupted)
     assert "stopped" in typed(store, "SELECT 1; SELECT 2;")
 
 
-def interrupted(*_: object) -> None:
+def interrupted(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 

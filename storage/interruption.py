@@ -1,0 +1,121 @@
+"""Statements that Ctrl-C and a time limit end, also where DuckDB does not stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Generic, TypeVar
+
+import duckdb
+
+from kinedex.ops.errors import KinedexError, ParameterError
+
+T = TypeVar("T")
+
+GRACE = 1.2
+"""Seconds that a statement has to stop before it is abandoned: DuckDB interrupts no call of a single function."""
+
+_abandoned: dict[duckdb.DuckDBPyConnection, threading.Event] = {}
+
+
+class TimeLimitError(KinedexError):
+    """A query did not end within its time limit."""
+
+
+def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], timeout: float | None = None) -> T:
+    """Run statements on a connection so that Ctrl-C and a time limit end them.
+
+    DuckDB alone would notice Ctrl-C only at the end. It stops a statement between two batches of rows: one call of a
+    function over long texts or lists goes on. After `GRACE` seconds, or at a second Ctrl-C, such a statement is
+    abandoned: it goes on in a thread of its own until its function returns, and `is_abandoned` is True for its
+    connection, which must be neither used again nor closed.
+
+    Parameters
+    ----------
+    connection : duckdb.DuckDBPyConnection
+        The connection that the statements are run on.
+    work : callable
+        Function that runs them.
+    timeout : float, optional
+        Seconds that they may take; as long as they need without it.
+
+    Raises
+    ------
+    TimeLimitError
+        They did not end in time.
+    KeyboardInterrupt
+        Ctrl-C ended them.
+    """
+    if timeout is not None and not timeout > 0:
+        raise ParameterError("timeout", "a number of seconds above 0", timeout)
+    if timeout is None and threading.current_thread() is not threading.main_thread():
+        return work()
+    run = _Run(work)
+    try:
+        if run.wait(timeout):
+            return run.result()
+        run.stop(connection)
+    except KeyboardInterrupt:
+        # a second Ctrl-C ends this wait
+        with suppress(KeyboardInterrupt):
+            run.stop(connection)
+        raise KeyboardInterrupt("the statement was stopped") from None
+    finally:
+        if not run.done.is_set():
+            _abandoned[connection] = run.done
+    raise TimeLimitError(
+        f"the statement did not end within {timeout:g} s; give it more time, or fewer rows with WHERE or LIMIT"
+    )
+
+
+class _Run(Generic[T]):
+    """Work in a thread of its own; the program may end while it runs."""
+
+    def __init__(self, work: Callable[[], T]) -> None:
+        self.done = threading.Event()
+        self._work = work
+        self._results: list[T] = []
+        self._fault: BaseException | None = None
+        threading.Thread(target=self._run, name="kinedex-sql", daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            self._results.append(self._work())
+        except BaseException as fault:
+            self._fault = fault
+        finally:
+            self.done.set()
+
+    def wait(self, seconds: float | None) -> bool:
+        """Wait for the end; return False where it does not come in time."""
+        end = None if seconds is None else time.monotonic() + seconds
+        # Windows delivers Ctrl-C only between two waits
+        while not self.done.wait(0.5 if end is None else max(0.0, min(0.5, end - time.monotonic()))):
+            if end is not None and time.monotonic() >= end:
+                return False
+        return True
+
+    def stop(self, connection: duckdb.DuckDBPyConnection) -> None:
+        """Interrupt the work again and again, since an interrupt before its first step has no effect."""
+        end = time.monotonic() + GRACE
+        while not self.done.is_set() and time.monotonic() < end:
+            connection.interrupt()
+            self.done.wait(0.05)
+
+    def result(self) -> T:
+        """Return what the work returned, or raise its error."""
+        if self._fault is not None:
+            raise self._fault
+        return self._results[0]
+
+
+def is_abandoned(connection: duckdb.DuckDBPyConnection) -> bool:
+    """Return whether a connection was left to a statement that did not stop."""
+    return connection in _abandoned
+
+
+def abandoned_statements() -> int:
+    """Return the number of abandoned statements that still run."""
+    return sum(not done.is_set() for done in _abandoned.values())
