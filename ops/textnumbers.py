@@ -261,6 +261,36 @@ def count_lines(data: bytes, start: int = 0) -> int:
     return int(_count_line_ends(np.frombuffer(data, dtype=np.uint8)[start:])) + 1
 
 
+@njit(cache=True, nogil=True)
+def _count_rows(data: U8, pos: int, numbered: bool) -> int:
+    end, count = len(data), 0
+    while pos < end:
+        pos = _skip_blanks(data, pos, end)
+        if pos < end:
+            byte = data[_at(pos)]
+            if numbered:
+                count += int(_ZERO <= byte <= _NINE)
+            else:
+                count += int(byte != _NEWLINE and byte != _RETURN and byte != _HASH)
+        pos = _next_line(data, pos, end)
+    return count
+
+
+def count_rows(data: bytes, start: int, numbered: bool) -> int:
+    """Return the number of lines from a byte on that are neither blank nor a comment.
+
+    Parameters
+    ----------
+    data : bytes
+        A text.
+    start : int
+        The first byte.
+    numbered : bool
+        Count only lines that begin with a digit: the frames of `parse_frames`, not the rows of `parse_rows`.
+    """
+    return int(_count_rows(np.frombuffer(data, dtype=np.uint8), start, numbered))
+
+
 def parse_frames(
     data: bytes, start: int, line: int, names: list[str], widths: list[int]
 ) -> tuple[F64, int, Fault | None]:

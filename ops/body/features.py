@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import MOST_FEATURES, NO_WORD
 
 F64 = npt.NDArray[np.float64]
+Velocity = tuple[int, int, float]  # a joint, the joint it is relative to or −1 for the room, and the window
 
 
 def window_samples(window_ms: float, rate_hz: float) -> int:
@@ -97,12 +99,29 @@ def _stretch(
     if not len(out):
         return out
     body = _Body(positions, orientation, rate_hz, measured[:, :, 0], primitives)
+    left = Counter(key for rule in rules for key in _used(rule))
     for bit, rule in enumerate(rules):
         scale = body.length(rule.length) if rule.length else 1.0
         weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
         strong = p.bounds(rule.comparison, rule.strong[0] * scale, rule.strong[1] * scale)
         p.hysteresis(body.quantity(rule.terms), *weak, *strong, bit, out)
+        left.subtract(_used(rule))
+        body.forget(key for key in _used(rule) if not left[key])
     return out
+
+
+def _used(rule: Rule) -> list[Term | Velocity]:
+    """Return the terms and velocities that a rule needs."""
+    return [*rule.terms, *(velocity for term in rule.terms for velocity in _velocities(term))]
+
+
+def _velocities(term: Term) -> list[Velocity]:
+    match term.primitive:
+        case "vplane" | "vnplane":
+            return [(term.joints[3], term.joints[2], term.window_ms)]
+        case "speed":
+            return [(joint, -1, term.window_ms) for joint in term.joints]
+    return []
 
 
 class _Body:
@@ -122,8 +141,14 @@ class _Body:
         self.orientation = orientation
         self.rate_hz = rate_hz
         self._lengths: dict[tuple[tuple[int, int], ...], float] = {}
-        self._terms: dict[Term, F64] = {}
-        self._velocities: dict[tuple[int, int, float], F64] = {}
+        self._terms: dict[Term | Velocity, F64] = {}
+        self._velocities: dict[Term | Velocity, F64] = {}
+
+    def forget(self, keys: Iterable[Term | Velocity]) -> None:
+        """Drop terms and velocities that no further rule needs: they would take more memory than the body."""
+        for key in keys:
+            self._terms.pop(key, None)
+            self._velocities.pop(key, None)
 
     def length(self, pairs: tuple[tuple[int, int], ...]) -> float:
         if pairs not in self._lengths:
@@ -144,27 +169,27 @@ class _Body:
             self._terms[term] = value if term.factor == 1.0 else value * term.factor
         return self._terms[term]
 
-    def _velocity(self, q: int, c: int, window_ms: float) -> F64:
+    def _velocity(self, key: Velocity) -> F64:
         """Return the velocity of joint q relative to joint c, or to the room for c = −1."""
-        key = (q, c, window_ms)
+        q, c, window_ms = key
         if key not in self._velocities:
             x = self.positions[q] if c < 0 else p.difference(self.positions[q], self.positions[c])
             self._velocities[key] = p.velocity(x, window_samples(window_ms, self.rate_hz), self.rate_hz)
         return self._velocities[key]
 
     def _primitive(self, term: Term) -> F64:
-        x, j, w = self.positions, term.joints, term.window_ms
+        x, j = self.positions, term.joints
         match term.primitive:
             case "plane":
                 return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], p.difference(x[j[3]], x[j[2]]))
             case "vplane":
-                return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], self._velocity(j[3], j[2], w))
+                return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], self._velocity(*_velocities(term)))
             case "nplane":
                 return p.along_direction(x[j[0]], x[j[1]], p.difference(x[j[3]], x[j[2]]))
             case "vnplane":
-                return p.along_direction(x[j[0]], x[j[1]], self._velocity(j[3], j[2], w))
+                return p.along_direction(x[j[0]], x[j[1]], self._velocity(*_velocities(term)))
             case "speed":
-                speeds = [p.norm(self._velocity(joint, -1, w)) for joint in j]
+                speeds = [p.norm(self._velocity(key)) for key in _velocities(term)]
                 return speeds[0] if len(speeds) == 1 else np.minimum.reduce(speeds)
             case "angle":
                 return p.angle_between(p.difference(x[j[0]], x[j[2]]), p.difference(x[j[1]], x[j[2]]))

@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
-from kinedex.ops.errors import StoreError
+from kinedex.ops.errors import SourceError, StoreError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.storage.formats.motion.reader import Body, ReadSettings, source_bytes
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
+from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 
@@ -95,12 +96,24 @@ def read_batch(batch: Batch) -> Written:
 
 
 def _read(batch: Batch, task: Task) -> tuple[str, Body]:
-    """Return the checksum of a file and its body, of the same bytes where the file is read as a whole."""
+    """Return the checksum of a file and its body, of the same bytes: read once if it is short, else unchanged since."""
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
-    data = source_bytes(motion) if reader_of(motion).reads_whole else None
+    before = _stamp(motion)
+    data = source_bytes(motion) if reader_of(motion).reads_whole and before[0] <= BLOCK else None
     # not before: it reads the whole file, which is work for many processes
     content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
-    return content, read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data)
+    body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data)
+    if data is None and _stamp(motion) != before:
+        raise SourceError(motion, "was changed while it was read; run again when it is whole")
+    return content, body
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    return found.st_size, found.st_mtime_ns
 
 
 def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:

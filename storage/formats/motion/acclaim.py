@@ -6,11 +6,10 @@ from functools import lru_cache
 from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
-from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.amc import read_amc
+from kinedex.storage.formats.motion.amc import AmcFile
 from kinedex.storage.formats.motion.asf import INCH_M, Skeleton, read_asf
-from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
+from kinedex.storage.formats.motion.mapped_body import mapped_orientation, posed, refuse_far, virtual_joint_warnings
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 
 
@@ -45,9 +44,8 @@ class AcclaimReader(Reader):
         fit = mappings.detect(asf, "acclaim", skeleton.bones)
         if fit.mapping.unit_m not in (None, INCH_M):
             skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
-        motion = read_amc(file.path, skeleton, file.data)
-        nodes, matrices = kinematics.forward(skeleton.nodes, motion.channels, wanted=fit.nodes)
-        positions = fit.apply(nodes, joints)
+        motion = AmcFile(file.path, skeleton, file.data)
+        positions, matrices = posed(motion, skeleton.nodes, 0, fit, joints)
         refuse_far(file.path, positions, joints, fit.unknown)
         return Body(
             positions=positions,

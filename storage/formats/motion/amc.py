@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,9 @@ import numpy.typing as npt
 from kinedex.ops import textnumbers as t
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.asf import Skeleton
-from kinedex.storage.formats.motion.reader import source_bytes
+from kinedex.storage.formats.motion.text_blocks import Block, before_last_frame, blocks
+
+_LINE_END = re.compile(rb"\r\n?|\n")
 
 
 @dataclass(frozen=True)
@@ -48,36 +52,102 @@ def read_amc(path: str | Path, skeleton: Skeleton, data: bytes | None = None) ->
     SourceError
         The file is damaged; the error names the line of the first fault. No frame of such a file is used.
     """
-    data = source_bytes(path, data)
-    start, line, degrees = _amc_header(Path(path), data)
-    names = [name for name, _ in skeleton.channels]
-    widths = [len(dofs) for _, dofs in skeleton.channels]
-    values, first, fault = t.parse_frames(data, start, line, names, widths)
-    if fault is not None:
-        raise SourceError(path, _explain(fault, data, skeleton), line=fault.line)
-    if not len(values):
-        raise SourceError(path, "no frames: the file ends after its header", line=line)
-    turn, metres = np.pi / 180.0 if degrees else 1.0, skeleton.unit_m / skeleton.length_scale
-    values *= [turn if dof in ("rx", "ry", "rz") else metres for _, dofs in skeleton.channels for dof in dofs]
-    warnings = () if first == 1 else (f"frame numbers begin at {first}; its source frame here is 0",)
-    return Motion(values, warnings)
+    file = AmcFile(path, skeleton, data)
+    return Motion(np.concatenate(list(file.blocks())), file.warnings)
 
 
-def _amc_header(path: Path, data: bytes) -> tuple[int, int, bool]:
+class AmcFile:
+    """An AMC file that belongs to a skeleton, and is parsed block by block.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    skeleton : Skeleton
+        Its skeleton.
+    data : bytes, optional
+        The file's bytes, if they have been read already.
+
+    Attributes
+    ----------
+    frames : int
+        The number of frames.
+    warnings : tuple of str
+        Reservations about the file, complete once a block was parsed.
+
+    Raises
+    ------
+    SourceError
+        The file has no frames, or cannot be read.
+    """
+
+    def __init__(self, path: str | Path, skeleton: Skeleton, data: bytes | None = None) -> None:
+        self.path = Path(path)
+        self.skeleton = skeleton
+        self.warnings: tuple[str, ...] = ()
+        self._data = data
+        self.frames = 0
+        for block in blocks(self.path, data, before_last_frame):
+            start = _amc_header(self.path, block)[0] if block.line == 1 else 0
+            self.frames += t.count_rows(block.data, start, numbered=True)
+
+    def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
+        """Yield the channels (T, C) of consecutive frames, in radians and metres.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged; the error names the line of the first fault.
+        """
+        skeleton, start, expected = self.skeleton, 0, None
+        names = [name for name, _ in skeleton.channels]
+        widths = [len(dofs) for _, dofs in skeleton.channels]
+        scale: list[float] = []
+        line = 1
+        for block in blocks(self.path, self._data, before_last_frame):
+            line = block.line
+            if line == 1:
+                start, line, degrees = _amc_header(self.path, block)
+                turn, metres = np.pi / 180.0 if degrees else 1.0, skeleton.unit_m / skeleton.length_scale
+                dofs_of_all = [dof for _, dofs in skeleton.channels for dof in dofs]
+                scale = [turn if dof in ("rx", "ry", "rz") else metres for dof in dofs_of_all]
+            values, first, fault = t.parse_frames(block.data, start, line, names, widths)
+            start = 0
+            # every block but the first begins with the line of a frame's number
+            numbered = fault is None or (fault.code, fault.line) != (t.BAD_NUMBER, line)
+            if expected is not None and numbered and first != expected:
+                fault = t.Fault(t.NOT_NEXT, line, expected - 1, first)
+            elif fault is not None and fault.code == t.MISSING and not block.last:
+                fault = replace(fault, stop=0)
+            if fault is not None:
+                raise SourceError(self.path, _explain(fault, block.data, skeleton), line=fault.line)
+            if len(values):
+                if expected is None and first != 1:
+                    self.warnings = (f"frame numbers begin at {first}; its source frame here is 0",)
+                expected = first + len(values)
+                values *= scale
+                yield values
+        if expected is None:
+            raise SourceError(self.path, "no frames: the file ends after its header", line=line)
+
+
+def _amc_header(path: Path, block: Block) -> tuple[int, int, bool]:
     """Return the byte and the line where the frames begin, and whether angles are degrees."""
-    position, line, degrees = 0, 1, True
+    data, position, line, degrees = block.data, 0, 1, True
     while position < len(data):
-        stop = next((i for i in range(position, len(data)) if data[i] in b"\r\n"), len(data))
-        text = data[position:stop].decode("latin-1").strip()
+        end = _LINE_END.search(data, position)
+        text = data[position : end.start() if end else len(data)].decode("latin-1").strip()
         if text[:1].isdigit():
             return position, line, degrees
         if text.lower().startswith(":radians"):
             degrees = False
         elif text and text[0] not in ":#":
             raise SourceError(path, f"expected a frame number, got {text[:40]!r}", line=line)
-        position = stop + (2 if data[stop : stop + 2] == b"\r\n" else 1)
+        position = end.end() if end else len(data)
         line += 1
-    raise SourceError(path, "no frames: the file ends after its header", line=line)
+    if block.last:
+        raise SourceError(path, "no frames: the file ends after its header", line=line)
+    return position, line, degrees
 
 
 def _explain(fault: t.Fault, data: bytes, skeleton: Skeleton) -> str:

@@ -6,22 +6,18 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
-from kinedex.storage.formats.motion.bvh_parser import Bvh, parse_bvh
+from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
+    posed,
     refuse_far,
     to_metres,
     virtual_joint_warnings,
 )
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
-
-F64 = npt.NDArray[np.float64]
-
-_BLOCK_SIZE = 2_000_000  # nodes times frames at once: some 50 MB of positions, whatever the file's size
 
 
 class BvhReader(Reader):
@@ -43,10 +39,10 @@ class BvhReader(Reader):
         SourceError
             The file is damaged, or no mapping fits; the error names the line of the first fault.
         """
-        bvh = parse_bvh(file.path, file.data)
+        bvh = BvhFile(file.path, file.data)
         fit = mappings.detect(file.path, "bvh", bvh.places)
         nodes, restored = _restore(bvh, fit)
-        positions, turned = _track(nodes, bvh.channels, fit, joints)
+        positions, turned = posed(bvh, nodes, fit.root, fit, joints)
         warnings = [*bvh.warnings, *virtual_joint_warnings(fit)]
         rate_hz = settings.rate_of(bvh.rate_hz, warnings)
         if restored:
@@ -66,7 +62,7 @@ class BvhReader(Reader):
         )
 
 
-def _restore(bvh: Bvh, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
+def _restore(bvh: BvhFile, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
     """Return the nodes, bones without length with that of the mapping, and the names of those bones."""
     nodes, restored = list(bvh.nodes), []
     for name, weights in fit.mapping.bones.items():
@@ -77,15 +73,3 @@ def _restore(bvh: Bvh, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]
             nodes[index] = replace(nodes[index], before=np.asarray(offset))
             restored.append(name)
     return tuple(nodes), restored
-
-
-def _track(nodes: tuple[kinematics.Node, ...], channels: F64, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
-    """Return the joints (J, 3, T) in the file's unit and the root's rotation (9, T), computed in blocks of frames."""
-    frames = len(channels)
-    positions, turned = np.empty((len(joints), 3, frames)), np.empty((9, frames))
-    step = max(kinematics.BLOCK, _BLOCK_SIZE // len(nodes))
-    for start in range(0, frames, step):
-        stop = start + step
-        part, turned[:, start:stop] = kinematics.forward(nodes, channels[start:stop], fit.root, fit.nodes)
-        positions[:, :, start:stop] = fit.apply(part, joints)
-    return positions, turned

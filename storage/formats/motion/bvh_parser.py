@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import numpy.typing as npt
 from kinedex.ops import textnumbers as t
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, source_bytes
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
+from kinedex.storage.formats.motion.text_blocks import LONGEST, Block, after_last_line, blocks
 
 MOST_JOINTS = 10_000
 """A body has some hundred joints with every finger; a file that claims more than this is refused."""
@@ -68,7 +69,11 @@ class Bvh:
     @property
     def places(self) -> dict[str, int]:
         """Node name → index, for all nodes that a skeleton mapping can use."""
-        return {node.name: i for i, node in enumerate(self.nodes) if i not in self.redundant}
+        return _places(self.nodes, self.redundant)
+
+
+def _places(nodes: tuple[k.Node, ...], redundant: frozenset[int]) -> dict[str, int]:
+    return {node.name: i for i, node in enumerate(nodes) if i not in redundant}
 
 
 @dataclass
@@ -158,26 +163,105 @@ def parse_bvh(path: str | Path, data: bytes | None = None) -> Bvh:
     SourceError
         The file is damaged; the error names the line of the first fault. No frame of such a file is used.
     """
-    data = source_bytes(path, data)
-    text = _Text(Path(path), data, pos=3 if data.startswith(b"\xef\xbb\xbf") else 0)
-    joints = _hierarchy(text)
-    claimed, rate_hz, warnings = _motion_header(text)
-    columns = sum(len(joint.channels or ()) for joint in joints)
-    if not columns:
-        raise text.error("no joint of the hierarchy has CHANNELS, so nothing can move", joints[0].at)
-    values, fault = t.parse_rows(data, text.pos, text.line(text.pos), columns)
-    if fault is not None:
-        raise SourceError(path, _explain(fault, data, columns), line=fault.line)
-    if not len(values):
-        raise text.error(f"no frames: the file ends after its header, which states {claimed} frames", text.pos)
-    if claimed != len(values):
-        cut = "" if data.endswith((b"\n", b"\r")) or claimed < len(values) else "; its last line has no end"
-        warnings.append(f"the header states {claimed} frames, the file holds {len(values)}, which are kept{cut}")
-    warnings += _name(joints)
-    nodes, rotations = _chain(joints)
-    values *= np.where(rotations, np.pi / 180.0, 1.0)
-    redundant = frozenset(i for i, joint in enumerate(joints) if joint.end and not any(joint.offset or ()))
-    return Bvh(str(path), nodes, values, rate_hz, tuple(warnings), redundant)
+    file = BvhFile(path, data)
+    channels = np.concatenate(list(file.blocks()))
+    return Bvh(str(path), file.nodes, channels, file.rate_hz, tuple(file.warnings), file.redundant)
+
+
+class BvhFile:
+    """A BVH file whose frames are parsed block by block.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    data : bytes, optional
+        The file's bytes, if they have been read already.
+
+    Attributes
+    ----------
+    nodes : tuple of Node
+        As in `Bvh`, as are the other attributes.
+    frames : int
+        The number of frames.
+
+    Raises
+    ------
+    SourceError
+        The hierarchy or the header of the motion is damaged; the error names the line.
+    """
+
+    def __init__(self, path: str | Path, data: bytes | None = None) -> None:
+        self.path = Path(path)
+        self._data = data
+        text, joints, claimed = self._read_header()
+        self._start, self._line = text.pos, text.line(text.pos)
+        self.frames, ended = 0, False
+        for block in self._blocks():
+            begin = self._start if block.line == 1 else 0
+            self.frames += t.count_rows(block.data, begin, numbered=False)
+            ended = block.data.endswith((b"\n", b"\r")) or (ended and not block.data)
+        if not self.frames:
+            raise text.error(f"no frames: the file ends after its header, which states {claimed} frames", text.pos)
+        if claimed != self.frames:
+            cut = "" if ended or claimed < self.frames else "; its last line has no end"
+            self.warnings.append(
+                f"the header states {claimed} frames, the file holds {self.frames}, which are kept{cut}"
+            )
+        self.warnings += _name(joints)
+        self.nodes, self._rotations = _chain(joints)
+        self.redundant = frozenset(i for i, joint in enumerate(joints) if joint.end and not any(joint.offset or ()))
+
+    @property
+    def places(self) -> dict[str, int]:
+        """Node name → index, for all nodes that a skeleton mapping can use."""
+        return _places(self.nodes, self.redundant)
+
+    def _read_header(self) -> tuple[_Text, list[_Joint], int]:
+        """Read hierarchy and header from the first block, or from a longer one as long as it ends within them."""
+        self._least = 0
+        while True:
+            block = next(self._blocks())
+            text = _Text(self.path, block.data, pos=3 if block.data.startswith(b"\xef\xbb\xbf") else 0)
+            try:
+                joints = _hierarchy(text)
+                claimed, self.rate_hz, self.warnings = _motion_header(text)
+            except SourceError:
+                if block.last or len(block.data) > LONGEST:
+                    raise
+                self._least = 2 * len(block.data)
+                continue
+            self._columns = sum(len(joint.channels or ()) for joint in joints)
+            if not self._columns:
+                raise text.error("no joint of the hierarchy has CHANNELS, so nothing can move", joints[0].at)
+            return text, joints, claimed
+
+    def _blocks(self) -> Iterator[Block]:
+        return blocks(self.path, self._data, after_last_line, self._least)
+
+    def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
+        """Yield the channels (T, C) of consecutive frames, in radians and the file's unit.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged; the error names the line of the first fault.
+        """
+        rows, scale = 0, np.where(self._rotations, np.pi / 180.0, 1.0)
+        source = self._blocks()
+        for block in source:
+            begin, line = (self._start, self._line) if block.line == 1 else (0, block.line)
+            values, fault = t.parse_rows(block.data, begin, line, self._columns)
+            if fault is not None:
+                if fault.code == t.TOO_FEW:
+                    fault = replace(fault, start=fault.start + rows)
+                    rest = block.data[_line_start(block.data, fault.line - block.line + 1) :].rstrip()
+                    last = _LINE_END.search(rest) is None and all(not more.data.strip() for more in source)
+                    raise SourceError(self.path, _too_few(fault, self._columns, last), line=fault.line)
+                raise SourceError(self.path, _explain(fault, block.data, self._columns), line=fault.line)
+            rows += len(values)
+            values *= scale
+            yield values
 
 
 def _hierarchy(text: _Text) -> list[_Joint]:
@@ -322,12 +406,13 @@ def frame_rate(frame_time: str) -> float:
     return best[2] if best else 1.0 / seconds
 
 
+def _too_few(fault: t.Fault, columns: int, last: bool) -> str:
+    cut = ": the file is cut off in the middle of a frame" if last else ""
+    return f"frame {fault.start} has {fault.stop} numbers, the hierarchy has {columns} channels{cut}"
+
+
 def _explain(fault: t.Fault, data: bytes, columns: int) -> str:
     token = _decode(data[fault.start : min(fault.stop, fault.start + 40)])
-    if fault.code == t.TOO_FEW:
-        last = _LINE_END.search(data[_line_start(data, fault.line) :].rstrip()) is None
-        cut = ": the file is cut off in the middle of a frame" if last else ""
-        return f"frame {fault.start} has {fault.stop} numbers, the hierarchy has {columns} channels{cut}"
     if fault.code == t.TOO_MANY:
         return f"unexpected {token!r}: more numbers than the {columns} channels of the hierarchy"
     return f"not a number: {token!r}"

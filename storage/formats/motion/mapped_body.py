@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +19,71 @@ F64 = npt.NDArray[np.float64]
 FARTHEST_M = 100_000.0
 """No body is farther from the origin: a joint beyond this is a fault of the file."""
 
+_BLOCK_SIZE = 2_000_000  # nodes times frames at once: some 50 MB of positions, whatever the file's size
+
 
 def virtual_joint_warnings(fit: Fit) -> list[str]:
     """Return a warning that names the joints built from others, if there are any."""
     named = ", ".join(f"{joint} ({mix})" for joint, mix in fit.virtual.items())
     return [f"joints that the skeleton lacks are built from others: {named}"] if named else []
+
+
+class Motion(Protocol):
+    """A motion file that is parsed block by block: `path`, the number of `frames`, and `blocks` of channels (T, C)."""
+
+    path: Path
+    frames: int
+
+    def blocks(self) -> Iterator[F64]:
+        """Yield the channels of consecutive frames."""
+        ...
+
+
+def posed(
+    motion: Motion, nodes: tuple[kinematics.Node, ...], oriented: int, fit: Fit, joints: tuple[str, ...]
+) -> tuple[F64, F64]:
+    """Compute joints and orientation in blocks of frames, so that neither channels nor nodes exist for all at once.
+
+    Parameters
+    ----------
+    motion : Motion
+        The file.
+    nodes : tuple of Node
+        The nodes that its channels move, parents first.
+    oriented : int
+        Index of the node whose orientation is wanted.
+    fit : Fit
+        The skeleton mapping that fits the nodes.
+    joints : tuple of str
+        The names of J joints.
+
+    Returns
+    -------
+    positions : float64 array (J, 3, T)
+        Joint positions in the file's unit.
+    turned : float64 array (9, T)
+        Rotation matrices of the oriented node, row by row.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged, or was changed while it was read.
+    """
+    positions, turned = np.empty((len(joints), 3, motion.frames)), np.empty((9, motion.frames))
+    step = max(kinematics.BLOCK, _BLOCK_SIZE // len(nodes))
+    at = 0
+    for channels in motion.blocks():
+        for start in range(0, len(channels), step):
+            part = channels[start : start + step]
+            stop = at + len(part)
+            if stop > motion.frames:
+                break
+            found, turned[:, at:stop] = kinematics.forward(nodes, part, oriented, fit.nodes)
+            positions[:, :, at:stop] = fit.apply(found, joints)
+            at = stop
+    if at != motion.frames:
+        raise SourceError(motion.path, "was changed while it was read; run again when it is whole")
+    return positions, turned
 
 
 def to_metres(

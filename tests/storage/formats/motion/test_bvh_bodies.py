@@ -11,7 +11,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.ops.body import features
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion import bvh
+from kinedex.storage.formats.motion import mapped_body
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
@@ -50,7 +50,7 @@ def test_a_take_is_worked_on_in_stretches_without_a_seam(tmp_path: Path, monkeyp
     root = mixamo()
     path = write(tmp_path / "a.bvh", root, dance(root, 400))
     whole = read_body(path, None, AUTO, JOINTS)
-    monkeypatch.setattr(bvh, "_BLOCK_SIZE", 1)
+    monkeypatch.setattr(mapped_body, "_BLOCK_SIZE", 1)
     parts = read_body(path, None, AUTO, JOINTS)
     np.testing.assert_array_equal(parts.positions, whole.positions)
     np.testing.assert_array_equal(parts.orientation, whole.orientation)
