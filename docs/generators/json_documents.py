@@ -63,7 +63,17 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "takes": "number of takes",
         "parts": "number of parts",
         "faults": "number of findings that are damage (exit code 1 where there are any)",
-        "findings": "for each its `file`, `problem`, `remedy`, and `fault`: true for damage",
+        "findings": "for each its `file`, `problem`, `remedy` (`text` and `command`), and `fault`: true for damage",
+    },
+    "repair": {
+        **_STORE,
+        "dry_run": "true where nothing was changed",
+        "found": "the findings before the repair, as those of `verify`",
+        "done": "what was done, or would be done, line by line",
+        "lost_takes": "for each take that could not be made again its `name`, `take_id`, `source` and `why`",
+        "quarantine": "for each file that is kept its `file`, `why`, `held`, `sha256` and `stage`",
+        "to_run": "commands that make results again, which failed now",
+        "faults": "number of findings that are left (exit code 1 where there are any)",
     },
     "gc": {
         **_STORE,

@@ -1,17 +1,30 @@
-"""Commands that look after files and stores: inspect, verify, gc, version."""
+"""Commands that look after files and stores: inspect, verify, repair, gc, version."""
 
 from __future__ import annotations
 
+import shlex
 import sys
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import FAILED, MAINTAIN, command
-from kinedex.pipelines.commands.options import JsonOption, RateOption, StorePath, WaitOption, wait_of
+from kinedex.pipelines.commands.options import (
+    ExecutorOption,
+    JsonOption,
+    RateOption,
+    StorePath,
+    WaitOption,
+    WorkersOption,
+    wait_of,
+)
 from kinedex.pipelines.commands.output import print_json
+
+if TYPE_CHECKING:
+    from kinedex.storage.store.verification import Finding
 
 
 @command(MAINTAIN)
@@ -57,9 +70,15 @@ def inspect(
         raise found.fault
 
 
+def finding_document(one: Finding) -> dict[str, object]:
+    """Return a finding of verify as a JSON object."""
+    return {"file": one.file, "problem": one.problem, "remedy": asdict(one.remedy), "fault": one.fault}
+
+
 @command(MAINTAIN)
 def verify(store: StorePath, as_json: JsonOption = False) -> None:
     """Check the files of a store against its manifest, and the index."""
+    from kinedex.storage.remedies import repair
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.verification import verify as check
 
@@ -68,9 +87,7 @@ def verify(store: StorePath, as_json: JsonOption = False) -> None:
     parts, takes = len(opened.manifest.parts), len(opened.manifest.live_takes)
     faults = sum(finding.fault for finding in findings)
     if as_json:
-        rows = [
-            {"file": one.file, "problem": one.problem, "remedy": one.remedy, "fault": one.fault} for one in findings
-        ]
+        rows = [finding_document(one) for one in findings]
         document = {"store": store, "version": opened.manifest.version, "takes": takes, "parts": parts}
         print_json({**document, "faults": faults, "findings": rows})
         if faults:
@@ -79,8 +96,54 @@ def verify(store: StorePath, as_json: JsonOption = False) -> None:
     for finding in findings:
         print(f"{'✗' if finding.fault else '·'} {finding}")
     if faults:
-        raise KinedexError(f"{store}: {faults} of {parts} parts or files are damaged")
+        raise KinedexError(f"{store}: {faults} of {parts} parts or files are damaged", remedy=repair(store))
     print(f"{store}: version {opened.manifest.version}, {takes} takes, {parts} parts: all sound")
+
+
+@command(MAINTAIN)
+def repair(
+    store: StorePath,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Report the damage and what would be done, and change nothing.")
+    ] = False,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make again what is damaged in a store.
+
+    Takes are read again from their sources, the index is built again, and results come back by runs of their stages.
+    What cannot be made again is kept in quarantine/ in the store, with a list.
+    """
+    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.pipelines.repair.repair import repair_store
+
+    done = repair_store(store, Terminal(), dry_run=dry_run, executor=executor, workers=workers, wait=wait_of(wait))
+    if as_json:
+        print_json(
+            {
+                "store": store,
+                "dry_run": dry_run,
+                "found": [finding_document(one) for one in done.found],
+                "done": done.lines,
+                "lost_takes": [asdict(one) for one in done.lost],
+                "quarantine": [asdict(one) for one in done.kept],
+                "to_run": [run.command(store) for run in done.failed_runs],
+                "faults": len(done.remaining),
+            }
+        )
+        if done.remaining:
+            raise typer.Exit(FAILED)
+        return
+    for finding in done.found if dry_run else done.remaining:
+        print(f"{'✗' if finding.fault else '·'} {finding.file}: {finding.problem}")
+    for run in done.failed_runs:
+        print(f"to make the results of {', '.join(run.stages)} again: {shlex.join(run.command(store))}")
+    if done.remaining:
+        raise KinedexError(f"{store}: {len(done.remaining)} parts or files are still damaged")
+    if not dry_run:
+        print(f"{store}: {'repaired' if done.found else 'nothing is damaged'}")
 
 
 @command(MAINTAIN)

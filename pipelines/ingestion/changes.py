@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -90,7 +90,7 @@ def compare(
     """
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
     compiled = [re.compile(pattern) for pattern in patterns]
-    recipes = _recipes(feature_set, mappings, given)
+    made_by = recipes(feature_set, mappings, given)
     skeleton_sums = SkeletonSums(writer.store.result("skeleton_files"))
     tasks: list[Task] = []
     restated: list[dict[str, Any]] = []
@@ -109,7 +109,7 @@ def compare(
             skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
-            made = digest([recipes[motion.format], of_skeleton, sorted((groups or {}).items())])
+            made = recipe_of(made_by[motion.format], of_skeleton, groups)
             row = known.get(name)
             if row is not None and _moved(row, motion):
                 former.add(row["source_root"])
@@ -136,7 +136,22 @@ def compare(
     return Changes(tasks, unchanged, restated, gone, renamed, failures, skeleton_sums.table())
 
 
-def _recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:
+def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None) -> str:
+    """Return the recipe of a take: a hash of all that its row and its frames depend on besides its file.
+
+    Parameters
+    ----------
+    made_by : str
+        The recipe of its format, one of `recipes`.
+    skeleton : str
+        The checksum of its skeleton file; empty where it has none.
+    groups : mapping of str to str or None
+        The named groups of its path.
+    """
+    return digest([made_by, skeleton, sorted((groups or {}).items())])
+
+
+def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:
     """Return for each ending a hash of all that its takes depend on besides their files; takes are read again for it.
 
     The format of an .npz is known when it is read: settings that count for any reader of an ending count for all.

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.plugins import Plugins
@@ -23,15 +19,15 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import WorkerDied, batches_of
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.ingestion.changes import Changes, Naming, compare, digest, features_digest
+from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
 from kinedex.pipelines.ingestion.failures import Failure, failure, failure_messages, killer, log_table
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
+from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.task_batches import run_batches
 from kinedex.storage.formats.motion.body_models import model_digest
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
-from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn, column_problem
+from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
@@ -39,101 +35,13 @@ from kinedex.storage.store.writer import StoreWriter
 MEGABYTE = 1 << 20
 
 
-class Params(BaseModel):
-    """The parameters of the stage `ingest`."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    source: str = Field(description="folder that holds the motion files, at any depth")
-    skeleton: str = Field(
-        "auto",
-        description="skeleton mapping: `auto` chooses by the joints' names; a shipped name or a path to a .yaml file "
-        "counts for all files of its format (other formats stay automatic)",
-    )
-    features: str | None = Field(
-        None,
-        description="feature set: a shipped name, or a path to a .yaml file; unless given that of the store, and "
-        "`body40` in a new one; a store has one for good",
-    )
-    patterns: list[str] = Field(
-        default_factory=list,
-        description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
-        "relative to the source; the first that is found anywhere in it counts",
-    )
-    name: Naming = Field(
-        "stem",
-        description="the name of a take: its file's stem, its path without the ending (`path`), or with it (`file`)",
-    )
-    rate_hz: float | None = Field(
-        None,
-        ge=SLOWEST_HZ,
-        le=FASTEST_HZ,
-        description="frames per second of files that do not say it: Acclaim (120 unless given), CSV, NPY, some NPZ",
-    )
-    override_rate_hz: float | None = Field(
-        None,
-        ge=SLOWEST_HZ,
-        le=FASTEST_HZ,
-        description="frames per second of every file, in place of its own rate (`kinedex ingest --rate`)",
-    )
-    fill_gap_frames: int | None = Field(
-        None,
-        ge=0,
-        description="longest gap of a point, in source frames, that is closed along a straight line (C3D, TRC, CSV, "
-        "NPZ, NPY); a tenth of a second unless given; the frames of a longer one are invalid and get no word",
-    )
-    body_model: str | None = Field(
-        None,
-        description="body model of AMASS files: model.npz of SMPL-H, or its joints at rest (.npz, .csv, .yaml); "
-        "{gender} in the path stands for male, female or neutral",
-    )
-    prune: bool = Field(False, description="drop takes whose file is no longer in the source")
-    strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
-    batch_mb: int = Field(64, ge=1, le=4096, description="most megabytes of raw files that one task reads")
-
-    @field_validator("patterns")
-    @classmethod
-    def _compiles(cls, patterns: list[str]) -> list[str]:
-        for pattern in patterns:
-            try:
-                re.compile(pattern)
-            except re.error as fault:
-                raise ValueError(f"'{pattern}' is no regular expression: {fault}") from None
-        return patterns
-
-    @property
-    def remembered(self) -> dict[str, Any]:
-        """The parameters that a store remembers for a source, as JSON values with absolute paths of files.
-
-        Those that concern a single run (prune, strict, batch_mb) are not among them.
-        """
-        values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb"})
-        values |= {"source": os.path.realpath(Path(self.source).expanduser())}
-        for name in ("skeleton", "features", "body_model"):
-            if values[name] is not None and Path(values[name]).suffix:
-                values[name] = str(Path(values[name]).expanduser().absolute())
-        return values
-
-    @property
-    def group_columns(self) -> dict[str, TakeColumn]:
-        """The columns of takes for the named groups of the patterns, apart from actor, class and clip."""
-        names = dict.fromkeys(name for pattern in self.patterns for name in re.compile(pattern).groupindex)
-        return {name: GROUP_COLUMN for name in names if name not in ("actor", "class", "clip")}
-
-    @property
-    def given(self) -> ReadSettings:
-        """The settings of the user for reading files."""
-        model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
-        return ReadSettings(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
-
-
-class Ingest(Stage[Params]):
+class Ingest(Stage[IngestParameters]):
     """Motion files become takes and frames with words; files that cannot be read are logged."""
 
     name = "ingest"
-    parameters = Params
+    parameters = IngestParameters
 
-    def external_digest(self, params: Params, store: Store | None) -> str:
+    def external_digest(self, params: IngestParameters, store: Store | None) -> str:
         """Return a hash of the source files by path, size and time, of the mappings, and of the features."""
         feature_set = feature_set_for(store, params.features)
         mappings = load_mappings(params.skeleton, feature_set.joints)
@@ -141,11 +49,11 @@ class Ingest(Stage[Params]):
         model = model_digest(params.given.body_model)
         return digest([scan(params.source).digest, features_digest(feature_set), *forms, model])
 
-    def named_parts(self, params: Params) -> Sequence[tuple[Plugins[Any], str]]:
+    def named_parts(self, params: IngestParameters) -> Sequence[tuple[Plugins[Any], str]]:
         """Return the readers, all of which may be asked for a file."""
         return [(READERS, name) for name in READERS]
 
-    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+    def run(self, context: StageContext, params: IngestParameters) -> dict[str, object]:
         """Read the new and changed files of a source, batch by batch, each committed whole."""
         found = scan(params.source)
         if not found.motions:
@@ -195,7 +103,7 @@ class Ingest(Stage[Params]):
         }
 
 
-def _declare_groups(context: StageContext, writer: StoreWriter, params: Params) -> None:
+def _declare_groups(context: StageContext, writer: StoreWriter, params: IngestParameters) -> None:
     """Declare the columns of the named groups; report those that cannot be columns of takes."""
     columns: dict[str, TakeColumn] = {}
     for name, column in params.group_columns.items():
@@ -218,7 +126,7 @@ def _no_motion_files(found: Scan, source: str) -> KinedexError:
     )
 
 
-def _report_changes(context: StageContext, params: Params, found: Scan, plan: Changes) -> None:
+def _report_changes(context: StageContext, params: IngestParameters, found: Scan, plan: Changes) -> None:
     """Report the files to read, those that are not read, and takes whose file is gone or renamed."""
     context.say(
         f"{counted(len(found.motions), 'motion file')} below {params.source}: "
@@ -252,7 +160,7 @@ def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None
 
 def _read_files(
     context: StageContext,
-    params: Params,
+    params: IngestParameters,
     mappings: Mappings,
     writer: StoreWriter,
     tasks: Sequence[Task],

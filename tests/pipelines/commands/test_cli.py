@@ -256,6 +256,7 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "rank": document("rank", store, "--take", "x_aa_wave_001_120", "--tau", "1"),
         "inspect": document("inspect", source / "takes/x_aa_take01.amc", "--picture", tmp_path / "x.png"),
         "verify": document("verify", store),
+        "repair": document("repair", store, "--dry-run"),
         "gc": document("gc", store, "--dry-run"),
         "version": document("version"),
     }
@@ -281,7 +282,7 @@ def test_errors_are_json_objects_with_the_exit_code(store: Path, tmp_path: Path)
         (("inspect", tmp_path / "none.amc"), 1, "KinedexError"),
     ):
         error = document(*words, code=code)["error"]
-        assert (error["type"], error["exit_code"]) == (kind, code)
+        assert (error["type"], error["exit_code"], error["remedy"]) == (kind, code, None)
     assert "did you mean" in error["message"] or "no such file" in error["message"]
 
 

@@ -46,7 +46,7 @@ def test_a_cut_off_a_changed_and_a_missing_part_are_found(store: Store) -> None:
     part.write_bytes(whole[:1000] + bytes([whole[1000] ^ 1]) + whole[1001:])
     assert f"{part.name}: its content does not fit its checksum" in problems(store)
     part.unlink()
-    assert f"{part.name}: is missing; bring the file back" in problems(store)
+    assert f"{part.name}: is missing; `kinedex repair" in problems(store)
 
 
 def rewritten(store: Store, change: Callable[[pa.Table], pa.Table]) -> Store:
@@ -120,7 +120,7 @@ def test_a_changed_index_is_found(store: Store) -> None:
     file = store.index_path()
     content = file.read_bytes()
     file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    assert "index.duckdb: its content does not fit its checksum; run the stage" in problems(store)
+    assert "index.duckdb: its content does not fit its checksum; `kinedex repair" in problems(store)
     file.write_bytes(content[:-1])
     assert f"index.duckdb: the index is damaged: the file has {len(content) - 1} bytes" in problems(store)
 

@@ -1,0 +1,102 @@
+"""The parameters of the stage `ingest`."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from kinedex.pipelines.ingestion.changes import Naming
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
+from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn
+
+
+class IngestParameters(BaseModel):
+    """The parameters of the stage `ingest`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    source: str = Field(description="folder that holds the motion files, at any depth")
+    skeleton: str = Field(
+        "auto",
+        description="skeleton mapping: `auto` chooses by the joints' names; a shipped name or a path to a .yaml file "
+        "counts for all files of its format (other formats stay automatic)",
+    )
+    features: str | None = Field(
+        None,
+        description="feature set: a shipped name, or a path to a .yaml file; unless given that of the store, and "
+        "`body40` in a new one; a store has one for good",
+    )
+    patterns: list[str] = Field(
+        default_factory=list,
+        description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
+        "relative to the source; the first that is found anywhere in it counts",
+    )
+    name: Naming = Field(
+        "stem",
+        description="the name of a take: its file's stem, its path without the ending (`path`), or with it (`file`)",
+    )
+    rate_hz: float | None = Field(
+        None,
+        ge=SLOWEST_HZ,
+        le=FASTEST_HZ,
+        description="frames per second of files that do not say it: Acclaim (120 unless given), CSV, NPY, some NPZ",
+    )
+    override_rate_hz: float | None = Field(
+        None,
+        ge=SLOWEST_HZ,
+        le=FASTEST_HZ,
+        description="frames per second of every file, in place of its own rate (`kinedex ingest --rate`)",
+    )
+    fill_gap_frames: int | None = Field(
+        None,
+        ge=0,
+        description="longest gap of a point, in source frames, that is closed along a straight line (C3D, TRC, CSV, "
+        "NPZ, NPY); a tenth of a second unless given; the frames of a longer one are invalid and get no word",
+    )
+    body_model: str | None = Field(
+        None,
+        description="body model of AMASS files: model.npz of SMPL-H, or its joints at rest (.npz, .csv, .yaml); "
+        "{gender} in the path stands for male, female or neutral",
+    )
+    prune: bool = Field(False, description="drop takes whose file is no longer in the source")
+    strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
+    batch_mb: int = Field(64, ge=1, le=4096, description="most megabytes of raw files that one task reads")
+
+    @field_validator("patterns")
+    @classmethod
+    def _compiles(cls, patterns: list[str]) -> list[str]:
+        for pattern in patterns:
+            try:
+                re.compile(pattern)
+            except re.error as fault:
+                raise ValueError(f"'{pattern}' is no regular expression: {fault}") from None
+        return patterns
+
+    @property
+    def remembered(self) -> dict[str, Any]:
+        """The parameters that a store remembers for a source, as JSON values with absolute paths of files.
+
+        Those that concern a single run (prune, strict, batch_mb) are not among them.
+        """
+        values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb"})
+        values |= {"source": os.path.realpath(Path(self.source).expanduser())}
+        for name in ("skeleton", "features", "body_model"):
+            if values[name] is not None and Path(values[name]).suffix:
+                values[name] = str(Path(values[name]).expanduser().absolute())
+        return values
+
+    @property
+    def group_columns(self) -> dict[str, TakeColumn]:
+        """The columns of takes for the named groups of the patterns, apart from actor, class and clip."""
+        names = dict.fromkeys(name for pattern in self.patterns for name in re.compile(pattern).groupindex)
+        return {name: GROUP_COLUMN for name in names if name not in ("actor", "class", "clip")}
+
+    @property
+    def given(self) -> ReadSettings:
+        """The settings of the user for reading files."""
+        model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
+        return ReadSettings(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)

@@ -1,0 +1,44 @@
+"""Pipelines as a store knows them: of the records of their stages, a file that runs them again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from kinedex.ops.errors import StoreError
+from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.storage.snapshot.manifest import StageRecord, read_version, versions
+
+
+def known_stages(store: Path) -> dict[str, StageRecord]:
+    """Return the last record of every stage of a pipeline, "<pipeline>/<stage>" → record.
+
+    A stage that was removed to run again has none in the newest version, so older versions are read as well.
+    """
+    found: dict[str, StageRecord] = {}
+    for version in reversed(versions(store)):
+        try:
+            records = read_version(store, version).stages
+        except StoreError:
+            continue
+        found = {name: record for name, record in records.items() if "uses" in record.summary} | found
+    return found
+
+
+def pipeline_text(records: dict[str, StageRecord], pipeline: str) -> str:
+    """Return the text of a pipeline file with the stages of a pipeline, and the parameters that they had."""
+    stages = {
+        key.partition("/")[2]: {name: record.summary[name] for name in ("uses", "inputs", "params")}
+        for key, record in records.items()
+        if key.partition("/")[0] == pipeline
+    }
+    # JSON is YAML, too
+    document = {"name": pipeline, "description": "the stages as the store records them", "stages": stages}
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def ingest_settings(records: dict[str, StageRecord]) -> list[IngestParameters]:
+    """Return the parameters of all ingests, the last one first."""
+    ingests = [record for record in records.values() if record.summary["uses"] == "ingest"]
+    ingests.sort(key=lambda record: record.finished, reverse=True)
+    return [IngestParameters.model_validate(record.summary["params"]) for record in ingests]

@@ -1,0 +1,388 @@
+"""Repair of a store: damage is found, and everything that can be made again is made again.
+
+The steps follow each other so that the store can be opened at every moment, and so that a repair that was killed goes
+on when it is run again: each step begins with what is damaged then. Manifests come first, then rows of takes, frames,
+results, the index, and the pipelines whose results were removed. What cannot be made again is kept in a quarantine
+before the version that does without it is published.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.engine.context import Display
+from kinedex.pipelines.engine.executors import make_executor
+from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.ingestion.file_batches import read_batch
+from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages, pipeline_text
+from kinedex.pipelines.repair.sources import Sources
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.lock import NO_WAIT, Lock, Wait
+from kinedex.storage.remedies import repair
+from kinedex.storage.repair.manifests import BadManifest, bad_manifests, newest_sound, set_aside
+from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Quarantine, quarantines
+from kinedex.storage.repair.take_rows import restored_rows, with_rows
+from kinedex.storage.snapshot.manifest import Part, now, publish, require_current_format
+from kinedex.storage.snapshot.schemas import takes_schema
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import Finding, verify
+from kinedex.storage.store.writer import StoreWriter
+
+
+@dataclass
+class Repair:
+    """The outcome of a repair, or what one would do.
+
+    Attributes
+    ----------
+    store : Path
+        The store's directory.
+    found : list of Finding
+        The damage.
+    lines : list of str
+        What was done about it, or what would be done.
+    lost : list of LostTake
+        The takes that could not be made again.
+    kept : list of KeptFile
+        The damaged files that the quarantine keeps.
+    failed_runs : list of PendingRun
+        The pipelines that could not run again.
+    remaining : list of Finding
+        The damage that is left; of a dry run, nothing.
+    """
+
+    store: Path
+    found: list[Finding] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+    lost: list[LostTake] = field(default_factory=list)
+    kept: list[KeptFile] = field(default_factory=list)
+    failed_runs: list[PendingRun] = field(default_factory=list)
+    remaining: list[Finding] = field(default_factory=list)
+
+
+def repair_store(
+    path: str | Path,
+    terminal: Display,
+    *,
+    dry_run: bool = False,
+    executor: str = "serial",
+    workers: int | None = None,
+    wait: Wait = NO_WAIT,
+) -> Repair:
+    """Repair a store; a sound one stays as it is.
+
+    Parameters
+    ----------
+    path : str or Path
+        The directory of the store.
+    terminal : Display
+        Shows what is done.
+    dry_run : bool, optional
+        Change nothing; only report what is damaged and what would be done.
+    executor : {"serial", "processes", "dask"}, optional
+        How reading and stages are spread.
+    workers : int, optional
+        The number of workers.
+    wait : Wait, optional
+        The time to wait for another writer.
+
+    Raises
+    ------
+    KinedexError
+        There is no store, none of its versions is sound, another writer is at work, or it has an older format.
+    """
+    root = Path(path)
+    bad = bad_manifests(root)
+    work = _Work(root, terminal, executor, workers, wait)
+    work.outcome.found = [_manifest_finding(root, one) for one in bad]
+    work.outcome.found += [one for one in verify(Store(root, newest_sound(root, bad))) if one.kind != "manifest"]
+    if dry_run:
+        work.report_plan(bad)
+    else:
+        work.repair(bad)
+    return work.outcome
+
+
+def _manifest_finding(store: Path, bad: BadManifest) -> Finding:
+    return Finding(bad.file, f"the manifest is damaged: {bad.problem}", repair(store), "manifest")
+
+
+class _Work:
+    """One repair on its way."""
+
+    def __init__(self, root: Path, terminal: Display, executor: str, workers: int | None, wait: Wait) -> None:
+        self.root = root
+        self.terminal = terminal
+        self.executor = executor
+        self.workers = workers
+        self.wait = wait
+        self.quarantine = Quarantine.new(root)
+        self.outcome = Repair(root)
+
+    def say(self, line: str) -> None:
+        self.outcome.lines.append(line)
+        self.terminal.say(line)
+
+    def repair(self, bad: list[BadManifest]) -> None:
+        """Take every step."""
+        require_current_format(self.root, newest_sound(self.root, bad))
+        with Lock(self.root / "lock", "this repair", self.wait):
+            self._manifests(bad)
+            self._take_rows()
+            self._leftovers()
+        self._frames()
+        self._results()
+        self._index()
+        self._runs()
+        self.outcome.lost = self.quarantine.takes
+        self.outcome.kept = [
+            file for one in quarantines(self.root) if one.name == self.quarantine.name for file in one.files
+        ]
+        self.outcome.remaining = [one for one in verify(open_store(self.root)) if one.fault]
+
+    def report_plan(self, bad: list[BadManifest]) -> None:
+        """Report what a repair would do."""
+        store = Store(self.root, newest_sound(self.root, bad))
+        for one in bad:
+            self.say(f"{one.file} would go into the quarantine" + _lost_parts(one))
+        wrong = _parts(store.manifest.takes, self.outcome.found, "takes")
+        if wrong:
+            rows = restored_rows(store, wrong)
+            self.say(
+                f"the rows of {counted(rows.rows.num_rows, 'take')} would be restored, {len(rows.lost)} would be lost"
+            )
+        take_ids = self._hit_takes(store)
+        if take_ids and not wrong:
+            found = self._sources(store).find(take_ids)
+            count = sum(len(batch.tasks) for batch in found.batches)
+            self.say(f"{counted(count, 'take')} would be read again from their sources")
+            for take in found.lost:
+                self.say(f"take {take.name} could not be read again: {take.why}")
+            self.outcome.lost = found.lost
+        for stage in sorted({*self._hit_stages(store)}):
+            self.say(f"the stage {stage} would run again")
+        if any(one.kind == "index" for one in self.outcome.found) or take_ids:
+            self.say("the index would be built again")
+
+    def _manifests(self, bad: list[BadManifest]) -> None:
+        if not bad:
+            return
+        newest = newest_sound(self.root, bad)
+        set_aside(self.quarantine, bad)
+        for one in bad:
+            if one.version > newest.version:
+                self.say(
+                    f"version {one.version} is lost, whose manifest is damaged; the store is at version "
+                    f"{newest.version} of {newest.created}{_lost_parts(one)}"
+                )
+            else:
+                self.say(f"{one.file} is damaged and lies in the quarantine; no newer version needs it")
+
+    def _take_rows(self) -> None:
+        """Restore the rows of takes of damaged parts; a store without them cannot be written."""
+        store = open_store(self.root)
+        wrong = _parts(store.manifest.takes, self.outcome.found, "takes")
+        if not wrong:
+            return
+        restored = restored_rows(store, wrong)
+        if restored.lost:
+            for part in wrong:
+                self._keep(
+                    part.path, "the part of takes is damaged", f"the rows of {len(part.live)} takes", part.sha256
+                )
+            for part in store.manifest.frames:
+                if not set(restored.lost).isdisjoint(part.live):
+                    self._keep(part.path, "the rows of its takes are lost", "the frames of these takes", part.sha256)
+            self.quarantine.takes += [LostTake("", take, "", "its row is lost") for take in restored.lost]
+            self.quarantine.write()
+            self.say(f"{counted(len(restored.lost), 'take')} lost their rows; an ingest reads their files as new takes")
+        manifest = with_rows(store, wrong, restored)
+        if manifest != store.manifest:
+            publish(self.root, replace(manifest, version=manifest.version + 1, created=now()))
+        if restored.rows.num_rows:
+            self.say(f"restored the rows of {counted(restored.rows.num_rows, 'take')}")
+
+    def _leftovers(self) -> None:
+        """Keep files aside that no version names, as far as they are not of killed runs, which a writer removes."""
+        for one in self.outcome.found:
+            if one.kind == "leftover" and (self.root / one.file).is_file():
+                self._keep(one.file, one.problem, "unknown")
+                (self.root / one.file).unlink(missing_ok=True)
+                self.say(f"{one.file} lies in the quarantine: {one.problem}")
+
+    def _frames(self) -> None:
+        """Read the takes of damaged parts of frames again."""
+        store = open_store(self.root)
+        wrong = _parts(store.manifest.frames, self.outcome.found, "frames")
+        single = {take for one in self.outcome.found if one.kind == "content" for take in one.takes}
+        if not wrong and not single:
+            return
+        with StoreWriter.open(self.root, store.feature_set, store.rate_hz, self.wait) as writer:
+            sources = self._sources(writer.store)
+            for part in wrong:
+                self._read_again(writer, sources, part.live, part)
+            rows = set(writer.store.take_frames)
+            if single & rows:
+                self._read_again(writer, sources, sorted(single & rows), None)
+            nameless = (single - rows) & set(writer.manifest.live_takes)
+            if nameless:
+                writer.drop_takes(nameless)
+            writer.commit()
+
+    def _read_again(self, writer: StoreWriter, sources: Sources, takes: Iterable[int], part: Part | None) -> None:
+        """Read takes again, put them in place of what a part has of them, and commit."""
+        found = sources.find(takes)
+        lost = list(found.lost)
+        pool = make_executor(self.executor, self.workers)
+        names: list[str] = []
+        for batch, written in zip(found.batches, pool.map(read_batch, found.batches), strict=True):
+            rows = {row["take_id"]: row for row in written.takes}
+            for task in batch.tasks:
+                if task.take_id in rows:
+                    names.append(task.name)
+                else:
+                    why = next((one.message for one in written.failures if one.source == task.motion.path), "")
+                    lost.append(LostTake(task.name, task.take_id, str(task.motion.absolute), why))
+            if written.part is None or (part is not None and written.part.sha256 == part.sha256):
+                continue  # the part has its content back, under the same name
+            table = pa.Table.from_pylist([_same_row(sources, row) for row in written.takes], schema=takes_schema())
+            writer.add_takes(table, written.part)
+        pool.close()
+        if lost:
+            self._give_up(writer, lost, part)
+        writer.commit()
+        if names:
+            self.say(f"read {counted(len(names), 'take')} again from their sources: {few(names)}")
+        if found.otherwise:
+            self.say(f"read otherwise than before, since kinedex or a mapping has changed: {few(found.otherwise)}")
+
+    def _give_up(self, writer: StoreWriter, lost: list[LostTake], part: Part | None) -> None:
+        """Drop takes that cannot be read again, once the damaged part and their names lie in the quarantine."""
+        if part is not None:
+            held = f"the frames of {few([take.name for take in lost])}"
+            self._keep(part.path, "the part of frames is damaged", held, part.sha256)
+        self.quarantine.takes += lost
+        self.quarantine.write()
+        writer.drop_takes([take.take_id for take in lost])
+        for take in lost:
+            self.say(f"take {take.name} is lost: {take.why}")
+
+    def _results(self) -> None:
+        """Remove the results of stages whose parts are damaged, so that they run again, and note which are to run."""
+        store = open_store(self.root)
+        stages = self._hit_stages(store)
+        if not stages:
+            return
+        records = known_stages(self.root)
+        for stage in sorted(stages):
+            parts = [part for parts in store.manifest.results.values() for part in parts if part.stage == stage]
+            bad = [part for part in parts if part.path in stages[stage]]
+            for part in parts if stage in records else bad:
+                why = "is damaged" if part in bad else "belongs to the same results as a damaged one"
+                self._keep(part.path, f"the part of results {why}", f"results of {stage}", part.sha256, stage)
+        pipelines: dict[str, list[str]] = {}
+        for stage in sorted(set(stages) & set(records)):
+            pipelines.setdefault(stage.partition("/")[0], []).append(stage)
+        for name, those in pipelines.items():
+            file = self.quarantine.write_file(f"{name}.yaml", pipeline_text(records, name))
+            self.quarantine.runs.append(PendingRun(those, file))
+            self.quarantine.write()
+        with StoreWriter.open(self.root, store.feature_set, store.rate_hz, self.wait) as writer:
+            for stage, bad_paths in stages.items():
+                for kind, parts_of_kind in store.manifest.results.items():
+                    own = [part for part in parts_of_kind if part.stage == stage]
+                    stay = [] if stage in records else [part for part in own if part.path not in bad_paths]
+                    if own:
+                        writer.put_results(kind, [], stage=stage, run="", keep=stay)
+                if stage in records:
+                    writer.forget_stage(stage)
+                else:
+                    self.say(f"the results of {stage} are lost: no pipeline made them; make them again by hand")
+            writer.commit()
+
+    def _index(self) -> None:
+        """Build the index where it is missing, stale or damaged."""
+        store = open_store(self.root)
+        wrong = {one.file.split("/")[1] for one in self.outcome.found if one.kind == "index" and one.fault}
+        for name in wrong:
+            shutil.rmtree(self.root / "index" / name, ignore_errors=True)
+        if not store.manifest.live_takes:
+            return
+        before = _generations(self.root)
+        build_index(store)
+        if before != _generations(self.root):
+            self.say("built the index again")
+
+    def _runs(self) -> None:
+        """Run the pipelines whose results were removed, by this repair or by one that was interrupted."""
+        for quarantine in quarantines(self.root):
+            for run in quarantine.runs:
+                if not run.done and self._has_run(run):
+                    quarantine.finish(run)
+
+    def _has_run(self, run: PendingRun) -> bool:
+        """Run a pipeline, and return whether it could."""
+        try:
+            run_pipeline(
+                self.root / run.file, self.root, executor=self.executor, workers=self.workers, terminal=self.terminal,
+                wait_seconds=self.wait.seconds,
+            )  # fmt: skip
+        except KinedexError as fault:
+            self.outcome.failed_runs.append(run)
+            self.say(f"the results of {few(run.stages)} could not be made again: {fault}")
+            return False
+        self.say(f"made the results of {few(run.stages)} again")
+        return True
+
+    def _hit_takes(self, store: Store) -> set[int]:
+        kinds = ("frames", "content")
+        return {take for one in self.outcome.found if one.kind in kinds for take in one.takes}
+
+    def _hit_stages(self, store: Store) -> dict[str, set[str]]:
+        """Return the stages that have damaged results or reports, each with the paths of its damaged parts."""
+        wrong = {one.file for one in self.outcome.found if one.kind in ("results", "report")}
+        found: dict[str, set[str]] = {}
+        for parts in store.manifest.results.values():
+            for part in parts:
+                if part.path in wrong:
+                    found.setdefault(part.stage, set()).add(part.path)
+        for name, record in store.manifest.stages.items():
+            if not wrong.isdisjoint(record.summary.get("files", ())):
+                found.setdefault(name, set())
+        return found
+
+    def _sources(self, store: Store) -> Sources:
+        return Sources(store, ingest_settings(known_stages(self.root)))
+
+    def _keep(self, file: str, why: str, held: str, sha256: str = "", stage: str = "") -> None:
+        self.quarantine.keep(KeptFile(file, why, held, sha256, stage))
+
+
+def _parts(parts: Iterable[Part], findings: list[Finding], kind: str) -> list[Part]:
+    wrong = {one.file for one in findings if one.kind == kind}
+    return [part for part in parts if part.path in wrong]
+
+
+def _lost_parts(bad: BadManifest) -> str:
+    return f"; {counted(len(bad.lost), 'part')} that only it names go into the quarantine" if bad.lost else ""
+
+
+def _same_row(sources: Sources, row: dict[str, object]) -> dict[str, object]:
+    """Return the row that a take had, unless it has other frames now."""
+    before = sources.row(int(str(row["take_id"])))
+    same = all(row[name] == before[name] for name in ("frames", "invalid_frames", "recipe"))
+    return before if same else row
+
+
+def _generations(root: Path) -> list[str]:
+    with suppress(FileNotFoundError):
+        return sorted(path.name for path in (root / "index").iterdir() if path.is_dir())
+    return []

@@ -1,0 +1,163 @@
+"""Takes that are read again from their sources, which must be the files that they were read from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.pipelines.ingestion.changes import recipe_of, recipes
+from kinedex.pipelines.ingestion.file_batches import Batch, Task
+from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
+from kinedex.storage.repair.quarantine import LostTake
+from kinedex.storage.store.store import Store
+
+
+@dataclass
+class Found:
+    """The takes of which the sources were looked up.
+
+    Attributes
+    ----------
+    batches : list of Batch
+        The takes that can be read again, those with the same settings together.
+    lost : list of LostTake
+        The takes whose source is gone or has changed.
+    otherwise : list of str
+        Names of the takes that are read otherwise than before: kinedex or a mapping has changed.
+    """
+
+    batches: list[Batch] = field(default_factory=list)
+    lost: list[LostTake] = field(default_factory=list)
+    otherwise: list[str] = field(default_factory=list)
+
+
+class Sources:
+    """The sources of the takes of a store.
+
+    Parameters
+    ----------
+    store : Store
+        The store, whose rows of takes can be read.
+    settings : iterable of IngestParameters
+        The parameters of the ingests that have filled it, the last one first.
+    """
+
+    def __init__(self, store: Store, settings: Iterable[IngestParameters]) -> None:
+        self.store = store
+        self._readers = [_Reader(store, params) for params in settings] or [
+            _Reader(store, IngestParameters.model_validate({"source": ""}))
+        ]
+        self._scans: dict[str, tuple[Scan | None, dict[str, SourceFile]]] = {}
+        self._rows = {row["take_id"]: row for row in store.take_rows.to_pylist()}
+        self._skeletons: dict[tuple[str, str], str] = {}
+        for row in _skeleton_rows(store):
+            self._skeletons[row["source_root"], row["source"]] = row["checksum"]
+
+    def find(self, take_ids: Iterable[int]) -> Found:
+        """Look up the source files of takes, in order of take_id."""
+        found = Found()
+        tasks: dict[int, list[Task]] = {}
+        for take_id in sorted(take_ids):
+            row = self._rows[take_id]
+            try:
+                number, task = self._task(row)
+                tasks.setdefault(number, []).append(task)
+                if task.recipe != row["recipe"]:
+                    found.otherwise.append(task.name)
+            except KinedexError as fault:
+                source = str(Path(row["source_root"]) / row["source"])
+                found.lost.append(LostTake(row["name"], take_id, source, _reason(fault)))
+        for number, those in tasks.items():
+            reader = self._readers[number]
+            found.batches.append(
+                Batch(
+                    self.store.path, self.store.feature_set, self.store.rate_hz, reader.mappings, reader.params.given,
+                    False, tuple(those),
+                )
+            )  # fmt: skip
+        return found
+
+    def row(self, take_id: int) -> dict[str, Any]:
+        """Return the row of a take."""
+        return dict(self._rows[take_id])
+
+    def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:
+        """Return the task that reads a take again, with the number of the settings; a KinedexError if none can."""
+        path = Path(row["source_root"]) / row["source"]
+        found, motions = self._scan(row["source_root"])
+        motion = motions.get(row["source"])
+        if found is None or motion is None:
+            raise SourceError(path, "is not there")
+        if checksum(motion.absolute) != row["checksum"]:
+            raise SourceError(path, "has changed since it was read")
+        skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
+        content = checksum(skeleton.absolute) if skeleton is not None else ""
+        number, recipe = self._reader_of(row, motion, content)
+        if recipe != row["recipe"] and skeleton is not None:
+            before = self._skeletons.get((skeleton.root, skeleton.path), "")
+            if skeleton.path != row["skeleton_source"] or before != content:
+                raise SourceError(skeleton.absolute, "is not known to be the skeleton that it was read with")
+        groups = path_groups(motion.path, self._readers[number].patterns)
+        return number, Task(row["name"], row["take_id"], motion, skeleton, dict(groups or {}), recipe, ())
+
+    def _reader_of(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> tuple[int, str]:
+        """Return the number of the settings that a take was read with, and its recipe with them."""
+        made = [reader.recipe(motion, skeleton) for reader in self._readers]
+        if row["recipe"] in made:
+            return made.index(row["recipe"]), row["recipe"]
+        here = (number for number, reader in enumerate(self._readers) if reader.root == row["source_root"])
+        number = next(here, 0)
+        return number, made[number]
+
+    def _scan(self, root: str) -> tuple[Scan | None, dict[str, SourceFile]]:
+        if root not in self._scans:
+            try:
+                found = scan(root)
+                self._scans[root] = found, {motion.path: motion for motion in found.motions}
+            except KinedexError:
+                self._scans[root] = None, {}
+        return self._scans[root]
+
+
+class _Reader:
+    """The settings of one ingest, with all that the recipe of a take depends on."""
+
+    def __init__(self, store: Store, params: IngestParameters) -> None:
+        self.params = params
+        self.root = str(Path(params.source).expanduser().resolve())
+        self.patterns = [re.compile(pattern) for pattern in params.patterns]
+        self._store = store
+
+    @cached_property
+    def mappings(self) -> Mappings:
+        """The skeleton mappings."""
+        return load_mappings(self.params.skeleton, self._store.feature_set.joints)
+
+    @cached_property
+    def _recipes(self) -> dict[str, str]:
+        return recipes(self._store.feature_set, self.mappings, self.params.given)
+
+    def recipe(self, motion: SourceFile, skeleton: str) -> str:
+        """Return the recipe that a motion file has with these settings; empty if they do not work any more."""
+        try:
+            return recipe_of(self._recipes[motion.format], skeleton, path_groups(motion.path, self.patterns))
+        except KinedexError:
+            return ""
+
+
+def _skeleton_rows(store: Store) -> list[dict[str, Any]]:
+    try:
+        return list(store.result("skeleton_files").to_pylist())
+    except KinedexError:
+        return []  # the part is damaged
+
+
+def _reason(fault: KinedexError) -> str:
+    return f"{fault.path} {fault.reason}" if isinstance(fault, SourceError) else str(fault)
