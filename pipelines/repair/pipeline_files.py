@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import StoreError
 from kinedex.pipelines.ingestion.parameters import IngestParameters
-from kinedex.storage.snapshot.manifest import StageRecord, read_version, versions
+from kinedex.storage.snapshot.manifest import Manifest, StageRecord, read_version, versions
 
 
 def known_stages(store: Path) -> dict[str, StageRecord]:
@@ -37,8 +37,18 @@ def pipeline_text(records: dict[str, StageRecord], pipeline: str) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def ingest_settings(records: dict[str, StageRecord]) -> list[IngestParameters]:
-    """Return the parameters of all ingests, the last one first."""
+def ingest_settings(manifest: Manifest, records: dict[str, StageRecord]) -> list[IngestParameters]:
+    """Return the parameters with which sources were ingested, the last ones first.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        The version of the store, which remembers them for each source.
+    records : dict of str to StageRecord
+        `known_stages`; stores that come from format 3 have the parameters there only.
+    """
+    sources = sorted(manifest.sources.values(), key=lambda source: source.recorded, reverse=True)
     ingests = [record for record in records.values() if record.summary["uses"] == "ingest"]
     ingests.sort(key=lambda record: record.finished, reverse=True)
-    return [IngestParameters.model_validate(record.summary["params"]) for record in ingests]
+    known = [*(source.settings for source in sources), *(record.summary["params"] for record in ingests)]
+    return [IngestParameters.model_validate(params) for params in known]

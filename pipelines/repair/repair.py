@@ -26,12 +26,12 @@ from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stage
 from kinedex.pipelines.repair.sources import Sources
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
+from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import repair
 from kinedex.storage.repair.manifests import BadManifest, bad_manifests, newest_sound, set_aside
 from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Quarantine, quarantines
 from kinedex.storage.repair.take_rows import restored_rows, with_rows
-from kinedex.storage.snapshot.manifest import Part, now, publish, require_current_format
-from kinedex.storage.snapshot.schemas import takes_schema
+from kinedex.storage.snapshot.manifest import Manifest, Part, now, publish, require_current_format
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import Finding, verify
 from kinedex.storage.store.writer import StoreWriter
@@ -206,9 +206,19 @@ class _Work:
             self.say(f"{counted(len(restored.lost), 'take')} lost their rows; an ingest reads their files as new takes")
         manifest = with_rows(store, wrong, restored)
         if manifest != store.manifest:
-            publish(self.root, replace(manifest, version=manifest.version + 1, created=now()))
+            self._publish(manifest, {"takes_dropped": len(restored.lost)} if restored.lost else {})
         if restored.rows.num_rows:
             self.say(f"restored the rows of {counted(restored.rows.num_rows, 'take')}")
+
+    def _publish(self, manifest: Manifest, changes: dict[str, object]) -> None:
+        """Publish a version that no writer could make, since the store cannot be read whole."""
+        publish(
+            self.root,
+            replace(
+                manifest, version=manifest.version + 1, created=now(), changes=changes, kinedex=kinedex_version(),
+                command=running_command(),
+            ),
+        )  # fmt: skip
 
     def _leftovers(self) -> None:
         """Keep files aside that no version names, as far as they are not of killed runs, which a writer removes."""
@@ -253,7 +263,7 @@ class _Work:
                     lost.append(LostTake(task.name, task.take_id, str(task.motion.absolute), why))
             if written.part is None or (part is not None and written.part.sha256 == part.sha256):
                 continue  # the part has its content back, under the same name
-            table = pa.Table.from_pylist([_same_row(sources, row) for row in written.takes], schema=takes_schema())
+            table = pa.Table.from_pylist([_same_row(sources, row) for row in written.takes], schema=writer.takes_schema)
             writer.add_takes(table, written.part)
         pool.close()
         if lost:
@@ -360,7 +370,7 @@ class _Work:
         return found
 
     def _sources(self, store: Store) -> Sources:
-        return Sources(store, ingest_settings(known_stages(self.root)))
+        return Sources(store, ingest_settings(store.manifest, known_stages(self.root)))
 
     def _keep(self, file: str, why: str, held: str, sha256: str = "", stage: str = "") -> None:
         self.quarantine.keep(KeptFile(file, why, held, sha256, stage))

@@ -18,7 +18,7 @@ from kinedex.storage.snapshot.manifest import (
     read_version,
     versions,
 )
-from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import PART_FOLDERS
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,9 @@ def set_aside(quarantine: Quarantine, bad: list[BadManifest]) -> None:
 def _unnamed(store: Path, sound: list[int]) -> tuple[str, ...]:
     """Return the parts on disk that no sound version names."""
     named = set().union(*(named_files(store, version) for version in sound))
-    folders = ("frames", "takes", *(f"results/{kind}" for kind in RESULT_KINDS))
     found = (
         f"{folder}/{name}"
-        for folder in folders
+        for folder in PART_FOLDERS
         for name in (sorted(os.listdir(store / folder)) if (store / folder).is_dir() else ())
         if name.startswith("part-")
     )

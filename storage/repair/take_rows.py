@@ -15,7 +15,7 @@ from kinedex.storage import duck
 from kinedex.storage.index.generations import FILE, current_generation, file_digest, read_generation
 from kinedex.storage.snapshot.manifest import Manifest, Part, changed_content, read_version, versions
 from kinedex.storage.snapshot.parts import read_errors, write_part
-from kinedex.storage.snapshot.schemas import takes_schema
+from kinedex.storage.snapshot.schemas import with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 
@@ -26,7 +26,7 @@ class RestoredRows:
     Attributes
     ----------
     rows : pyarrow.Table
-        The rows that were found elsewhere, `takes_schema`, in order of take_id.
+        The rows that were found elsewhere, in order of take_id.
     lost : tuple of int
         Ids of the other takes.
     """
@@ -49,7 +49,7 @@ def restored_rows(store: Snapshot, bad: Iterable[Part]) -> RestoredRows:
         The damaged parts of takes.
     """
     missing = {take for part in bad for take in part.live}
-    found = [takes_schema().empty_table()]
+    found = [store.manifest.takes_schema.empty_table()]
     for table in (*_of_index(store), *_of_older_versions(store)):
         rows = table.filter(pc.is_in(table.column("take_id"), pa.array(missing, pa.int64())))
         found.append(rows)
@@ -109,9 +109,8 @@ def _of_index(store: Snapshot) -> Iterator[pa.Table]:
     try:
         with duck.connect() as connection:
             connection.execute(f"ATTACH {duck.quote(str((generation / FILE).absolute()))} AS idx (READ_ONLY)")
-            rows = duck.rows(connection, "SELECT * FROM idx.takes")
-            yield rows.select(takes_schema().names).cast(takes_schema())
-    except (duck.Error, KeyError, pa.ArrowException):
+            yield with_columns(duck.rows(connection, "SELECT * FROM idx.takes"), store.manifest.takes_schema)
+    except (duck.Error, pa.ArrowException):
         return
 
 
@@ -120,6 +119,6 @@ def _of_older_versions(store: Snapshot) -> Iterator[pa.Table]:
         try:
             older = read_version(store.path, version)
             if older.content == store.manifest.content and older.takes != store.manifest.takes:
-                yield Snapshot(store.path, older).take_rows
+                yield with_columns(Snapshot(store.path, older).take_rows, store.manifest.takes_schema)
         except StoreError:
             continue

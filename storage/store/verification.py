@@ -93,8 +93,8 @@ def verify(store: Snapshot) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
-    are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; the checksums of reports; leftover
-    files; the index's checksums, counts and bit slices; and what repairs have set aside.
+    are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; the checksums of
+    reports; leftover files; the index's checksums, counts and bit slices; and what repairs have set aside.
 
     Parameters
     ----------
