@@ -97,8 +97,33 @@ def sql_type(kind: pa.DataType) -> str:
     }[kind]
 
 
+def null_columns(fields: Iterable[pa.Field]) -> list[str]:
+    """Return columns of a SELECT that are null, of the types of fields."""
+    return [f"NULL::{sql_type(field.type)} AS {identifier(field.name)}" for field in fields]
+
+
+def result_rows(schema: pa.Schema, files: Sequence[tuple[Path, int]]) -> str:
+    """Return the SELECT that reads the rows of Parquet parts of results.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+        Columns of the results; without any part the SELECT is an empty relation of this schema.
+    files : sequence of (Path, int)
+        Each part with the number of its columns; those that the schema has beyond them are null.
+    """
+    if not files:
+        return f"SELECT {', '.join(null_columns(schema))} WHERE false"
+    branches = []
+    for width in sorted({width for _, width in files}):
+        held, lacking = schema.names[:width], list(schema)[width:]
+        columns = ", ".join([*map(identifier, held), *null_columns(lacking)]) if lacking else "*"
+        branches.append(f"SELECT {columns} FROM {_read_parquet([file for file, count in files if count == width])}")
+    return "\nUNION ALL ".join(branches)
+
+
 def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]]) -> str:
-    """Return the SELECT that reads the live rows of Parquet parts.
+    """Return the SELECT that reads the live rows of Parquet parts of frames.
 
     Parameters
     ----------
@@ -108,8 +133,7 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
         Each part with the ids of the takes whose rows in it are dropped.
     """
     if not files:
-        columns = ", ".join(f"NULL::{sql_type(field.type)} AS {identifier(field.name)}" for field in schema)
-        return f"SELECT {columns} WHERE false"
+        return f"SELECT {', '.join(null_columns(schema))} WHERE false"
     whole = [file for file, dropped in files if not dropped]
     branches = [f"SELECT * FROM {_read_parquet(whole)}"] if whole else []
     tombstones = [(file, take) for file, dropped in files for take in dropped]

@@ -12,3 +12,15 @@ def repair(store: str | Path) -> Remedy:
     """Return the remedy of damage: `kinedex repair`, which makes again what can be made again."""
     command = ("kinedex", "repair", str(store))
     return Remedy(f"`{shlex.join(command)}` repairs it", command)
+
+
+def upgrade(store: str | Path) -> Remedy:
+    """Return the remedy of an older format: `kinedex upgrade`, which converts the store."""
+    command = ("kinedex", "upgrade", str(store))
+    return Remedy(f"`{shlex.join(command)}` converts it and keeps takes, results and index", command)
+
+
+def upgrade_with_damage(store: str | Path) -> Remedy:
+    """Return the remedy of damage in a store of an older format, which `kinedex repair` cannot write."""
+    command = ("kinedex", "upgrade", str(store), "--keep-damaged")
+    return Remedy(f"or `{shlex.join(command)}` converts it with them, for `kinedex repair` to repair", command)

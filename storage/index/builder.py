@@ -229,6 +229,7 @@ def _write_record(
         built=now(),
         built_frames=sum(shard.frames for shard in shards if shard.number not in old),
         build_seconds=round(seconds, 3),
+        takes=store.manifest.takes_digest(),
     )
     with open(folder / RECORD, "w", encoding="utf-8") as written:
         written.write(record.to_json())

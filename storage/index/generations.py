@@ -117,6 +117,8 @@ class Generation:
         Frames that were indexed anew for this generation.
     build_seconds : float
         Duration of the build.
+    takes : str
+        `Manifest.takes_digest` of the version, whose rows its table `takes` has.
     """
 
     index_version: int
@@ -134,6 +136,7 @@ class Generation:
     built: str
     built_frames: int
     build_seconds: float
+    takes: str = ""
 
     @property
     def frames(self) -> int:

@@ -22,7 +22,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_folder, write_errors
-from kinedex.storage.remedies import repair
+from kinedex.storage.remedies import repair, upgrade
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS, TakeColumn, takes_schema
 
 FOLDER = "manifest"
@@ -132,6 +132,8 @@ class ResultPart:
         Id of the pipeline run.
     xxh3 : str
         XXH3 checksum of the file, 128 bits in hexadecimal digits; empty in a store of format 3.
+    columns : int
+        Number of its columns, which are the first ones of the schema of its kind; 0 (not known) in a store of format 3.
     """
 
     path: str
@@ -141,6 +143,7 @@ class ResultPart:
     stage: str
     run: str
     xxh3: str = ""
+    columns: int = 0
 
     @property
     def live_rows(self) -> int:
@@ -350,6 +353,12 @@ class Manifest:
         text = json.dumps([self.feature_set.digest, self.rate_hz, self.content], separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
+    def takes_digest(self) -> str:
+        """Return a hash of the rows of takes, the columns that `content_digest` leaves aside among them."""
+        parts = [[part.sha256, ranges(part.dropped)] for part in self.takes]
+        text = json.dumps([self.takes_schema.to_string(show_schema_metadata=False), parts], separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
 
 def changed_content(content: str, changes: list[Any]) -> str:
     """Return the `Manifest.content` that follows another one after changes of takes, given as JSON values."""
@@ -429,7 +438,8 @@ def require_current_format(store: Path, manifest: Manifest) -> None:
     if manifest.format_version != FORMAT_VERSION:
         raise StoreError(
             f"{store}: the store has format {manifest.format_version}, which is only read; this kinedex writes format "
-            f"{FORMAT_VERSION}: `kinedex upgrade {store}` converts it and keeps takes, results and index"
+            f"{FORMAT_VERSION}",
+            remedy=upgrade(store),
         )
 
 

@@ -133,8 +133,9 @@ def _type(name: str) -> pa.DataType:
     return pa.list_(_type(name.removesuffix("[]"))) if name.endswith("[]") else _SQL_TYPES[name]
 
 
-# A part of results has the columns of the view that shows it.
+# A part of results has the columns of the view that shows it; a new column comes at the end (`ResultPart.columns`).
 _RESULTS = {view.name: _fields(*((one.name, _type(one.type)) for one in view.columns)) for view in RESULT_VIEWS}
+
 _REQUIRED = {
     "takes": tuple(name for name in _TAKES.names if name != "known"),
     "labels": tuple(_LABELS.names),

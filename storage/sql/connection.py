@@ -7,7 +7,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-import pyarrow as pa
+import pyarrow.parquet as pq
 
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
@@ -15,6 +15,7 @@ from kinedex.storage import duck
 from kinedex.storage.index.generations import (
     BUILD,
     FILE,
+    Generation,
     current_generation,
     file_digest,
     missing_index,
@@ -22,12 +23,12 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.interruption import is_abandoned
-from kinedex.storage.snapshot.parts import part_file
-from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema, takes_schema
+from kinedex.storage.snapshot.parts import part_file, read_errors
+from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query
 from kinedex.storage.sql.read_only import UnknownName
-from kinedex.storage.sql.read_parts import check_parts, parts_of
+from kinedex.storage.sql.read_parts import check_parts
 
 NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
 """The names of all views and macros."""
@@ -67,10 +68,10 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
     store.checked.parts(store.manifest.parts)
     connection = duck.connect(threads, memory_mb)
     try:
-        indexed = _attach_index(connection, store)
-        if not indexed:
+        index = _attach_index(connection, store)
+        if index is None:
             _define_failing(connection, store)
-        _define(connection, store, indexed, complete=True)
+        _define(connection, store, index, complete=True)
     except BaseException:
         connection.close()
         raise
@@ -96,8 +97,8 @@ class Connections:
         self._lock = threading.Lock()
         self._first = duck.connect()
         try:
-            self.indexed = _attach_index(self._first, store)
-            _define(self._first, store, self.indexed)
+            self._index = _attach_index(self._first, store)
+            _define(self._first, store, self._index)
             duck.allow_only(self._first, [store.path, *files])
             duck.lock_settings(self._first)
         except BaseException:
@@ -106,6 +107,11 @@ class Connections:
         self._idle = [self._first]
         self._taken = 0
         self._closed = False
+
+    @property
+    def indexed(self) -> bool:
+        """True if the index is attached."""
+        return self._index is not None
 
     def take(self) -> duck.Connection:
         """Lend a connection that nobody else uses until it is given back; not to be called after `close`."""
@@ -119,7 +125,7 @@ class Connections:
         try:
             if self.indexed:
                 connection.execute("USE idx")
-            _define(connection, self._store, self.indexed)
+            _define(connection, self._store, self._index)
         except BaseException:
             connection.close()
             raise
@@ -149,16 +155,21 @@ class Connections:
             self._first.close()
 
 
-def _define(connection: duck.Connection, store: Snapshot, indexed: bool, *, complete: bool = False) -> None:
+def _define(connection: duck.Connection, store: Snapshot, index: Generation | None, *, complete: bool = False) -> None:
     """Make the views and macros of a connection; `complete` includes the macros over a missing index."""
+    indexed = index is not None
     try:
+        if index is None or index.takes != store.manifest.takes_digest():
+            # rows or columns of takes have changed since the index was built, or were not in an older one
+            connection.register("takes", store.take_rows)
         if not indexed:
-            _without_index(connection, store)
+            _view(connection, "features", duck.literal_rows(features_table(store.feature_set)))
         _view(connection, "help", duck.literal_rows(help_table()))
-        frames = frames_schema(store.feature_set, store.rate_hz)
-        _parts_view(connection, store, "frames", frames)
+        # DuckDB reads the columns of a part of each view, but no rows
+        frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
+        _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
         for kind in RESULT_KINDS:
-            _parts_view(connection, store, kind, result_schema(kind))
+            _view(connection, kind, duck.result_rows(result_schema(kind), _result_files(store, kind)))
         for view in VIEWS:
             if view.origin == "derived":
                 _view(connection, view.name, view.body)
@@ -182,10 +193,10 @@ def _define_failing(connection: duck.Connection, store: Snapshot) -> None:
             _view(connection, view.name, f"SELECT {columns} WHERE {failing} IS NULL")
 
 
-def _attach_index(connection: duck.Connection, store: Snapshot) -> bool:
-    """Attach the index of these takes read-only; return False where there is none."""
+def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | None:
+    """Attach the index of these takes read-only and return its record; None where there is none."""
     while (generation := current_generation(store.path, store.manifest)) is not None:
-        file = (generation / FILE).absolute()
+        file, record = (generation / FILE).absolute(), read_generation(generation)
         try:
             connection.execute(f"ATTACH {duck.quote(str(file))} AS idx (READ_ONLY)")
             connection.execute("USE idx")
@@ -194,8 +205,11 @@ def _attach_index(connection: duck.Connection, store: Snapshot) -> bool:
                 # a build has published a newer generation, or somebody removes the index
                 continue
             raise StoreError(f"{file}: the index cannot be read: {duck.first_line(fault)}; {BUILD}") from None
-        return True
-    return False
+        if record is not None:
+            return record
+        connection.execute("USE memory")
+        connection.execute("DETACH idx")
+    return None
 
 
 def run_query(
@@ -271,15 +285,19 @@ def _reads_index(macro: Macro) -> bool:
     return any(re.search(rf"\b{view}\b", macro.body) for view in INDEXED)
 
 
-def _without_index(connection: duck.Connection, store: Snapshot) -> None:
-    _parts_view(connection, store, "takes", takes_schema())
-    _view(connection, "features", duck.literal_rows(features_table(store.feature_set)))
+def _result_files(store: Snapshot, kind: str) -> list[tuple[Path, int]]:
+    """Return the parts of a kind of result, each with the number of its columns."""
+    files = []
+    for part in store.manifest.results.get(kind, ()):
+        file = part_file(store.path, part.path)
+        files.append((file, part.columns or _columns_of(file)))
+    return files
 
 
-def _parts_view(connection: duck.Connection, store: Snapshot, name: str, schema: pa.Schema) -> None:
-    """Make a view over Parquet parts; DuckDB reads the columns of the first one, but no rows."""
-    files = [(part_file(store.path, part.path), getattr(part, "dropped", ())) for part in parts_of(store, name)]
-    _view(connection, name, duck.parquet_rows(schema, files))
+def _columns_of(file: Path) -> int:
+    """Return the number of columns of a part of format 3, whose manifest does not record it."""
+    with read_errors(file):
+        return len(pq.read_schema(file).names)
 
 
 def _view(connection: duck.Connection, name: str, query: str) -> None:

@@ -313,8 +313,9 @@ class StoreWriter:
         given = [tables] if isinstance(tables, pa.Table) else tables
         parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
         kept = tuple(part for part in before if part.stage != stage or part.path in stay)
+        width = len(result_schema(kind).names)
         kept += tuple(
-            ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3) for part in parts
+            ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3, width) for part in parts
         )
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
         if kept != before:

@@ -1,0 +1,323 @@
+"""Upgrade of a store to the present format: one new version with the same takes and results; the old one stays."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import yaml
+
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import FileSums, sync_file, write_errors
+from kinedex.storage.lock import NO_WAIT, Lock, Wait
+from kinedex.storage.provenance import kinedex_version, running_command
+from kinedex.storage.remedies import upgrade_with_damage
+from kinedex.storage.snapshot.manifest import (
+    FOLDER,
+    TEMPORARY,
+    AnyPart,
+    Manifest,
+    Part,
+    PipelineRecord,
+    Source,
+    StageRecord,
+    now,
+    publish,
+    read_newest,
+)
+from kinedex.storage.snapshot.parts import read_errors, write_part
+from kinedex.storage.snapshot.schemas import (
+    FORMAT_VERSION,
+    GROUP_COLUMN,
+    TakeColumn,
+    column_problem,
+    takes_schema,
+    with_columns,
+)
+from kinedex.storage.store.write_access import FOLDERS
+
+PROGRESS = f"{TEMPORARY}upgrade.jsonl"
+"""The file in the folder of manifests that keeps the checksums which a killed upgrade has computed."""
+
+_THREADS = min(4, os.cpu_count() or 1)
+
+
+@dataclass(frozen=True)
+class Upgrade:
+    """The work of an upgrade.
+
+    Attributes
+    ----------
+    before : int
+        Format of the store.
+    version : int
+        Number of the new version; that of the newest one in a dry run, or if the store has the present format.
+    parts : int
+        Number of parts that are checked.
+    bytes : int
+        Size of these parts.
+    takes_parts : int
+        Number of parts of takes that are written again; no frames and results are.
+    columns : tuple of str
+        Columns that takes get, from the named groups of source patterns.
+    damaged : tuple of str
+        Damaged or missing parts that stay as they are.
+    """
+
+    before: int
+    version: int
+    parts: int = 0
+    bytes: int = 0
+    takes_parts: int = 0
+    columns: tuple[str, ...] = ()
+    damaged: tuple[str, ...] = ()
+
+
+def upgrade(
+    store: str | Path,
+    *,
+    keep_damaged: bool = False,
+    dry_run: bool = False,
+    wait: Wait = NO_WAIT,
+    progress: Callable[[int], object] = lambda _: None,
+) -> Upgrade:
+    """Convert a store to the present format.
+
+    Every part is compared with its SHA-256 and gets its XXH3; parts of takes whose patterns have named groups are
+    written again with these as columns. Takes, their ids, results, records of stages and index stay valid, so that
+    no stage runs again because of it. All of it becomes visible in one step, as a new version. A killed upgrade goes
+    on where it was when it is run again.
+
+    Parameters
+    ----------
+    store : str or Path
+        The store's directory.
+    keep_damaged : bool, optional
+        Convert the store although parts are damaged or missing; these stay in it for `kinedex repair`.
+    dry_run : bool, optional
+        Change nothing, and check no checksum.
+    wait : Wait, optional
+        Time to wait for another writer to finish.
+    progress : callable, optional
+        Called with the bytes of each part that was checked.
+
+    Raises
+    ------
+    StoreError
+        A part is damaged or missing, another process writes the store, or the disk is full; nothing is changed.
+    """
+    root = Path(store)
+    manifest = read_newest(root)
+    if manifest.format_version == FORMAT_VERSION:
+        return Upgrade(FORMAT_VERSION, manifest.version)
+    if dry_run:
+        columns, again = _group_columns(root, manifest, ())
+        return _summary(manifest, manifest.version, columns, again, ())
+    with Lock(root / "lock", "the upgrade", wait):
+        manifest = read_newest(root)
+        if manifest.format_version == FORMAT_VERSION:
+            return Upgrade(FORMAT_VERSION, manifest.version)
+        with write_errors(root):
+            for folder in FOLDERS:
+                (root / folder).mkdir(exist_ok=True)
+        sums = _checked_sums(root, manifest.parts, progress)
+        damaged = tuple(part.path for part in manifest.parts if part.path not in sums)
+        if damaged and not keep_damaged:
+            shown = ", ".join(damaged[:3]) + (f" and {len(damaged) - 3} more" if len(damaged) > 3 else "")
+            raise StoreError(
+                f"{root}: {len(damaged)} of {len(manifest.parts)} parts are damaged or missing: {shown}; nothing was "
+                "changed; bring the files back from a copy of the store",
+                remedy=upgrade_with_damage(root),
+            )
+        columns, again = _group_columns(root, manifest, damaged)
+        made = _upgraded(root, manifest, sums, columns, again)
+        publish(root, made)
+        (root / FOLDER / PROGRESS).unlink(missing_ok=True)
+        return _summary(manifest, made.version, columns, again, damaged)
+
+
+def _summary(
+    manifest: Manifest, version: int, columns: Iterable[str], again: Iterable[Part], damaged: tuple[str, ...]
+) -> Upgrade:
+    size = sum(part.bytes for part in manifest.parts)
+    count = len(list(again))
+    return Upgrade(manifest.format_version, version, len(manifest.parts), size, count, tuple(columns), damaged)
+
+
+def _checked_sums(root: Path, parts: Iterable[AnyPart], progress: Callable[[int], object]) -> dict[str, str]:
+    """Return the XXH3 of every part whose size and SHA-256 are right, by path; sums of a killed upgrade are reused."""
+    known = _known_sums(root)
+    found: dict[str, str] = {}
+
+    def check(part: AnyPart) -> tuple[AnyPart, dict[str, Any] | None]:
+        try:
+            state = os.stat(root / part.path)
+            record = known.get(part.path)
+            if record is not None and (record["bytes"], record["mtime_ns"]) == (state.st_size, state.st_mtime_ns):
+                sums = FileSums(record["bytes"], record["sha256"], record["xxh3"])
+            else:
+                sums = sync_file(root / part.path)
+        except OSError:
+            return part, None
+        return part, {"path": part.path, "mtime_ns": state.st_mtime_ns, **sums._asdict()}
+
+    with write_errors(root / FOLDER), open(root / FOLDER / PROGRESS, "a", encoding="utf-8") as written:
+        # a line that a killed upgrade has begun ends here
+        written.write("\n")
+        with ThreadPoolExecutor(_THREADS) as pool:
+            for part, record in pool.map(check, parts):
+                if record is not None and (record["bytes"], record["sha256"]) == (part.bytes, part.sha256):
+                    found[part.path] = record["xxh3"]
+                    written.write(json.dumps(record) + "\n")
+                    written.flush()
+                progress(part.bytes)
+    return found
+
+
+def _known_sums(root: Path) -> dict[str, dict[str, Any]]:
+    """Return the records of a killed upgrade by path; a line that is not whole is ignored."""
+    known = {}
+    try:
+        lines = (root / FOLDER / PROGRESS).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return {}
+    for line in lines:
+        try:
+            record = json.loads(line)
+            FileSums(record["bytes"], record["sha256"], record["xxh3"])
+            known[record["path"]] = record | {"mtime_ns": record["mtime_ns"]}
+        except (ValueError, KeyError, TypeError):
+            continue
+    return known
+
+
+def _groups(root: Path, part: Part) -> Iterator[tuple[dict[str, Any], bool]]:
+    """Yield the named groups in each row of a part of takes, and True for a row that counts."""
+    file = root / part.path
+    with read_errors(file):
+        table = pq.read_table(file, columns=["take_id", "groups"])
+    gone = set(part.dropped)
+    for take, text in zip(*(column.to_pylist() for column in table.columns), strict=True):
+        groups = json.loads(text or "{}")
+        yield groups if isinstance(groups, dict) else {}, take not in gone
+
+
+def _group_columns(
+    root: Path, manifest: Manifest, damaged: tuple[str, ...]
+) -> tuple[dict[str, TakeColumn], tuple[Part, ...]]:
+    """Return the columns for named groups of takes, and the parts whose rows have such groups."""
+    columns: dict[str, TakeColumn] = {}
+    again = []
+    for part in manifest.takes:
+        if part.path in damaged:
+            continue
+        names = dict.fromkeys(name for groups, counts in _groups(root, part) if counts for name in groups)
+        for name in names:
+            if column_problem(name, GROUP_COLUMN, columns) is None:
+                columns[name] = GROUP_COLUMN
+        if not columns.keys().isdisjoint(names):
+            again.append(part)
+    return columns, tuple(again)
+
+
+def _upgraded(
+    root: Path, manifest: Manifest, sums: dict[str, str], columns: dict[str, TakeColumn], again: tuple[Part, ...]
+) -> Manifest:
+    """Return the new version; the parts of takes that it needs are written."""
+    new = {part.path: _with_groups(root, part, columns) for part in again}
+    takes = tuple(new.get(part.path, replace(part, xxh3=sums.get(part.path, ""))) for part in manifest.takes)
+    results = {
+        kind: tuple(
+            replace(part, xxh3=sums[part.path], columns=_width(root, part.path)) if part.path in sums else part
+            for part in parts
+        )
+        for kind, parts in manifest.results.items()
+    }
+    return replace(
+        manifest,
+        format_version=FORMAT_VERSION,
+        version=manifest.version + 1,
+        created=now(),
+        frames=tuple(replace(part, xxh3=sums.get(part.path, "")) for part in manifest.frames),
+        takes=takes,
+        results=results,
+        kinedex=kinedex_version(),
+        command=running_command(),
+        changes={"upgraded_from": manifest.format_version} | ({"columns": list(columns)} if columns else {}),
+        columns=columns,
+        sources=_sources(root, takes, manifest.stages, sums),
+        pipelines=_pipelines(manifest.stages),
+    )
+
+
+def _width(root: Path, path: str) -> int:
+    with read_errors(root / path):
+        return len(pq.read_schema(root / path).names)
+
+
+def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part:
+    """Write the rows of a part that count once more, with the named groups as columns."""
+    schema = takes_schema(columns)
+    rows = []
+    with read_errors(root / part.path):
+        table = with_columns(pq.read_table(root / part.path), takes_schema())
+    for row, (groups, counts) in zip(table.to_pylist(), _groups(root, part), strict=True):
+        if counts:
+            rows.append({name: groups.get(name) for name in columns} | row)
+    return write_part(root, "takes", pa.Table.from_pylist(rows, schema=schema), part.live)
+
+
+def _sources(
+    root: Path, takes: Iterable[Part], stages: dict[str, StageRecord], sums: dict[str, str]
+) -> dict[str, Source]:
+    """Return the settings of sources, from the records of the stages that ingested them."""
+    roots: set[str] = set()
+    for part in takes:
+        if part.path in sums or part.xxh3:
+            with read_errors(root / part.path):
+                roots.update(pq.read_table(root / part.path, columns=["source_root"]).column(0).to_pylist())
+    sources = {}
+    for key, record in sorted(stages.items(), key=lambda item: item[1].finished):
+        params = record.summary.get("params", {})
+        if record.summary.get("uses") == "ingest" and params.get("source"):
+            folder = os.path.realpath(Path(params["source"]).expanduser())
+            if folder in roots:
+                sources[folder] = Source(key, params | {"source": folder}, record.finished)
+    return sources
+
+
+def _pipelines(stages: dict[str, StageRecord]) -> dict[str, PipelineRecord]:
+    """Return records of pipelines whose files are made of the records of their stages."""
+    pipelines: dict[str, list[StageRecord]] = {}
+    for key, record in stages.items():
+        pipelines.setdefault(key.partition("/")[0], []).append(record)
+    return {name: _pipeline(name, records) for name, records in pipelines.items()}
+
+
+def _pipeline(name: str, records: list[StageRecord]) -> PipelineRecord:
+    last = max(records, key=lambda record: record.finished)
+    stages = {
+        record.stage.partition("/")[2]: {
+            key: record.summary[key] for key in ("uses", "inputs", "params") if key in record.summary
+        }
+        for record in records
+    }
+    content = {"name": name, "description": "made of the records of its stages by `kinedex upgrade`", "stages": stages}
+    sources = sorted({record.summary.get("params", {}).get("source") or "" for record in records} - {""})
+    return PipelineRecord(
+        yaml=yaml.safe_dump(content, sort_keys=False, allow_unicode=True),
+        path="",
+        settings={},
+        sources=tuple(os.path.realpath(Path(source).expanduser()) for source in sources),
+        command="",
+        kinedex="",
+        run=last.run,
+        recorded=last.finished,
+    )
