@@ -24,10 +24,21 @@ from kinedex.ops.keyframes.genetic_operators import (
     select_parents,
 )
 from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, EvolutionSettings, LearningRun, TrainingTask
+from kinedex.ops.keyframes.training_task import (
+    HISTORY_COLUMNS,
+    MOST_KEYFRAMES,
+    OFFSPRING,
+    PARENTS,
+    EvolutionSettings,
+    LearningRun,
+    TrainingTask,
+)
 from kinedex.ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]
+
+BETA = 2.0
+"""The number of times that recall weighs as much as precision in the fitness (thesis, Eq. 4.11)."""
 
 
 def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
@@ -48,12 +59,13 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
         The individual of the last generation that ranks highest; of equal ones the oldest. Parents are selected by
         fitness, and those that rank highest survive; without costs both are the same, as in the thesis.
     """
-    population = new_population(settings.population + settings.offspring, settings.most_keyframes)
+    population = new_population(settings.population + OFFSPRING, MOST_KEYFRAMES)
     history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))
-    space = new_workspace(task.frames, settings.most_keyframes)
-    sizes = (settings.population, settings.parents, settings.generations)
+    space = new_workspace(task.frames, MOST_KEYFRAMES)
+    sizes = (settings.population, PARENTS, settings.generations)
+    operators = OperatorSettings(least=settings.least_keyframes, open_share=float(settings.open_share))
     best, evaluated = _evolve(
-        _random(seed), population, _clips(task), _columns(task), space, history, sizes, _operator_settings(settings),
+        _random(seed), population, _clips(task), _columns(task), space, history, sizes, operators,
         _fitness_settings(settings, task),
     )  # fmt: skip
     return _learning_run(population, best, history, evaluated)
@@ -93,14 +105,14 @@ def tune_gaps(
     -------
     LearningRun
     """
-    most = max(settings.most_keyframes, len(query))
+    most = max(MOST_KEYFRAMES, len(query))
     population = new_population(2, most)
     _set_row(population, 0, query)
     history = np.zeros((settings.generations + 1, len(HISTORY_COLUMNS)))
     space = new_workspace(task.frames, most)
-    tries = settings.offspring if len(query) > 1 else 0
+    tries = OFFSPRING if len(query) > 1 else 0
     _tune(
-        _random(seed), population, np.arange(2), _clips(task), space, history, tries, settings.gap_step,
+        _random(seed), population, np.arange(2), _clips(task), space, history, tries,
         _fitness_settings(settings, task),
     )  # fmt: skip
     return _learning_run(population, 0, history, 1 + tries * settings.generations)
@@ -138,7 +150,6 @@ class _Clips(NamedTuple):
 class _FitnessSettings(NamedTuple):
     """The settings of fitness and rank; `columns` is the number in the template, `outside_cost` that of one column."""
 
-    beta: float
     parsimony: float
     gap_cost: float
     outside_cost: float
@@ -159,24 +170,9 @@ def _columns(task: TrainingTask) -> TemplateColumns:
     return TemplateColumns(task.masks, task.values, task.columns, np.uint64(task.allowed))
 
 
-def _operator_settings(settings: EvolutionSettings) -> OperatorSettings:
-    return OperatorSettings(
-        float(settings.keyframes_mean),
-        float(settings.keyframes_sd),
-        settings.least_keyframes,
-        float(settings.gap_tolerance),
-        0.5 if settings.initial_gaps == "printed" else 1.0,
-        float(settings.gap_step),
-        float(settings.open_share),
-        settings.mutations[0] / sum(settings.mutations),
-        settings.mutations[1] / sum(settings.mutations),
-    )
-
-
 def _fitness_settings(settings: EvolutionSettings, task: TrainingTask) -> _FitnessSettings:
     columns = len(task.masks)
     return _FitnessSettings(
-        float(settings.beta),
         float(settings.parsimony),
         float(settings.gap_cost),
         settings.outside_cost / columns,
@@ -242,7 +238,7 @@ def _evolve(rng, population, clips, columns, space, history, sizes, operators, c
 
 
 @njit(cache=True, nogil=True)
-def _tune(rng, population, rows, clips, space, history, tries, gap_step, criteria):  # type: ignore[no-untyped-def]
+def _tune(rng, population, rows, clips, space, history, tries, criteria):  # type: ignore[no-untyped-def]
     """Improve the gaps of the first row by mutations in the second."""
     # rows come in an array: with a literal number in a call, numba would compile the called kernel once for each
     best, changed, one = rows[0], rows[1], len(rows) - 1
@@ -251,7 +247,7 @@ def _tune(rng, population, rows, clips, space, history, tries, gap_step, criteri
         if generation > 0:
             for _ in range(tries):
                 copy_individual(population, best, changed)
-                mutate_gaps(rng, population, changed, gap_step)
+                mutate_gaps(rng, population, changed)
                 _evaluate(population, changed, clips, space, criteria)
                 if population.results[changed, 3] >= population.results[best, 3]:
                     copy_individual(population, changed, best)
@@ -318,7 +314,7 @@ def _evaluate(population, row, clips, space, criteria):  # type: ignore[no-untyp
                 found += 1.0
             else:
                 wrong += 1.0
-    fitness = fitness_of(found, wrong, float(clips.positives), criteria.beta)
+    fitness = fitness_of(found, wrong, float(clips.positives), BETA)
     outside = population.positions[row, 0] + criteria.columns - 1 - population.positions[row, count - 1]
     rank = fitness - criteria.outside_cost * outside
     for k in range(count):

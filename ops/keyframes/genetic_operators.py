@@ -16,6 +16,9 @@ from kinedex.ops.bits import count_bits
 from kinedex.ops.keyframes.fitness import INNER
 from kinedex.ops.words import I64, U64
 
+GAP_STEP = 0.5
+"""The largest change of an end of a gap by a mutation, as a share of the spacing."""
+
 
 class Population(NamedTuple):
     """P individuals as arrays, one row each.
@@ -64,7 +67,7 @@ class TemplateColumns(NamedTuple):
 
 
 class OperatorSettings(NamedTuple):
-    """The settings of the operators (see `ops.keyframes.training_task.EvolutionSettings`).
+    """The settings of the operators, with the values of the thesis.
 
     Parameters
     ----------
@@ -76,21 +79,18 @@ class OperatorSettings(NamedTuple):
         The upper end of U(0, 2) in Algorithm 2.
     centre : float
         The centre of initial gaps, as a share of the spacing of the columns.
-    gap_step : float
-        The largest change of an end of a gap, as a share of the spacing.
     open_share : float
         The largest share of a keyframe's entries that a generalisation opens at once.
     keyframe_odds, entry_odds : float
         The probabilities of a mutation of keyframes and of one of entries; the others change gaps.
     """
 
-    mean: float
-    deviation: float
-    least: int
-    tolerance: float
-    centre: float
-    gap_step: float
-    open_share: float
+    mean: float = 3.0
+    deviation: float = 2.0
+    least: int = 2
+    tolerance: float = 2.0
+    centre: float = 1.0
+    open_share: float = 0.0
     keyframe_odds: float = 1 / 3
     entry_odds: float = 1 / 3
 
@@ -226,7 +226,7 @@ def mutate(rng, population, row, columns, settings):  # type: ignore[no-untyped-
     elif kind < settings.keyframe_odds + settings.entry_odds:
         _change_entries(rng, population, row, columns.allowed, first, settings.open_share)
     else:
-        mutate_gaps(rng, population, row, settings.gap_step)
+        mutate_gaps(rng, population, row)
 
 
 @njit(**INNER)
@@ -302,10 +302,10 @@ def _bit(bits, number):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def mutate_gaps(rng, population, row, gap_step):  # type: ignore[no-untyped-def]
+def mutate_gaps(rng, population, row):  # type: ignore[no-untyped-def]
     """Change both ends of every gap at random, by up to a share of the spacing of the columns or one frame."""
     for k in range(population.counts[row] - 1):
-        step = max(1.0, gap_step * (population.positions[row, k + 1] - population.positions[row, k]))
+        step = max(1.0, GAP_STEP * (population.positions[row, k + 1] - population.positions[row, k]))
         low = population.lows[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))
         high = population.highs[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))
         population.lows[row, k] = max(0, min(low, high))

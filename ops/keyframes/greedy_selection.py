@@ -6,7 +6,7 @@ import numpy as np
 
 from kinedex.ops.keyframes.genetic_algorithm import evaluate
 from kinedex.ops.keyframes.individuals import Individual
-from kinedex.ops.keyframes.training_task import EvolutionSettings, LearningRun, TrainingTask
+from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings, LearningRun, TrainingTask
 
 TOLERANCES = (0.5, 1.0)
 """Shares of the spacing by which a new gap may be shorter or longer."""
@@ -16,7 +16,7 @@ def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> Learni
     """Select template columns greedily, by the rank that the genetic algorithm uses.
 
     The first column is the one that ranks highest alone. Then the column that raises the rank most is added, with gaps
-    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `most_keyframes`. Of equal columns
+    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `MOST_KEYFRAMES`. Of equal columns
     the leftmost is taken. Nothing is random.
 
     Parameters
@@ -36,7 +36,7 @@ def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> Learni
     best = max(single, key=lambda one: one.rank)
     evaluated = len(columns)
     trace = [best.history_row()]
-    while len(best.columns) < min(settings.most_keyframes, len(columns)):
+    while len(best.columns) < min(MOST_KEYFRAMES, len(columns)):
         longer = [
             best.with_column(column, tolerance)
             for column in columns

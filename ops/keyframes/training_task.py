@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,15 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import I64, U64
 
 F64 = npt.NDArray[np.float64]
-InitialGaps = Literal["around", "printed"]
+
+PARENTS = 5
+"""r: the number of parents of a generation (thesis, Section 4.4)."""
+
+OFFSPRING = PARENTS * (PARENTS - 1) // 2
+"""The number of individuals that a generation makes: one for each pair of parents."""
+
+MOST_KEYFRAMES = 12
+"""The largest number of keyframes of any individual, which the thesis does not limit."""
 
 HISTORY_COLUMNS = ("precision", "recall", "fitness", "best")
 """The columns of a history, with a row for each generation: means over its individuals, and the fitness of the best."""
@@ -27,23 +34,11 @@ class EvolutionSettings:
 
     Parameters
     ----------
-    population, parents, generations : int
-        M, r and G (thesis, Section 4.4).
-    beta : float
-        The number of times that recall weighs as much as precision in the fitness (thesis, Eq. 4.11).
-    keyframes_mean, keyframes_sd : float
-        Mean and standard deviation of the number of keyframes of an initial individual (thesis, Algorithm 2).
+    population, generations : int
+        M and G (thesis, Section 4.4).
     least_keyframes : int
         The least number of keyframes of an initial individual; no mutation goes below it. Recombination, the consensus
         and the greedy learner may, as in the thesis.
-    most_keyframes : int
-        The largest number of keyframes of any individual, which the thesis does not limit.
-    gap_tolerance : float
-        The upper end of U(0, 2) in Algorithm 2.
-    initial_gaps : {"around", "printed"}
-        Initial gaps lie around the spacing of the template's columns, or around half of it, as Algorithm 2 is printed.
-    gap_step : float
-        The largest change of an end of a gap by a mutation, as a share of the spacing.
     open_share : float
         The largest share of a keyframe's entries that a generalisation opens at once; one entry where it is 0.
     parsimony, gap_cost : float
@@ -54,73 +49,21 @@ class EvolutionSettings:
     tempo : float
         A positive clip counts as retrieved only if it is so with gaps narrowed by this share, as if it were slower or
         faster.
-    mutations : (float, float, float)
-        The odds of a mutation of keyframes, of entries, and of gaps; the thesis chooses at random.
-
-    Raises
-    ------
-    ParameterError
-        If a setting is out of its domain.
     """
 
     population: int = 50
-    parents: int = 5
     generations: int = 100
-    beta: float = 2.0
-    keyframes_mean: float = 3.0
-    keyframes_sd: float = 2.0
     least_keyframes: int = 2
-    most_keyframes: int = 12
-    gap_tolerance: float = 2.0
-    initial_gaps: InitialGaps = "around"
-    gap_step: float = 0.5
     open_share: float = 0.0
     parsimony: float = 0.0
     gap_cost: float = 0.0
     outside_cost: float = 0.0
     tempo: float = 0.0
-    mutations: tuple[float, float, float] = (1.0, 1.0, 1.0)
-
-    def __post_init__(self) -> None:
-        checks = (
-            ("population", self.population >= 1, "at least 1"),
-            ("parents", self.parents >= 2, "at least 2"),
-            ("generations", self.generations >= 0, "0 or more"),
-            ("beta", self.beta > 0, "above 0"),
-            ("keyframes_sd", self.keyframes_sd >= 0, "0 or more"),
-            ("least_keyframes", self.least_keyframes >= 1, "at least 1"),
-            (
-                "most_keyframes",
-                self.most_keyframes >= self.least_keyframes,
-                f"at least least_keyframes, which is {self.least_keyframes}",
-            ),
-            ("gap_tolerance", self.gap_tolerance >= 0, "0 or more"),
-            ("initial_gaps", self.initial_gaps in ("around", "printed"), "around or printed"),
-            ("gap_step", self.gap_step >= 0, "0 or more"),
-            ("open_share", 0 <= self.open_share <= 1, "between 0 and 1"),
-            ("parsimony", self.parsimony >= 0, "0 or more"),
-            ("gap_cost", self.gap_cost >= 0, "0 or more"),
-            ("outside_cost", self.outside_cost >= 0, "0 or more"),
-            ("tempo", self.tempo >= 0, "0 or more"),
-            ("mutations", min(self.mutations) >= 0 and sum(self.mutations) > 0, "0 or more each, and one above 0"),
-        )
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, str) and not np.isfinite(value).all():
-                raise ParameterError(field.name, "a number, not infinite", value)
-        for name, holds, expected in checks:
-            if not holds:
-                raise ParameterError(name, expected, getattr(self, name))
-
-    @property
-    def offspring(self) -> int:
-        """The number of individuals that a generation makes, r (r - 1) / 2."""
-        return self.parents * (self.parents - 1) // 2
 
     @property
     def budget(self) -> int:
         """The number of individuals that a run makes in all."""
-        return self.population + self.generations * self.offspring
+        return self.population + self.generations * OFFSPRING
 
 
 @dataclass(frozen=True)

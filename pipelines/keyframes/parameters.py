@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.classes import OWN
 from kinedex.ops.keyframes.consensus import AtLeast
-from kinedex.ops.keyframes.training_task import EvolutionSettings
+from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings
 from kinedex.pipelines.keyframes.learning import Learner, Setting, allowed_features
 from kinedex.pipelines.keyframes.margins import Margins
 from kinedex.pipelines.keyframes.runs import GROUP, PATIENCE, SETTLED, Rounds
@@ -36,6 +36,7 @@ class KeyframeParameters(BaseModel):
     least_keyframes: int = Field(
         2,
         ge=1,
+        le=MOST_KEYFRAMES,
         description="least number of keyframes of an initial individual; recombination or consensus may give fewer",
     )
 

@@ -15,6 +15,8 @@ from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.keyframes.genetic_algorithm import BETA
+from kinedex.ops.keyframes.training_task import OFFSPRING, PARENTS
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
@@ -256,8 +258,8 @@ def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
 def test_every_default_is_a_number_of_the_thesis() -> None:
     params = KeyframeParameters()  # type: ignore[call-arg]
     numbers = params.evolution()
-    assert (numbers.population, numbers.parents, numbers.generations, numbers.beta) == (50, 5, 100, 2.0)
-    assert (numbers.offspring, params.delta) == (10, 0.0)
+    assert (numbers.population, PARENTS, numbers.generations, BETA) == (50, 5, 100, 2.0)
+    assert (OFFSPRING, params.delta) == (10, 0.0)
     assert 100 <= params.runs <= 500
     assert (params.steady, params.joins, params.tempo, params.parsimony, params.gap_cost) == (0, 0, 0.0, 0.0, 0.0)
 
