@@ -6,12 +6,10 @@ import platform
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, did_you_mean
@@ -29,8 +27,7 @@ from kinedex.pipelines.report.data import (
 )
 from kinedex.pipelines.report.reproduction import command
 from kinedex.pipelines.report.take_selection import median_take
-from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.report_sums import SUMS
 from kinedex.storage.store.store import Store, data_frame
 
@@ -40,7 +37,6 @@ ROLES = {
     "templates": "templates",
     "annotations": "annotations",
     "annotated_takes": "annotations",
-    "distance_curves": "annotations",
     "hits": "annotations",
     "ground_truth": "evaluation",
     "metrics": "evaluation",
@@ -93,11 +89,11 @@ def read_report_data(
     reader = Reader(store, pipeline, inputs)
     takes = store.takes()
     own, held = _scores(reader, "evaluation"), _scores(reader, "leave_one_out")
-    pairs = reader.frame("distance_curves", ["take", "class", "subclass", "preselected"])
+    pairs = data_frame(reader.curves("take, class, subclass"))
     annotations = reader.frame("annotations")
     annotate = reader.record("annotations")
     subclasses = _subclasses(pairs, annotations)
-    annotated = reader.frame("annotated_takes", ["take"])["take"].unique().to_list()
+    annotated = reader.frame("annotated_takes")["take"].unique().to_list()
     rows = _takes(takes.filter(pl.col("name").is_in(annotated)))
     chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
     records = tuple(record for record in reader.records() if record.stage != own_stage)
@@ -150,31 +146,19 @@ class Reader:
         self._pipeline = pipeline
         self._inputs = inputs
 
-    def parts(self, kind: str, role: str) -> list[ResultPart]:
-        """Return the parts of a kind that the stage of a role made."""
-        stage = f"{self._pipeline}/{self._inputs.get(role)}"
-        return [part for part in self._store.manifest.results.get(kind, ()) if part.stage == stage]
+    def table(self, kind: str, role: str | None = None) -> pa.Table:
+        """Return the rows of a kind that the stage of its usual role, or of another one, made."""
+        return self._store.result(kind, stage=f"{self._pipeline}/{self._inputs.get(role or ROLES[kind])}")
 
-    def table(
-        self,
-        kind: str,
-        columns: Sequence[str] | None = None,
-        *,
-        role: str | None = None,
-        filters: list[tuple[str, str, Any]] | None = None,
-    ) -> pa.Table:
-        """Return the rows of a kind, of its usual role or of another; a table without rows has the columns as well."""
-        schema = result_schema(kind)
-        wanted = pa.schema([schema.field(name) for name in columns or schema.names])
-        tables = [
-            pq.read_table(self._store.checked.part(part), columns=wanted.names, filters=filters)
-            for part in self.parts(kind, role or ROLES[kind])
-        ]
-        return pa.concat_tables([wanted.empty_table(), *(table.cast(wanted) for table in tables)])
-
-    def frame(self, kind: str, columns: Sequence[str] | None = None) -> pl.DataFrame:
+    def frame(self, kind: str) -> pl.DataFrame:
         """Return the rows of a kind as a data frame."""
-        return data_frame(self.table(kind, columns))
+        return data_frame(self.table(kind))
+
+    def curves(self, columns: str, take: str | None = None) -> pa.Table:
+        """Return some columns of the distance curves, which are long, of all takes or of one."""
+        annotate = self.record("annotations")
+        chosen = f"SELECT {columns} FROM distance_curves WHERE run = $run AND ($take IS NULL OR take = $take)"
+        return self._store.sql(chosen, {"run": annotate.run if annotate else "", "take": take})
 
     def records(self) -> tuple[StageRow, ...]:
         """Return the stages of the pipeline, each after its inputs, otherwise in the order in which they finished."""
@@ -207,7 +191,7 @@ def feature_names(features: FeatureSet) -> FeatureNames:
 
 
 def _scores(reader: Reader, role: str) -> tuple[Score, ...]:
-    rows = reader.table("metrics", role=role).to_pylist()
+    rows = reader.table("metrics", role).to_pylist()
     return tuple(Score(**{key: value for key, value in row.items() if key != "run"}) for row in rows)
 
 
@@ -257,7 +241,7 @@ def _curves_take(
 def _curves(reader: Reader, take: str | None) -> tuple[Curve, ...]:
     if take is None:
         return ()
-    rows = reader.table("distance_curves", filters=[("take", "==", take)]).to_pylist()
+    rows = reader.curves("class, subclass, costs, preselected", take).to_pylist()
     curves = [
         Curve(row["class"], row["subclass"], np.asarray(row["costs"], np.float64), float(row["preselected"]))
         for row in rows
