@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import base64
-import struct
-import zlib
+import io
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 Colour = tuple[int, int, int]
 
@@ -67,18 +67,8 @@ def wildcard_share(values: npt.NDArray[np.float64], delta: float) -> float:
 
 def png_uri(indices: npt.NDArray[np.uint8], palette: list[Colour]) -> str:
     """Encode a matrix of palette indices, first row on top, as a PNG data URI."""
-    enlarged = indices.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
-    height, width = enlarged.shape
-    rows = b"".join(b"\0" + row.tobytes() for row in enlarged)
-    parts = [
-        b"\x89PNG\r\n\x1a\n",
-        _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
-        _chunk(b"PLTE", bytes(channel for colour in palette for channel in colour)),
-        _chunk(b"IDAT", zlib.compress(rows, 9)),
-        _chunk(b"IEND", b""),
-    ]
-    return "data:image/png;base64," + base64.b64encode(b"".join(parts)).decode("ascii")
-
-
-def _chunk(kind: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+    image = Image.fromarray(indices.repeat(SCALE, axis=0).repeat(SCALE, axis=1), "P")
+    image.putpalette([channel for colour in palette for channel in colour])
+    content = io.BytesIO()
+    image.save(content, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(content.getvalue()).decode("ascii")
