@@ -78,7 +78,7 @@ def run_pipeline(
         return run_stages(
             pipeline,
             Path(store),
-            settings=_plain(settings or {}),
+            settings=settings,
             executor=executor,
             workers=workers,
             scheduler=scheduler,
@@ -163,14 +163,3 @@ def ingest(
     return run_pipeline(
         "ingest", store, given, executor=executor, workers=workers, wait_seconds=wait_seconds, verbose=verbose
     )
-
-
-def _plain(value: Any) -> Any:
-    """Return a setting as YAML would hold it: paths as text, tuples as lists."""
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return value
