@@ -23,6 +23,7 @@ from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body, readers_by_ending
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups
+from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
 Naming = Literal["stem", "path", "file"]
@@ -39,6 +40,8 @@ class Changes:
         The files to read, in the order of their take ids.
     unchanged : int
         The number of unchanged files.
+    damaged : list of int
+        The ids of takes whose part of the store is damaged.
     restated : list of dict
         New rows of unchanged takes whose file has another place or time.
     gone : list of int
@@ -53,6 +56,7 @@ class Changes:
 
     tasks: list[Task]
     unchanged: int
+    damaged: list[int]
     restated: list[dict[str, Any]]
     gone: list[int]
     renamed: list[tuple[int, str, str]]
@@ -70,6 +74,8 @@ def compare(
     given: ReadSettings,
 ) -> Changes:
     """Compare a source with a store, by size and time; only files that seem to be changed are read for it.
+
+    A file whose take lies in a damaged part of the store counts as changed.
 
     Parameters
     ----------
@@ -89,6 +95,7 @@ def compare(
         Settings of the user for reading files.
     """
     known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
+    damaged = {take for part in damaged_frames(writer.store) for take in part.live}
     compiled = [re.compile(pattern) for pattern in patterns]
     made_by = recipes(feature_set, mappings, given)
     skeleton_sums = SkeletonSums(writer.store.result("skeleton_files"))
@@ -113,7 +120,12 @@ def compare(
             row = known.get(name)
             if row is not None and _moved(row, motion):
                 former.add(row["source_root"])
-            elif row is not None and row["recipe"] == made and _same_content(row, motion):
+            elif (
+                row is not None
+                and row["recipe"] == made
+                and _same_content(row, motion)
+                and row["take_id"] not in damaged
+            ):
                 unchanged += 1
                 restated += _restated(row, motion)
                 continue
@@ -133,7 +145,7 @@ def compare(
     called = {path: name for name, paths in names.items() for path in paths}
     renamed = [(row["take_id"], row["name"], called[row["source"]]) for row in vanished if row["source"] in called]
     gone = [row["take_id"] for row in vanished if row["source"] not in called]
-    return Changes(tasks, unchanged, restated, gone, renamed, failures, skeleton_sums.table())
+    return Changes(tasks, unchanged, sorted(damaged), restated, gone, renamed, failures, skeleton_sums.table())
 
 
 def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from typing import Any
@@ -27,9 +28,11 @@ from kinedex.pipelines.ingestion.task_batches import run_batches
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
+from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
 MEGABYTE = 1 << 20
@@ -48,6 +51,10 @@ class Ingest(Stage[IngestParameters]):
         forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
         model = model_digest(params.given.body_model)
         return digest([scan(params.source).digest, features_digest(feature_set), *forms, model])
+
+    def is_current(self, store: Store) -> bool:
+        """Return whether no part of frames is damaged: takes of damaged ones are read again."""
+        return not damaged_frames(store)
 
     def named_parts(self, params: IngestParameters) -> Sequence[tuple[Plugins[Any], str]]:
         """Return the readers, all of which may be asked for a file."""
@@ -135,6 +142,13 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
     )
     for line in found.unread_lines():
         context.say(line)
+    if plan.damaged:
+        again = len({task.take_id for task in plan.tasks}.intersection(plan.damaged))
+        others = len(plan.damaged) - again
+        context.say(
+            f"{counted(len(plan.damaged), 'take')} in damaged parts of the store: {again} to read again"
+            + (f"; `{shlex.join(repair(context.store_path).command)}` for the other {others}" if others else "")
+        )
     if plan.gone:
         what = "dropped" if params.prune else "kept; `prune: true` drops them"
         context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
@@ -199,6 +213,8 @@ def _give_up(batch: Batch, fault: Exception) -> Written:
 
 def _compact(context: StageContext, writer: StoreWriter) -> None:
     done = compact(writer, spread=context.executor.map, workers=context.executor.workers)
+    for fault in done.damaged:
+        context.say(f"not compacted: {fault}")
     if done.changed:
         context.say(
             f"compacted: {done.frames_before} frames parts to {done.frames_after}, {done.takes_before} takes parts to "

@@ -28,6 +28,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter, read_errors, write_part
@@ -82,12 +83,13 @@ class Merge:
 
 @dataclass(frozen=True)
 class Compaction:
-    """The effect of a compaction: the numbers of merged and of new parts."""
+    """The effect of a compaction: the numbers of merged and of new parts, and the errors of damaged ones."""
 
     frames_before: int
     frames_after: int
     takes_before: int
     takes_after: int
+    damaged: tuple[StoreError, ...] = ()
 
     @property
     def changed(self) -> bool:
@@ -99,6 +101,8 @@ def compact(
     writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Map = map, workers: int = 1
 ) -> Compaction:
     """Merge small parts of a store and rewrite parts that are mostly tombstones, and commit the swap as one version.
+
+    A damaged part of frames is left as it is: it must not get a fresh checksum, and the others need not wait for it.
 
     The takes, their ids and the index stay valid. The old files stay too, for readers of older versions, until
     `storage.store.garbage_collection.collect`. If the process is killed before the commit, the store is unchanged.
@@ -117,10 +121,10 @@ def compact(
     Raises
     ------
     StoreError
-        An old part is damaged or missing, or the disk is full; nothing is changed.
+        A part of takes is damaged or missing, or the disk is full; nothing is changed.
     """
     store = writer.store
-    groups = worthwhile(store.manifest.frames, target_bytes)
+    groups, damaged = _sound_groups(store, target_bytes)
     merges = [_merges(store, group, target_bytes, workers) for group in groups]
     new_frames = list(spread(merge, [task for group in merges for task in group]))
     if groups:
@@ -135,7 +139,25 @@ def compact(
         frames_after=len(new_frames),
         takes_before=len(old_takes),
         takes_after=len(new_takes),
+        damaged=damaged,
     )
+
+
+def _sound_groups(store: Snapshot, target_bytes: int) -> tuple[list[list[Part]], tuple[StoreError, ...]]:
+    """Return the groups of sound parts of frames to merge, and the errors of the damaged parts that were met."""
+    left = list(store.manifest.frames)
+    damaged: list[StoreError] = []
+    while True:
+        groups = worthwhile(left, target_bytes)
+        before = len(damaged)
+        for part in (part for group in groups for part in group):
+            try:
+                store.checked.part(part)
+            except StoreError as fault:
+                damaged.append(fault)
+                left.remove(part)
+        if len(damaged) == before:
+            return groups, tuple(damaged)
 
 
 def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:

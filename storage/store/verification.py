@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from kinedex.ops.errors import KinedexError, Remedy
+from kinedex.ops.errors import KinedexError, Remedy, StoreError
 from kinedex.storage import duck
 from kinedex.storage.index.generations import (
     INDEX_VERSION,
@@ -107,6 +107,17 @@ def verify(store: Snapshot) -> list[Finding]:
         The problems, empty for a sound store. `kinedex repair` is the remedy of all but notes on earlier repairs.
     """
     return _Verification(store).findings()
+
+
+def damaged_frames(store: Snapshot) -> list[Part]:
+    """Return the parts of frames that are missing or whose content does not fit its checksum."""
+    found = []
+    for part in store.manifest.frames:
+        try:
+            store.checked.part(part)
+        except StoreError:
+            found.append(part)
+    return found
 
 
 class _Verification:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.index.builder import build_index
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import Part, versions
 from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter
 from kinedex.storage.store import compaction
@@ -160,20 +161,32 @@ def test_takes_that_interleave_over_parts_and_row_groups_come_out_in_order(
     assert verify(after) == []
 
 
-def test_a_damaged_part_is_not_given_a_fresh_checksum(tmp_path: Path) -> None:
+def test_a_damaged_part_of_takes_is_not_given_a_fresh_checksum(tmp_path: Path) -> None:
     store = in_batches(tmp_path, FANOUT)
-    for part in (store.manifest.frames[3], store.manifest.takes[3]):
-        file = tmp_path / part.path
-        sound = file.read_bytes()
-        file.write_bytes(sound[:200] + bytes([sound[200] ^ 1]) + sound[201:])
-        # a takes part may be too broken to be opened at all
-        with (
-            pytest.raises(StoreError, match=r"does not fit its checksum|the part cannot be read"),
-            StoreWriter.open(tmp_path, BODY) as writer,
-        ):
-            compact(writer)
-        assert open_store(tmp_path).manifest == store.manifest
-        file.write_bytes(sound)
+    file = tmp_path / store.manifest.takes[3].path
+    sound = file.read_bytes()
+    file.write_bytes(sound[:200] + bytes([sound[200] ^ 1]) + sound[201:])
+    with pytest.raises(StoreError, match="does not fit its checksum"), StoreWriter.open(tmp_path, BODY) as writer:
+        compact(writer)
+    assert open_store(tmp_path).manifest == store.manifest
+
+
+def test_a_damaged_part_of_frames_stays_and_the_others_are_merged(tmp_path: Path) -> None:
+    store = in_batches(tmp_path, FANOUT + 1)
+    bad = store.manifest.frames[3]
+    file = tmp_path / bad.path
+    damaged = bytearray(file.read_bytes())
+    damaged[200] ^= 1
+    file.write_bytes(damaged)
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        done = compact(writer)
+    assert (done.frames_before, done.frames_after) == (FANOUT, 1)
+    assert [bad.path.split("/")[1] in str(fault) for fault in done.damaged] == [True]
+    assert [fault.remedy for fault in done.damaged] == [repair(tmp_path)]
+    after = open_store(tmp_path).manifest
+    assert bad in after.frames
+    assert after.live_takes == store.manifest.live_takes
+    assert file.read_bytes() == damaged
 
 
 def test_a_writer_refuses_parts_that_do_not_hold_the_same(tmp_path: Path) -> None:
