@@ -5,7 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 
-from benchmarks import annotating, indexing, keyframes, learning, ranking, reading, searching, sharing, startup
+from benchmarks import (
+    annotating,
+    checking,
+    indexing,
+    keyframes,
+    learning,
+    ranking,
+    reading,
+    searching,
+    sharing,
+    startup,
+)
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import Figure, calibrate, show, write
 from kinedex.ops.errors import did_you_mean
@@ -15,6 +26,7 @@ from kinedex.storage.store.store import Store
 PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "startup": lambda opened: list(startup.figures(opened)),
     "reading": lambda _: list(reading.figures()),
+    "checking": lambda opened: list(checking.figures(opened)),
     "indexing": indexing.figures,
     "searching": searching.figures,
     "sharing": sharing.figures,

@@ -17,8 +17,8 @@ from kinedex.ops.errors import StoreError
 # Windows has no quota error of its own
 _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
-_BLOCK = 1 << 20
-"""Bytes that are read at a time to compute checksums."""
+_BLOCK = 1 << 18
+"""Bytes that are read at a time to compute checksums; they stay in the cache of a core."""
 
 
 @contextmanager

@@ -19,8 +19,7 @@ COUNTED = 1_000_000
 
 _BATCH = 20_000
 _MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
-_DAMAGE = (duckdb.IOException, duckdb.SerializationException, duckdb.InternalException, duckdb.FatalException)
-_DAMAGED_STREAM = re.compile(r"(IO|Serialization|INTERNAL|FATAL) Error: ")
+_DAMAGE = re.compile(r"(IO|Serialization|INTERNAL|FATAL) Error: |Corrupt database file: ")
 
 
 class Unreadable(KinedexError):
@@ -89,9 +88,9 @@ def read_query(
             return _first_rows(relation, max_rows)
         table = relation.to_arrow_table()
         return Answer(table, table.num_rows)
-    except _DAMAGE as fault:
-        raise Unreadable(message(fault)) from None
     except duckdb.Error as fault:
+        if _DAMAGE.match(str(fault)):
+            raise Unreadable(message(fault)) from None
         missing = _MISSING.search(str(fault))
         raise (UnknownName(missing[1], message(fault)) if missing else KinedexError(message(fault))) from None
 
@@ -109,7 +108,7 @@ def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
                 return Answer(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
     except OSError as fault:  # Arrow's reader raises DuckDB's errors in this class
         text = message(duckdb.Error(str(fault)))
-        raise (Unreadable if _DAMAGED_STREAM.match(str(fault)) else KinedexError)(text) from None
+        raise (Unreadable if _DAMAGE.match(str(fault)) else KinedexError)(text) from None
     finally:
         # a connection with an open result runs no other statement
         reader.close()
