@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,9 @@ from kinedex.ops.errors import StoreError
 
 # Windows has no quota error of its own
 _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+
+TEMPORARY = ".tmp-"
+"""The prefix of the names of unfinished files; readers ignore them, the next writer removes them."""
 
 _BLOCK = 1 << 18
 """Bytes that are read at a time to compute checksums; they stay in the cache of a core."""
@@ -44,6 +48,29 @@ def write_errors(path: Path) -> Iterator[None]:
             f"{path}: cannot be written: {reason}; nothing was committed, what was committed before stays; {way_out}, "
             "then run the same command again: it goes on where it was"
         ) from fault
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Write a file whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an existing one is replaced.
+
+    Yields
+    ------
+    Path
+        A path beside it to write to. The file takes its content where the block ends, and stays as it was where the
+        block fails.
+    """
+    temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 class FileSums(NamedTuple):

@@ -17,7 +17,7 @@ from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.pipelines.console.tables import numbers_table
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.storage.disk import write_errors
+from kinedex.storage.disk import whole_file, write_errors
 from kinedex.storage.snapshot.schemas import result_schema
 
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
@@ -109,10 +109,8 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
         rows = {row.name: scores(row.counts) for row in evaluation.rows if row.scope == scope}
         if rows:
             content[key] = rows
-    temporary = path.with_name(f".tmp-{path.name}")
-    with write_errors(path):
+    with write_errors(path), whole_file(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        temporary.replace(path)
 
 
 def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> Table:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError
+from kinedex.storage.disk import whole_file
 
 
 def write_page(page: str, path: Path) -> int:
@@ -34,13 +33,5 @@ def write_page(page: str, path: Path) -> int:
             f"{path}: the folder {path.parent} does not exist; create it (mkdir -p {path.parent}) or name another"
         )
     content = page.encode("utf-8")
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return len(content)
+    with whole_file(path) as temporary:
+        return temporary.write_bytes(content)

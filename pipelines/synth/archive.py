@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
@@ -18,6 +17,7 @@ from kinedex.ops.synth.motions import MOTIONS
 from kinedex.ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.executors import cores, make_executor
+from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 
 CLIP_SHARE = 0.50
@@ -208,9 +208,8 @@ def _existing(folder: Path, settings: dict[str, object]) -> Summary | None:
 
 def _write_record(folder: Path, record: dict[str, object]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    unfinished = folder / (RECORD + ".part")
-    unfinished.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    os.replace(unfinished, folder / RECORD)
+    with whole_file(folder / RECORD) as unfinished:
+        unfinished.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_skeletons(folder: Path, actors: int, seed: int) -> int:

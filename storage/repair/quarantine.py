@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kinedex.storage.disk import sync_folder, write_errors
-from kinedex.storage.snapshot.manifest import TEMPORARY
+from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
 
 FOLDER = "quarantine"
 LIST = "quarantine.json"

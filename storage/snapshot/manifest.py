@@ -21,14 +21,11 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
 from kinedex.storage.remedies import repair, upgrade
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS, TakeColumn, takes_schema
 
 FOLDER = "manifest"
-TEMPORARY = ".tmp-"
-"""The prefix of the names of unfinished files; readers ignore them, the next writer removes them."""
-
 MOST_TAKES = 100_000_000
 """More takes than a part may name: a wrong manifest must not fill the memory."""
 

@@ -10,18 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import ParameterError
-from kinedex.storage.disk import write_errors
+from kinedex.storage.disk import TEMPORARY, write_errors
 from kinedex.storage.index.generations import BUILDING, GENERATION, INDEX_VERSION, read_generation
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
-from kinedex.storage.snapshot.manifest import (
-    FOLDER,
-    TEMPORARY,
-    manifest_path,
-    named_files,
-    read_newest,
-    read_version,
-    versions,
-)
+from kinedex.storage.snapshot.manifest import FOLDER, manifest_path, named_files, read_newest, read_version, versions
 from kinedex.storage.snapshot.schemas import PART_FOLDERS
 
 KEPT_VERSIONS = 2

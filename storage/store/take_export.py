@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,8 +13,8 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.bvh_writer import write_bvh
-from kinedex.storage.snapshot.manifest import TEMPORARY
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.snapshot import Snapshot
 
@@ -46,14 +44,11 @@ def export_take(store: Snapshot, take: str, form: str, path: Path) -> None:
     if form not in writers:
         raise KinedexError(f"no export format '{form}'{did_you_mean(form, writers)}")
     store.take_id(take)
-    temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}")
     try:
-        writers[form](store, take, temporary)
-        os.replace(temporary, path)
+        with whole_file(path) as temporary:
+            writers[form](store, take, temporary)
     except OSError as fault:
         raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _write_parquet(store: Snapshot, take: str, path: Path) -> None:

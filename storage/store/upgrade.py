@@ -15,13 +15,12 @@ import pyarrow.parquet as pq
 import yaml
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import FileSums, sync_file, write_errors
+from kinedex.storage.disk import TEMPORARY, FileSums, sync_file, write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import upgrade_with_damage
 from kinedex.storage.snapshot.manifest import (
     FOLDER,
-    TEMPORARY,
     AnyPart,
     Manifest,
     Part,

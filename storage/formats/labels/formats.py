@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.labels import audacity, elan, tables, webvtt
 from kinedex.storage.formats.labels.segments import LabelFile, TakeLabels, check_writable
 
@@ -119,7 +118,8 @@ def write_labels(
         text = FORMATS[kind].write(members)
         with _writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            _write_whole(path, text)
+            with whole_file(path) as temporary:
+                temporary.write_text(text, encoding="utf-8", newline="")
     return list(targets)
 
 
@@ -163,15 +163,3 @@ def _targets(takes: Sequence[TakeLabels], form: str, output: Path, folder: bool)
             raise KinedexError(f"take '{labels.take}' cannot be the name of a file; export it to a file that you name")
         targets[output / f"{labels.take}.{form}"] = (labels,)
     return targets
-
-
-def _write_whole(path: Path, text: str) -> None:
-    handle, temporary = tempfile.mkstemp(prefix=".tmp-", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.synth.body import Body
+from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.asf import INCH_M
 
 F64 = npt.NDArray[np.float64]
@@ -85,7 +85,8 @@ def write_asf(path: Path, body: Body, name: str, dialect: Dialect) -> None:
         if children:
             lines.append(f"    {parent} " + " ".join(children))
     lines.append("  end")
-    _replace(path, dialect.newline.join([*lines, ""]).encode("latin-1"))
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(dialect.newline.join([*lines, ""]).encode("latin-1"))
 
 
 def write_amc(path: Path, columns: Columns, table: F64, dialect: Dialect) -> int:
@@ -117,14 +118,9 @@ def write_amc(path: Path, columns: Columns, table: F64, dialect: Dialect) -> int
         _frames(values[start : start + _BLOCK], start + 1, columns, dialect) for start in range(0, len(values), _BLOCK)
     ]
     data = b"".join(parts)
-    _replace(path, data)
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(data)
     return len(data)
-
-
-def _replace(path: Path, data: bytes) -> None:
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_bytes(data)
-    os.replace(unfinished, path)
 
 
 def _frames(values: F64, first: int, columns: Columns, dialect: Dialect) -> bytes:
