@@ -10,8 +10,17 @@ from kinedex.ops.errors import Remedy
 
 def repair(store: str | Path) -> Remedy:
     """Return the remedy of damage: `kinedex repair`, which makes again what can be made again."""
+    return _repair(store, "repairs it")
+
+
+def build_index(store: str | Path) -> Remedy:
+    """Return the remedy of an index that is missing, stale or damaged, which `kinedex repair` builds again."""
+    return _repair(store, "builds it again")
+
+
+def _repair(store: str | Path, effect: str) -> Remedy:
     command = ("kinedex", "repair", str(store))
-    return Remedy(f"`{shlex.join(command)}` repairs it", command)
+    return Remedy(f"`{shlex.join(command)}` {effect}", command)
 
 
 def upgrade(store: str | Path) -> Remedy:

@@ -17,7 +17,7 @@ from typing import Any
 
 import polars as pl
 
-from kinedex.ops.errors import KinedexError, NewStoreError
+from kinedex.ops.errors import KinedexError, NewStoreError, Remedy
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
@@ -252,18 +252,32 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
 
 def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = None) -> StageFailed:
     _log.error("stage %s: %s", stage, reason, extra=_fields(run, stage, event="fail"))
-    text = f"stage {stage}: {reason}"
+    failure = StageFailed(f"stage {stage}: {reason}{_way_on(run, stage, fault)}")
+    if fault is not None:
+        # the message of the fault ends with it already
+        failure.remedy = fault.remedy
+        if fault.way_out is not None and run.resume is not None:
+            command = f"{run.resume} --set {_setting(stage, fault.way_out)}"
+            failure.remedy = Remedy(f"`{command}` continues", tuple(shlex.split(command)))
+    return failure
+
+
+def _way_on(run: _Run, stage: str, fault: KinedexError | None) -> str:
+    """Return the lines of a message about a failed stage that name the way on."""
     if isinstance(fault, NewStoreError):
-        return StageFailed(text)
+        return ""
     way = fault.way_out if fault is not None else None
     if run.resume is None:
         if way is not None:
-            return StageFailed(f"{text}\ncall again with settings={{'{stage}.{way[0]}': {way[1]!r}}}")
-        return StageFailed(f"{text}\nonce it is fixed, call again: finished stages do not run again")
+            return f"\ncall again with settings={{'{stage}.{way[0]}': {way[1]!r}}}"
+        return "\nonce it is fixed, call again: finished stages do not run again"
     if way is not None:
-        setting = shlex.quote(f"{stage}.{way[0]}={way[1]}")
-        return StageFailed(f"{text}\ncontinue with:\n    {run.resume} --set {setting}")
-    return StageFailed(f"{text}\nonce it is fixed, continue with:\n    {run.resume}")
+        return f"\ncontinue with:\n    {run.resume} --set {_setting(stage, way)}"
+    return f"\nonce it is fixed, continue with:\n    {run.resume}"
+
+
+def _setting(stage: str, way_out: tuple[str, str]) -> str:
+    return shlex.quote(f"{stage}.{way_out[0]}={way_out[1]}")
 
 
 _OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts", SUMS)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
+from kinedex.storage.remedies import build_index
 from kinedex.storage.snapshot.manifest import Manifest, json_checksum, versions
 
 INDEX_VERSION = 5
@@ -20,8 +21,6 @@ INDEX_VERSION = 5
 KEPT = 8
 """Generations that a build keeps, its own among them, for readers that have an older version open. Each is a copy of
 the file, so that there must be a bound; `kinedex gc` removes those that no remaining version needs."""
-
-BUILD = "run the stage `index` of its pipeline (`kinedex run … --force index`)"
 
 BUILDING, GENERATION = ".building-", "gen-"
 """Prefixes of the folders of unfinished and of published indexes."""
@@ -255,7 +254,7 @@ def missing_index(store: Path, manifest: Manifest) -> StoreError:
             if _sound(found[0], record)
             else f"{damaged} is damaged, or was built by another version of kinedex"
         )
-    return StoreError(f"{store}: the index is {state}; {BUILD}")
+    return StoreError(f"{store}: the index is {state}", remedy=build_index(store))
 
 
 def generations(store: Path) -> list[Path]:

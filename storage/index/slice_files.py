@@ -24,7 +24,8 @@ import xxhash
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.bit_slices import BitSlices, coarse_words
 from kinedex.ops.words import I64
-from kinedex.storage.index.generations import BUILD, Generation, Shard, slices_name
+from kinedex.storage.index.generations import Generation, Shard, slices_name
+from kinedex.storage.remedies import build_index
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 
 MAGIC = b"KDXSLICE"
@@ -120,7 +121,9 @@ def open_slices(files: CheckedFiles, generation: Path, record: Generation) -> tu
 def _open(files: CheckedFiles, file: Path, shard: Shard) -> ShardSlices:
     # search uses the numbers of the file as indices; only the checksum keeps it inside the file
     if not files.is_sound(file, shard.slices_xxh3):
-        raise StoreError(f"{file}: the index is damaged: its content does not fit its checksum; {BUILD}")
+        raise StoreError(
+            f"{file}: the index is damaged: its content does not fit its checksum", remedy=build_index(files.store)
+        )
     with open(file, "rb") as content:
         pages = mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ)
     _, features, takes, blocks = np.frombuffer(pages, "<u8", 4, len(MAGIC)).tolist()

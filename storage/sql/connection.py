@@ -13,7 +13,6 @@ from kinedex.catalog.sql.views import MACROS, VIEWS, Macro
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 from kinedex.storage import duck
 from kinedex.storage.index.generations import (
-    BUILD,
     FILE,
     Generation,
     current_generation,
@@ -23,6 +22,7 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.interruption import is_abandoned
+from kinedex.storage.remedies import build_index, repair
 from kinedex.storage.snapshot.parts import part_file, read_errors
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -204,7 +204,8 @@ def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | 
             if not file.is_file():
                 # a build has published a newer generation, or somebody removes the index
                 continue
-            raise StoreError(f"{file}: the index cannot be read: {duck.first_line(fault)}; {BUILD}") from None
+            reason = f"{file}: the index cannot be read: {duck.first_line(fault)}"
+            raise StoreError(reason, remedy=build_index(store.path)) from None
         if record is not None:
             return record
         connection.execute("USE memory")
@@ -252,10 +253,7 @@ def run_query(
         raise _explain_unknown(store, fault) from None
     except Unreadable as fault:
         _report_damaged_index(store, str(fault))
-        raise KinedexError(
-            f"{fault}\n  if this is a file of the store: `kinedex verify` lists the damaged ones; "
-            f"an index is built again: {BUILD}"
-        ) from None
+        raise KinedexError(f"{fault}\n  a file of the store may be damaged", remedy=repair(store.path)) from None
 
 
 def _report_damaged_index(store: Snapshot, reason: str) -> None:
@@ -263,7 +261,9 @@ def _report_damaged_index(store: Snapshot, reason: str) -> None:
     generation = current_generation(store.path, store.manifest)
     record = None if generation is None else read_generation(generation)
     if generation is not None and record is not None and file_digest(generation / FILE) != record.xxh3:
-        raise StoreError(f"{generation / FILE}: the index is damaged: {reason.splitlines()[0]}; {BUILD}")
+        raise StoreError(
+            f"{generation / FILE}: the index is damaged: {reason.splitlines()[0]}", remedy=build_index(store.path)
+        )
 
 
 def _explain_unknown(store: Snapshot, fault: UnknownName) -> KinedexError:

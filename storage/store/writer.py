@@ -17,6 +17,7 @@ from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.labels import new_labels
 from kinedex.storage.snapshot.manifest import (
@@ -262,8 +263,8 @@ class StoreWriter:
         same_rows = sum(part.rows for part in new) == sum(part.live_rows for part in old)
         if not same_takes or not same_rows or not gone <= {part.path for part in standing}:
             raise StoreError(
-                f"{self.path}: the new {kind} parts do not hold what the old ones do, so those stay; "
-                "`kinedex verify` reports whether they are damaged"
+                f"{self.path}: the new {kind} parts do not hold what the old ones do, so those stay",
+                remedy=repair(self.path),
             )
         for part in new:
             part_file(self.path, part.path)

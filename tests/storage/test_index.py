@@ -113,7 +113,7 @@ def test_results_do_not_make_an_index_stale(store: Store) -> None:
 
 def test_a_stale_index_is_not_used(store: Store) -> None:
     later = change(store, 50)
-    with pytest.raises(StoreError, match=r"the index is stale: .* run the stage `index`"):
+    with pytest.raises(StoreError, match=r"the index is stale: .* `kinedex repair .*` builds it again"):
         later.index_path()
     with pytest.raises(StoreError, match="the index is stale"):
         later.sql("FROM word_runs")

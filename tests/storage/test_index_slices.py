@@ -16,7 +16,6 @@ from kinedex.ops.words import I64, NO_WORD
 from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import (
-    BUILD,
     Generation,
     Shard,
     ShardPart,
@@ -25,6 +24,7 @@ from kinedex.storage.index.generations import (
     slices_name,
 )
 from kinedex.storage.index.slice_files import LAYOUT, MAGIC, ShardSlices, open_slices, write_slices
+from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
@@ -113,7 +113,9 @@ def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) ->
     file.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
     (finding,) = verify(store)
     assert finding.fault
-    assert "shard-000002.slices: its content does not fit its checksum; run the stage" in str(finding)
+    assert "shard-000002.slices: its content does not fit its checksum; `kinedex repair .*` builds it again" in str(
+        finding
+    )
     generation = build_index(store, threads=1)
     says = read_generation(generation)
     assert says is not None
@@ -160,10 +162,12 @@ def test_other_takes_than_those_of_the_shard_are_never_searched(store: Store, id
     content = bytearray(file.read_bytes())
     content[64 : 64 + 16] = np.array(ids, "<i8").tobytes()
     file.write_bytes(content)
-    with pytest.raises(StoreError, match=r"shard-000001\.slices: .* does not fit its checksum; run the stage"):
+    with pytest.raises(
+        StoreError, match=r"shard-000001\.slices: .* does not fit its checksum; `kinedex repair .*` builds it again"
+    ):
         sliced_store(store)
     (finding,) = verify(store)
-    assert str(finding).endswith(f"its content does not fit its checksum; {BUILD}")
+    assert str(finding).endswith(f"its content does not fit its checksum; {repair(store.path).text}")
     build_index(store, threads=1)
     assert verify(store) == []
     assert sliced_store(open_store(store.path)).take_ids.tolist() == [1, 2]
@@ -175,8 +179,8 @@ def test_files_that_are_cut_short_or_gone_are_named_by_verify(store: Store) -> N
     file.write_bytes(file.read_bytes()[:-64])
     (file.parent / "index.duckdb").unlink()
     gone, short = sorted(str(finding) for finding in verify(store))
-    assert gone.endswith(f"index.duckdb: the index is damaged: the file is missing; {BUILD}")
-    said = f"the file has {size - 64} bytes, the index records {size}; {BUILD}"
+    assert gone.endswith(f"index.duckdb: the index is damaged: the file is missing; {repair(store.path).text}")
+    said = f"the file has {size - 64} bytes, the index records {size}; {repair(store.path).text}"
     assert short.endswith(f"shard-000001.slices: the index is damaged: {said}")
     build_index(store, threads=1)
     assert verify(store) == []

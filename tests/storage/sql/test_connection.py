@@ -266,10 +266,10 @@ def test_an_index_that_is_damaged_is_named_with_the_way_out(tmp_path: Path) -> N
     file = build_index(store) / "index.duckdb"
     whole = file.read_bytes()
     file.write_bytes(b"\0" * len(whole))
-    with pytest.raises(StoreError, match=r"index\.duckdb: the index cannot be read: .*--force index"):
+    with pytest.raises(StoreError, match=r"index\.duckdb: the index cannot be read: .*kinedex repair"):
         store.sql("SELECT 1")
     file.write_bytes(whole[:12288] + bytes(255 - byte for byte in whole[12288:]))
-    with pytest.raises(KinedexError, match="--force index"):
+    with pytest.raises(KinedexError, match="kinedex repair"):
         store.sql("SELECT count(word), max(start) FROM word_runs")
 
 
