@@ -12,10 +12,18 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import axisangle
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, LARGEST, load_body_model, model_digest
+from kinedex.storage.formats.motion.body_models import (
+    BODY,
+    FACE,
+    HANDS,
+    LARGEST,
+    BodyModel,
+    load_body_model,
+    model_digest,
+)
 from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
 from kinedex.storage.formats.motion.numpy_arrays import array_names, load_arrays
 from kinedex.storage.formats.motion.position_files import ARRAYS
@@ -36,6 +44,7 @@ RATES = ("mocap_framerate", "mocap_frame_rate")
 PARTS = ("root_orient", "pose_body", "pose_hand", "pose_jaw", "pose_eye")
 """The keys of newer files, which hold the angles in parts."""
 
+_AT_ONCE = 4096  # frames; axisangle.forward computes so many at a time, too
 _POSED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
 
 
@@ -104,13 +113,8 @@ class AmassReader(Reader):
         rest = model.rest(poses.shape)
         if poses.shape.any() and not model.shapes.shape[2]:
             warnings.append("the figure has the shape of the body model; that of the file (betas) is not used")
-        turns = np.zeros((len(poses.turns), len(model.names), 3))
-        for i, name in enumerate(model.names):
-            if name in poses.names:
-                turns[:, i] = poses.turns[:, poses.names.index(name)]
         fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
-        places, turned = axisangle.forward(rest, model.parents, turns, poses.places)
-        positions = fit.apply(places, joints)
+        positions, turned = _posed(poses, model, rest, fit, joints)
         unit_m = fit.mapping.unit_m or 1.0
         positions *= unit_m
         refuse_far(path, positions, joints, fit.unknown)
@@ -129,6 +133,22 @@ class AmassReader(Reader):
             unknown=fit.unknown,
             warnings=(*warnings, *virtual_joint_warnings(fit)),
         )
+
+
+def _posed(poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
+    """Return the named joints (J, 3, T) and the root's rotation (9, T), computed in blocks of frames."""
+    frames = len(poses.turns)
+    positions, turned = np.empty((len(joints), 3, frames)), np.empty((9, frames))
+    for start in range(0, frames, _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        given = poses.turns[part]
+        turns = np.zeros((len(given), len(model.names), 3))
+        for i, name in enumerate(model.names):
+            if name in poses.names:
+                turns[:, i] = given[:, poses.names.index(name)]
+        places, turned[:, part] = axisangle.forward(rest, model.parents, turns, poses.places[part])
+        positions[:, :, part] = fit.apply(places, joints)
+    return positions, turned
 
 
 def parse_amass(path: Path) -> Poses:
@@ -199,8 +219,8 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str) -> F64:
     array = arrays[key]
     if array.dtype.kind not in "fiu":
         raise SourceError(path, f"`{key}` must be numbers, got {array.dtype}")
-    numbers: F64 = array.astype(np.float64)
-    if not (np.abs(numbers) <= LARGEST).all():
+    numbers: F64 = array.astype(np.float64, copy=False)
+    if not (numbers.min(initial=0.0) >= -LARGEST and numbers.max(initial=0.0) <= LARGEST):
         raise SourceError(path, f"`{key}` has numbers that are none, infinite, or beyond {LARGEST:g}")
     return numbers
 

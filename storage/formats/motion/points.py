@@ -6,7 +6,7 @@ Short gaps are closed along straight lines; frames in longer gaps are invalid.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from kinedex.storage.formats.motion.reader import Body, ReadSettings
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+_AT_ONCE = 16_384  # frames: some 10 MB of joints
 _SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
@@ -74,7 +75,7 @@ def body_of_points(
     Parameters
     ----------
     points : Points
-        The points of a file.
+        The points of a file; short gaps are filled in them.
     names : tuple of str
         Their names.
     fit : Fit
@@ -95,10 +96,12 @@ def body_of_points(
     rate_hz = _rate(points, settings, warnings)
     longest = settings.gap_frames(rate_hz)
     used = list(fit.nodes)
-    filled, closed, left = _filled(points, used, longest)
-    positions = fit.apply(filled, joints)
+    closed, left = _fill(points.positions, used, longest)
+    positions = _placed(points.positions, fit, joints)
     known = [i for i, joint in enumerate(joints) if joint not in fit.unknown]
-    valid: Mask = np.logical_not(np.isnan(positions[known]).any(axis=(0, 1)))
+    valid: Mask = np.ones(positions.shape[2], np.bool_)
+    for i in known:
+        valid &= np.logical_not(np.isnan(positions[i]).any(axis=0))
     called = [names[index] for index in used]
     if closed:
         warnings.append(f"gaps closed along straight lines: {_gaps_in_words(closed, called)}")
@@ -134,14 +137,26 @@ def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
     return rate_hz
 
 
-def _filled(points: Points, used: list[int], longest: int) -> tuple[F64, list[Gap], list[Gap]]:
-    """Return the points with short gaps of the used ones closed, the gaps closed, and the gaps left."""
-    part, closed, left = fill_gaps(points.positions[used], longest)
-    if not closed:
-        return points.positions, closed, left
-    filled = points.positions.copy()
-    filled[used] = part
-    return filled, closed, left
+def _fill(positions: F64, used: list[int], longest: int) -> tuple[list[Gap], list[Gap]]:
+    """Close short gaps of the used points in place; return the gaps closed and those left, with places in `used`."""
+    closed: list[Gap] = []
+    left: list[Gap] = []
+    for place, index in enumerate(used):
+        if np.isnan(positions[index]).any():
+            (positions[index],), *gaps = fill_gaps(positions[index : index + 1], longest)
+            for found, of_point in zip((closed, left), gaps, strict=True):
+                found += [replace(gap, point=place) for gap in of_point]
+    return closed, left
+
+
+def _placed(points: F64, fit: Fit, joints: tuple[str, ...]) -> F64:
+    """Return the named joints (J, 3, T), built in blocks of frames."""
+    frames = points.shape[2]
+    positions = np.empty((len(joints), 3, frames))
+    for start in range(0, frames, _AT_ONCE):
+        stop = start + _AT_ONCE
+        positions[:, :, start:stop] = fit.apply(points[:, :, start:stop], joints)
+    return positions
 
 
 def _invalid(
@@ -201,8 +216,9 @@ def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warni
         Unit quaternions w, x, y, z; NaN in invalid frames, and in all frames where hips or spine are unknown or have
         no length.
     """
-    whole = positions if valid.all() else positions[:, :, valid]
-    places = dict(zip(joints, whole, strict=True))
+    part = slice(None) if valid.all() else valid
+    wanted = ("lhip", "rhip", "root", *_SPINE)
+    places = {joint: positions[i][:, part] for i, joint in enumerate(joints) if joint in wanted}
     orientation = np.full((4, positions.shape[2]), np.nan)
     spine = next((name for name in _SPINE if name in places and np.isfinite(places[name]).all()), None)
     if spine is not None and {"lhip", "rhip", "root"} <= set(places):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ import numpy.typing as npt
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.numpy_arrays import load_array, load_arrays
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, source_bytes
+from kinedex.storage.formats.motion.position_tables import Lines, Table, cells_of, parse_number, whole_points
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ
 
 F64 = npt.NDArray[np.float64]
 
@@ -23,6 +24,7 @@ NAMES = ("names", "joint_names", "keypoint_names")
 RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
 """The keys of an NPZ file: the positions (frames, joints, 3), the joints' names, and frames per second."""
 
+_AT_ONCE = 16_384  # frames that are converted at a time
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _AXIS = re.compile(r"(.+)_([xyzXYZ])")
 
@@ -56,7 +58,7 @@ def is_positions_csv(path: Path) -> bool:
             header = file.readline(1 << 20)
     except OSError:
         return True
-    columns = [found for cell in _cells(_text(header), ",") if (found := _AXIS.fullmatch(cell.strip()))]
+    columns = [found for cell in cells_of(_text(header), ",") if (found := _AXIS.fullmatch(cell.strip()))]
     axes: dict[str, set[str]] = {}
     for found in columns:
         axes.setdefault(found[1], set()).add(found[2].lower())
@@ -69,14 +71,15 @@ def parse_csv(path: Path) -> Points:
     The columns may stand in any order. `frame` (whole numbers, one more in every row) and `time` (seconds) are
     optional; other columns are not used, and a warning names them. An empty cell or `nan` is a gap.
     """
-    lines = _lines(path)
-    header = [cell.strip() for cell in _cells(lines[0], ",")]
+    table = Table(path, ",", 1)
+    header = [cell.strip() for cell in cells_of(table.head[0], ",")]
     columns: dict[str, dict[str, int]] = {}
-    unused = []
+    unused, seen = [], set[str]()
     for i, name in enumerate(header):
         found = _AXIS.fullmatch(name)
-        if header.index(name) != i:
+        if name in seen:
             raise SourceError(path, f"column '{name}' stands twice in the header", line=1)
+        seen.add(name)
         if found:
             columns.setdefault(found[1], {})[found[2].lower()] = i
         elif name.lower() not in ("frame", "time"):
@@ -86,14 +89,16 @@ def parse_csv(path: Path) -> Points:
             if axis not in axes:
                 raise SourceError(path, f"column '{joint}_{axis}' is missing in the header", line=1)
     _refuse_count(path, len(columns), "'<joint>_x', '<joint>_y' and '<joint>_z' for every joint", 1)
-    rows, where = _rows(path, lines, 1, ",", header)
     order = [columns[joint][axis] for joint in columns for axis in "xyz"]
     lower = [name.lower() for name in header]
-    if "frame" in lower:
-        _check_frames(path, rows[:, lower.index("frame")], where)
-    clock = _clock(path, rows[:, lower.index("time")], where) if "time" in lower else None
+    others = [name for name in ("frame", "time") if name in lower]
+    positions, found_others, where = table.points(header, order, [lower.index(name) for name in others])
+    numbers = dict(zip(others, found_others, strict=True))
+    if "frame" in numbers:
+        _check_frames(path, numbers["frame"], where)
+    clock = _clock(path, numbers["time"], where) if "time" in numbers else None
     warnings = [f"columns {', '.join(unused)} are not used"] if unused else []
-    return Points(str(path), tuple(columns), _points(rows[:, order]), clock_hz=clock, warnings=warnings)
+    return Points(str(path), tuple(columns), positions, clock_hz=clock, warnings=warnings)
 
 
 def parse_trc(path: Path) -> Points:
@@ -101,7 +106,8 @@ def parse_trc(path: Path) -> Points:
 
     An empty cell or `nan` is a gap; a point at 0, 0, 0 is one that stands there.
     """
-    lines = _lines(path)
+    table = Table(path, "\t", 5)
+    lines = table.head
     if not lines[0].startswith("PathFileType") or len(lines) < 5:
         raise SourceError(path, "expected a TRC header of five lines that begins with PathFileType", line=1)
     header_values = dict(zip(lines[1].split(), lines[2].split(), strict=False))
@@ -116,19 +122,20 @@ def parse_trc(path: Path) -> Points:
         raise SourceError(path, "expected 'Frame#', 'Time' and the names of the markers, tab by tab", line=4)
     names = [cell for cell in cells[2:] if cell]
     _refuse_count(path, len(names), "names of markers after 'Frame#' and 'Time'", 4)
-    twice = next((name for name in names if names.count(name) > 1), None)
+    counts = Counter(names)
+    twice = next((name for name in names if counts[name] > 1), None)
     if twice is not None:
         raise SourceError(path, f"two markers are named '{twice}'", line=4)
     header = ["Frame#", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]
-    rows, where = _rows(path, lines, 5, "\t", header)
+    positions, (numbers, times), where = table.points(header, range(2, len(header)), (0, 1))
     warnings = []
-    for key, what, is_there in (("NumFrames", "frames", len(rows)), ("NumMarkers", "markers", len(names))):
+    for key, what, is_there in (("NumFrames", "frames", table.rows), ("NumMarkers", "markers", len(names))):
         claimed = _header_number(path, header_values, key)
         if claimed != is_there:
             warnings.append(f"the header states {claimed:g} {what}, the file holds {is_there}, which are kept")
-    _check_frames(path, rows[:, 0], where)
-    clock = _clock(path, rows[:, 1], where)
-    return Points(str(path), tuple(names), _points(rows[:, 2:]), rate_hz, clock, _UNITS_M[unit], warnings)
+    _check_frames(path, numbers, where)
+    clock = _clock(path, times, where)
+    return Points(str(path), tuple(names), positions, rate_hz, clock, _UNITS_M[unit], warnings)
 
 
 def parse_arrays(path: Path) -> Points:
@@ -164,10 +171,12 @@ def parse_arrays(path: Path) -> Points:
         if rate.size != 1 or rate.dtype.kind not in "fiu" or not SLOWEST_HZ <= float(rate.ravel()[0]) <= FASTEST_HZ:
             raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
         rate_hz = float(rate.ravel()[0])
-    positions = np.ascontiguousarray(np.moveaxis(array.astype(np.float64), 0, 2))
+    positions = np.empty((*array.shape[1:], len(array)))
+    for start in range(0, len(array), _AT_ONCE):
+        positions[:, :, start : start + _AT_ONCE] = np.moveaxis(array[start : start + _AT_ONCE], 0, 2)
     if np.isinf(positions).any():
         raise SourceError(path, f"'{key}' has infinite numbers, the first in frame {_first(np.isinf(positions), 2)}")
-    return Points(str(path), names, _whole(positions), rate_hz)
+    return Points(str(path), names, whole_points(positions), rate_hz)
 
 
 def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, ...]:
@@ -193,10 +202,6 @@ def _is_text(name: str) -> bool:
         return False
 
 
-def _lines(path: Path) -> list[str]:
-    return _text(source_bytes(path)).splitlines()
-
-
 def _text(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
@@ -204,62 +209,16 @@ def _text(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def _cells(line: str, separator: str) -> list[str]:
-    """Split a line into cells; quotes count only if they are those of a well-formed table."""
-    if '"' not in line:
-        return line.split(separator)
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True), [])
-    except csv.Error:
-        return line.split(separator)
-
-
-def _rows(path: Path, lines: list[str], first: int, separator: str, header: list[str]) -> tuple[F64, list[int]]:
-    """Return the numbers below a header, NaN for empty cells, and the line of every row; blank lines are skipped."""
-    rows, where = [], []
-    for number, line in enumerate(lines[first:], first + 1):
-        if not line.strip():
-            continue
-        cells = _cells(line, separator) if separator in line else line.split()
-        while len(cells) > len(header) and not cells[-1].strip():
-            cells.pop()
-        if len(cells) != len(header):
-            raise SourceError(path, f"{len(cells)} cells, the header has {len(header)} columns", line=number)
-        try:
-            if "_" in line:
-                raise ValueError
-            rows.append(np.array([cell if cell.strip() else "nan" for cell in cells], dtype=np.float64))
-        except ValueError:
-            rows.append(np.array([_number(path, cell, name, number) for cell, name in zip(cells, header, strict=True)]))
-        if np.isinf(rows[-1]).any():
-            at = int(np.flatnonzero(np.isinf(rows[-1]))[0])
-            raise SourceError(path, f"column '{header[at]}': not a finite number: {cells[at]!r}", line=number)
-        where.append(number)
-    if not rows:
-        raise SourceError(path, "no frames: the file ends after its header", line=len(lines))
-    return np.stack(rows), where
-
-
-def _number(path: Path, cell: str, column: str, line: int) -> float:
-    text = cell.strip()
-    try:
-        if "_" in text:  # Python's own notation, no one else's
-            raise ValueError
-        return float(text or "nan")
-    except ValueError:
-        raise SourceError(path, f"column '{column}': not a number: {cell[:40]!r}", line=line) from None
-
-
 def _header_number(path: Path, values: dict[str, str], key: str) -> float:
     if key not in values:
         raise SourceError(path, f"the header has no {key}{did_you_mean(key, values)}", line=2)
-    value = _number(path, values[key], key, 3)
+    value = parse_number(path, values[key], key, 3)
     if not np.isfinite(value):
         raise SourceError(path, f"{key} must be a number, got {values[key]!r}", line=3)
     return value
 
 
-def _check_frames(path: Path, numbers: F64, where: list[int]) -> None:
+def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
     """Refuse frame numbers that do not ascend by one: after a jump, all motion would come too early."""
     wrong = np.flatnonzero(~(np.diff(numbers) == 1.0))
     if len(wrong) or not np.isfinite(numbers[0]):
@@ -267,27 +226,18 @@ def _check_frames(path: Path, numbers: F64, where: list[int]) -> None:
         before = f"after frame {numbers[at - 1]:g} " if at else ""
         raise SourceError(
             path, f"expected the next frame's number {before}, got {numbers[at]:g}; frames may have gaps in their "
-            "cells, but none may be left out", line=where[at],
+            "cells, but none may be left out", line=int(where[at]),
         )  # fmt: skip
 
 
-def _clock(path: Path, times: F64, where: list[int]) -> float | None:
+def _clock(path: Path, times: F64, where: Lines) -> float | None:
     """Return the frames per second of a column of times; None for a single frame."""
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
     if len(wrong):
-        raise SourceError(path, f"time {times[wrong[0] + 1]:g} does not come after the last", line=where[wrong[0] + 1])
+        raise SourceError(
+            path, f"time {times[wrong[0] + 1]:g} does not come after the last", line=int(where[wrong[0] + 1])
+        )
     return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else None
-
-
-def _points(columns: F64) -> F64:
-    """Return columns (T, 3 N) as points (N, 3, T)."""
-    return _whole(np.ascontiguousarray(columns.reshape(len(columns), -1, 3).transpose(1, 2, 0)))
-
-
-def _whole(positions: F64) -> F64:
-    """Set all coordinates of a point to NaN if one is missing."""
-    positions[np.broadcast_to(np.isnan(positions).any(axis=1, keepdims=True), positions.shape)] = np.nan
-    return positions
 
 
 def _first(mask: npt.NDArray[np.bool_], axis: int) -> int:

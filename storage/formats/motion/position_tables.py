@@ -1,0 +1,188 @@
+"""Tables of numbers in text, the body of CSV and TRC files: a line a frame, read in blocks of lines."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
+
+F64 = npt.NDArray[np.float64]
+Lines = npt.NDArray[np.int64]
+
+_NUMBERS = 250_000  # numbers of rows that are held apart from the result
+
+
+class Table:
+    """A text file of a header and rows of numbers; blank lines between rows are skipped.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    separator : str
+        The character between cells; lines without it are split at blanks.
+    first : int
+        The number of lines of the header.
+
+    Attributes
+    ----------
+    head : list of str
+        The lines of the header, as many as there are.
+    lines, rows : int
+        The numbers of all lines, and of those with numbers.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, is empty, or has a line of more than `LONGEST` characters.
+    """
+
+    def __init__(self, path: Path, separator: str, first: int) -> None:
+        self.path, self.separator, self.first = path, separator, first
+        self._encoding = "utf-8-sig"
+        try:
+            self._count()
+        except UnicodeDecodeError:
+            self._encoding = "latin-1"
+            self._count()
+        self.head = list(islice(self._lines(), first))
+
+    def _count(self) -> None:
+        self.lines = self.rows = 0
+        for line in self._lines():
+            self.lines += 1
+            self.rows += self.lines > self.first and bool(line.strip())
+
+    def _lines(self) -> Iterator[str]:
+        """Yield all lines, whatever ends them, without their ends."""
+        decoder, carry, empty = codecs.getincrementaldecoder(self._encoding)(), "", True
+        try:
+            with self.path.open("rb") as file:
+                while data := file.read(BLOCK):
+                    empty = empty and data.isspace()
+                    carry += decoder.decode(data)
+                    end = carry.rfind("\n") + 1 or carry.rfind("\r", 0, len(carry) - 1) + 1
+                    if len(carry) - end > LONGEST:
+                        raise SourceError(self.path, f"has a line of more than {LONGEST >> 20} million characters")
+                    lines, carry = carry[:end].splitlines(), carry[end:]
+                    yield from lines
+        except OSError as fault:
+            raise SourceError(self.path, f"cannot be read: {fault.strerror}") from fault
+        if empty:
+            raise SourceError(self.path, "the file is empty")
+        yield from (carry + decoder.decode(b"", True)).splitlines()
+
+    def points(
+        self, header: Sequence[str], order: Sequence[int], others: Sequence[int]
+    ) -> tuple[F64, list[F64], Lines]:
+        """Read all rows.
+
+        Parameters
+        ----------
+        header : sequence of str
+            The names of the C columns.
+        order : sequence of int
+            The columns of x, y and z of N points.
+        others : sequence of int
+            Further columns.
+
+        Returns
+        -------
+        positions : float64 array (N, 3, T)
+            NaN in all coordinates of a point if one is missing.
+        columns : list of float64 array (T,)
+            The further columns.
+        where : int64 array (T,)
+            The line of every row.
+
+        Raises
+        ------
+        SourceError
+            A row has another number of cells, a cell is no number, there are no rows, or the file is changed meanwhile.
+        """
+        if not self.rows:
+            raise SourceError(self.path, "no frames: the file ends after its header", line=self.lines)
+        positions = np.empty((len(order) // 3, 3, self.rows))
+        columns, where = [np.empty(self.rows) for _ in others], np.empty(self.rows, np.int64)
+        at = 0
+        for values, lines in self._blocks(header):
+            stop = at + len(values)
+            if stop > self.rows:
+                break
+            block = values[:, order].reshape(len(values), -1, 3).transpose(1, 2, 0)
+            positions[:, :, at:stop] = whole_points(np.ascontiguousarray(block))
+            for column, index in zip(columns, others, strict=True):
+                column[at:stop] = values[:, index]
+            where[at:stop] = lines
+            at = stop
+        if at != self.rows:
+            raise SourceError(self.path, "was changed while it was read; run again when it is whole")
+        return positions, columns, where
+
+    def _blocks(self, header: Sequence[str]) -> Iterator[tuple[F64, list[int]]]:
+        """Yield numbers (n, C) of consecutive rows, and their lines."""
+        most = max(1, _NUMBERS // len(header))
+        rows, where = [], []
+        for number, line in enumerate(islice(self._lines(), self.first, None), self.first + 1):
+            if line.strip():
+                rows.append(self._row(line, number, header))
+                where.append(number)
+                if len(rows) == most:
+                    yield np.stack(rows), where
+                    rows, where = [], []
+        if rows:
+            yield np.stack(rows), where
+
+    def _row(self, line: str, number: int, header: Sequence[str]) -> F64:
+        """Return the numbers of a line, NaN for empty cells."""
+        cells = cells_of(line, self.separator) if self.separator in line else line.split()
+        while len(cells) > len(header) and not cells[-1].strip():
+            cells.pop()
+        if len(cells) != len(header):
+            raise SourceError(self.path, f"{len(cells)} cells, the header has {len(header)} columns", line=number)
+        try:
+            if "_" in line:
+                raise ValueError
+            row = np.array([cell if cell.strip() else "nan" for cell in cells], dtype=np.float64)
+        except ValueError:
+            pairs = zip(cells, header, strict=True)
+            row = np.array([parse_number(self.path, cell, name, number) for cell, name in pairs])
+        if np.isinf(row).any():
+            at = int(np.flatnonzero(np.isinf(row))[0])
+            raise SourceError(self.path, f"column '{header[at]}': not a finite number: {cells[at]!r}", line=number)
+        return row
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """Split a line into cells; quotes count only if they are those of a well-formed table."""
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True), [])
+    except csv.Error:
+        return line.split(separator)
+
+
+def parse_number(path: Path, cell: str, column: str, line: int) -> float:
+    """Parse a cell, NaN if it is empty; a SourceError names the column of one that is no number."""
+    text = cell.strip()
+    try:
+        if "_" in text:  # Python's own notation, no one else's
+            raise ValueError
+        return float(text or "nan")
+    except ValueError:
+        raise SourceError(path, f"column '{column}': not a number: {cell[:40]!r}", line=line) from None
+
+
+def whole_points(positions: F64) -> F64:
+    """Set all coordinates of a point (N, 3, T) to NaN, in place, if one is missing."""
+    positions[np.broadcast_to(np.isnan(positions).any(axis=1, keepdims=True), positions.shape)] = np.nan
+    return positions
