@@ -78,7 +78,7 @@ def _ten_more(store: Store, whole: float) -> Figure:
         shutil.rmtree(more, ignore_errors=True)
         shutil.copytree(store.path, more)
         _add(more, store.feature_set, store.words(store.manifest.live_takes[:10]), "more")
-        return open_store(more)
+        return open_store(more, at="newest")
 
     opened = fresh()
     kept = {path.name for path in (more / "index").glob("gen-*")}
@@ -114,7 +114,7 @@ def store_of_words(words: TakeWords, feature_set: FeatureSet) -> Store:
     path = BUILD / f"index-store-{len(words.words)}"
     if not (path / "manifest").is_dir():
         _add(path, feature_set, words, "take")
-    return open_store(path)
+    return open_store(path, at="newest")
 
 
 def _add(path: Path, feature_set: FeatureSet, words: TakeWords, name: str) -> None:
@@ -151,5 +151,5 @@ def own_peak_mb() -> float:
 
 
 if __name__ == "__main__":
-    build_index(open_store(sys.argv[1]), threads=1)
+    build_index(open_store(sys.argv[1], at="newest"), threads=1)
     print(own_peak_mb())

@@ -79,6 +79,8 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         **_STORE,
         "dry_run": "true where nothing was removed",
         "removed": "for each file its `path`, `bytes` and `kind`",
+        "open_versions": "for each version that stays because readers have it open its `version` and the number of "
+        "`processes`, null where the system does not tell",
     },
     "version": {
         "versions": "version of kinedex and of its libraries",

@@ -98,7 +98,7 @@ def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[in
 
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
     """Read the words of a batch and annotate them, in a worker."""
-    store = open_store(batch.store)
+    store = open_store(batch.store, at="newest")
     return annotate_words(batch.annotator, store.words(batch.take_ids), batch.store_curves, store)
 
 

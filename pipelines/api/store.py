@@ -36,10 +36,15 @@ _SHOWN_TAKES = 10
 _BESIDE_HITS = ("run", "saved_as")
 
 
-def open_store(path: str | os.PathLike[str], files: Iterable[str | os.PathLike[str]] = ()) -> Store:
-    """Open the newest version of a store for reading.
+def open_store(
+    path: str | os.PathLike[str],
+    files: Iterable[str | os.PathLike[str]] = (),
+    at: int | Literal["newest"] | None = None,
+) -> Store:
+    """Open a version of a store for reading: the newest one that has its index, unless another is asked for.
 
-    The store keeps showing this version, whatever is written meanwhile; open it again to see what is new.
+    While an ingest runs, this is the version before it. The store keeps showing its version, whatever is written or
+    removed meanwhile; open it again to see what is new.
 
     Parameters
     ----------
@@ -47,6 +52,8 @@ def open_store(path: str | os.PathLike[str], files: Iterable[str | os.PathLike[s
         The directory of the store, or an open store.
     files : iterable of str or os.PathLike, optional
         Folders whose files SQL may read as well, with ``read_csv`` for example. SQL reads the store alone without them.
+    at : int or "newest", optional
+        The number of a version, or "newest" for the newest one, even where its index is still to be built.
 
     Returns
     -------
@@ -56,15 +63,17 @@ def open_store(path: str | os.PathLike[str], files: Iterable[str | os.PathLike[s
     Raises
     ------
     StoreError
-        There is no store, it is damaged, or it has another format.
+        There is no store or no such version, it is damaged, or it has another format.
 
     Examples
     --------
     >>> store = kinedex.open_store(store_path)
     >>> len(store) == store.takes().height
     True
+    >>> kinedex.open_store(store_path, at=store.version).version == store.version
+    True
     """
-    return Store(open_stored_takes(Path(path), [Path(folder) for folder in files]))
+    return Store(open_stored_takes(Path(path), [Path(folder) for folder in files], at))
 
 
 class Store:
@@ -80,6 +89,8 @@ class Store:
         The directory of the store.
     version : int
         The version that is shown.
+    newest_version : int
+        The newest version when the store was opened; it is another one where its index was still to be built.
     rate_hz : float
         Frames per second of its takes.
     feature_set : FeatureSet
@@ -95,6 +106,7 @@ class Store:
         self.stored = stored
         self.path = stored.path
         self.version = stored.manifest.version
+        self.newest_version = stored.newest_version
         self.rate_hz = stored.rate_hz
         self.feature_set: FeatureSet = stored.feature_set
 
@@ -130,7 +142,9 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Close the database connections of `sql`; the store can still be used.
+        """Close the database connections of `sql`, and let `kinedex gc` remove the version.
+
+        The store can still be used for as long as the version is there.
 
         Examples
         --------

@@ -10,6 +10,7 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command, group
 from kinedex.pipelines.commands.options import (
+    AtOption,
     ExecutorOption,
     ForceOption,
     FormatOption,
@@ -22,6 +23,7 @@ from kinedex.pipelines.commands.options import (
     assignments_of,
 )
 from kinedex.pipelines.commands.output import print_message, show_outcome, show_table
+from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     from kinedex.pipelines.keyframes.stored_queries import StoredQueries
@@ -56,7 +58,7 @@ def learn(
     from kinedex.pipelines.engine.runner import run_pipeline
     from kinedex.storage.store.store import open_store
 
-    open_store(store)
+    open_store(store, at="newest")
     outcome = run_pipeline(
         pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
         force=frozenset(force or ()), wait_seconds=wait or 0.0,
@@ -71,6 +73,7 @@ def show(
     pipeline: PipelineOption = None,
     form: FormatOption = "table",
     output: OutputOption = None,
+    at: AtOption = None,
 ) -> None:
     """Show learned queries: how well they separate the training clips, and what they ask for.
 
@@ -79,9 +82,8 @@ def show(
     from kinedex.pipelines.console.tables import Shown, wrapped
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.keyframes.tables import LEGEND, overview
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     found = _stored(opened, name, pipeline)
     table = overview(found.outcomes, opened.feature_set, found.classes)
     if form != "table" or output is not None:
@@ -101,16 +103,16 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write (.yaml); standard output unless given.")
     ] = None,
+    at: AtOption = None,
 ) -> None:
     """Write learned queries as a query file with named features, to read, edit and search with."""
     from kinedex.catalog.queries.query_writer import write_queries
     from kinedex.pipelines.keyframes.learning import keyframe_queries
     from kinedex.pipelines.report.page_files import write_page
-    from kinedex.storage.store.store import open_store
 
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
         raise KinedexError(f"--output {output}: the name of a query file ends in .yaml, or it cannot be searched with")
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     found = _stored(opened, name, pipeline)
     queries = [query for one in found.outcomes for query in keyframe_queries(one, opened.feature_set, found.classes)]
     text = write_queries(queries, opened.feature_set)

@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from kinedex.pipelines.commands.app import ASK, command, group
-from kinedex.pipelines.commands.options import FormatOption, OutputOption, StorePath, WhereOption
+from kinedex.pipelines.commands.options import AtOption, FormatOption, OutputOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import show_table
+from kinedex.pipelines.commands.store_access import open_for_reading
 
 labels = group("labels", "Write annotations as label files, and read label files.", ASK)
 
@@ -37,14 +38,14 @@ def export(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+    at: AtOption = None,
 ) -> None:
     """Write annotations as label files: one per take into a folder, or one file."""
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_of
     from kinedex.pipelines.console.wording import counted
     from kinedex.storage.formats.labels.formats import write_labels
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     chosen = annotate_stage(opened, stage)
     found = labels_of(opened, chosen, take or (), where)
     paths = write_labels(found, form, output, force=force)

@@ -15,6 +15,7 @@ from kinedex.pipelines.commands.app import FAILED, MAINTAIN, command
 from kinedex.pipelines.commands.options import (
     ExecutorOption,
     JsonOption,
+    OlderOption,
     RateOption,
     StorePath,
     WaitOption,
@@ -82,7 +83,7 @@ def verify(store: StorePath, as_json: JsonOption = False) -> None:
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.verification import verify as check
 
-    opened = open_store(store)
+    opened = open_store(store, at="newest")
     findings = check(opened)
     parts, takes = len(opened.manifest.parts), len(opened.manifest.live_takes)
     faults = sum(finding.fault for finding in findings)
@@ -149,21 +150,25 @@ def repair(
 @command(MAINTAIN)
 def gc(
     store: StorePath,
-    keep: Annotated[int, typer.Option(min=1, help="Number of the newest versions that stay readable.")] = 2,
+    keep: Annotated[int, typer.Option(min=1, help="Number of the newest versions that stay.")] = 2,
+    older_than: OlderOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List what would be removed, and remove nothing.")] = False,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove old versions of a store."""
+    """Remove old versions of a store: those beyond the newest that are older than asked for and open nowhere."""
     from kinedex.storage.store.garbage_collection import collect, summary
 
-    found = collect(store, keep=keep, dry_run=dry_run, wait=wait_of(wait))
+    found = collect(store, keep=keep, older_than_seconds=older_than or 0.0, dry_run=dry_run, wait=wait_of(wait))
     if as_json:
-        rows = [{"path": one.path, "bytes": one.bytes, "kind": one.kind} for one in found]
-        print_json({"store": store, "dry_run": dry_run, "removed": rows})
+        rows = [{"path": one.path, "bytes": one.bytes, "kind": one.kind} for one in found.removed]
+        opened = [{"version": one.version, "processes": one.processes} for one in found.open_versions]
+        print_json({"store": store, "dry_run": dry_run, "removed": rows, "open_versions": opened})
         return
-    for line in summary(found):
+    for line in summary(found.removed):
         print(f"would remove {line}" if dry_run else f"removed {line}")
+    for one in found.open_versions:
+        print(f"kept: {one}")
 
 
 @command(MAINTAIN)

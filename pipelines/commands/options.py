@@ -18,6 +18,10 @@ StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Directory of t
 StoreOption = Annotated[
     Path, typer.Option("--store", metavar="DIR", help="Directory of the store; created where it is missing.")
 ]
+AtOption = Annotated[
+    str | None,
+    typer.Option("--at", metavar="VERSION", help="Version to read, or newest; the newest with its index unless given."),
+]
 PipelineArgument = Annotated[
     str, typer.Argument(help="Name of a shipped pipeline (annotate, ingest, …) or path of a .yaml file.")
 ]
@@ -79,6 +83,15 @@ def wait_of(seconds: float | None) -> Wait:
     return Wait(seconds or 0.0, print_message, "--wait 10m")
 
 
+OlderOption = Annotated[
+    float | None,
+    typer.Option(
+        "--older-than",
+        parser=seconds_of,
+        metavar="AGE",
+        help="Keep versions younger than this (12h, 30d), however many there are.",
+    ),
+]
 WaitOption = Annotated[
     float | None,
     typer.Option(

@@ -86,7 +86,7 @@ def _form_of(output: Path) -> str:
 def _pooled_metrics(outcome: Outcome) -> list[dict[str, object]]:
     from kinedex.storage.store.store import open_store
 
-    rows = open_store(outcome.store_path).result("metrics", pipeline=outcome.pipeline.name).to_pylist()
+    rows = open_store(outcome.store_path, at="newest").result("metrics", pipeline=outcome.pipeline.name).to_pylist()
     return [row for row in rows if row["scope"] == "pooled"]
 
 

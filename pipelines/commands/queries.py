@@ -9,8 +9,9 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command, group
-from kinedex.pipelines.commands.options import FormatOption, JsonOption, OutputOption, StorePath, WhereOption
+from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import print_json, print_message, show_table
+from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -40,6 +41,7 @@ def search(
     ] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
+    at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Search for keyframe queries with the index.
@@ -50,11 +52,12 @@ def search(
     from kinedex.pipelines.engine.runner import new_run_id
     from kinedex.pipelines.search.explanation import explain_search
     from kinedex.pipelines.search.search import load_query_file, save_hits, search_store
-    from kinedex.storage.store.store import open_store
 
     if explain and save is not None:
         raise KinedexError("--explain shows no hits that --save could store: give only one of them")
-    opened = open_store(store)
+    if at is not None and save is not None:
+        raise KinedexError("--save stores the hits in the newest version: give no --at with it")
+    opened = open_for_reading(store, at if save is None else "newest")
     loaded = load_query_file(queries, opened.feature_set, name, opened.rate_hz)
     plain = form == "table" and output is None
     if explain:
@@ -107,13 +110,13 @@ def from_clip(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write; standard output unless given.")
     ] = None,
+    at: AtOption = None,
 ) -> None:
     """Propose a keyframe query for an example: commented YAML, to be edited."""
     from kinedex.pipelines.search.query_proposal import propose_query
     from kinedex.pipelines.templates.stored_templates import clip_range
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     first, last = clip_range(opened, take, start, stop)
     text = propose_query(opened, take, first, last, name=name, keyframes=keyframes)
     if output is None:

@@ -11,6 +11,7 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command
 from kinedex.pipelines.commands.options import (
+    AtOption,
     FormatOption,
     JsonOption,
     KindOption,
@@ -20,6 +21,7 @@ from kinedex.pipelines.commands.options import (
     WhereOption,
 )
 from kinedex.pipelines.commands.output import print_json, print_message, show_table
+from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     from kinedex.pipelines.ranking.ranking import Ranking
@@ -59,6 +61,7 @@ def rank(
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
+    at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Rank the places of an archive by how well templates fit."""
@@ -66,11 +69,10 @@ def rank(
     from kinedex.pipelines.commands.templates import kind_of
     from kinedex.pipelines.ranking.store_ranking import rank_store
     from kinedex.pipelines.templates.stored_templates import template_from_clip
-    from kinedex.storage.store.store import open_store
 
     names = list(dict.fromkeys(templates or ()))
     _check_source(names, every, take, start, stop)
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     asked = None if queries is None else read_queries(queries, opened.feature_set, opened.rate_hz)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()

@@ -13,6 +13,7 @@ import typer
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.commands.app import ASK, Command, command
 from kinedex.pipelines.commands.options import (
+    AtOption,
     FormatOption,
     JsonOption,
     OutputOption,
@@ -21,6 +22,7 @@ from kinedex.pipelines.commands.options import (
     seconds_of,
 )
 from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, show_table
+from kinedex.pipelines.commands.store_access import open_for_reading
 
 
 class _SqlCommand(Command):
@@ -65,14 +67,14 @@ def sql(
     ] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
+    at: AtOption = None,
 ) -> None:  # fmt: skip
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
-    from kinedex.storage.store.store import open_store
 
     if path:
         if query is not None or file is not None:
             raise KinedexError("--path prints the path of the index file and runs no SQL: give no statement")
-        print(open_store(store).index_path().absolute())
+        print(open_for_reading(store, at).index_path().absolute())
         return
     from kinedex.pipelines.console.sql_prompt import ROWS, rows_line, run_prompt
     from kinedex.pipelines.console.terminal import make_console
@@ -84,7 +86,7 @@ def sql(
     for folder in allow_files or ():
         if not folder.is_dir():
             raise KinedexError(f"--allow-files {folder}: no such folder")
-    opened = open_store(store, allow_files or ())
+    opened = open_for_reading(store, at, allow_files or ())
     _bound_memory()
     if limit is None and (is_for_people(form, output) or (query is None and sys.stdin.isatty())):
         limit = ROWS
@@ -130,12 +132,12 @@ def takes(
     ),
     form: FormatOption = "table",
     output: OutputOption = None,
+    at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the takes of a store."""
-    from kinedex.storage.store.store import open_store
 
-    table = open_store(store).takes_table(where)
+    table = open_for_reading(store, at).takes_table(where)
     names = table.column_names
     wanted = names if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
     for column in wanted:
@@ -160,15 +162,15 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write; TAKE.FORMAT in this folder unless given.")
     ] = None,
+    at: AtOption = None,
 ) -> None:
     """Write the joint positions of a take as BVH, CSV or Parquet.
 
     Positions are in metres; Y is up.
     """
-    from kinedex.storage.store.store import open_store
     from kinedex.storage.store.take_export import export_take
 
     form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
     path = output or Path(f"{Path(take).name}.{form}")
-    export_take(open_store(store), take, form, path)
+    export_take(open_for_reading(store, at), take, form, path)
     print(path)

@@ -9,8 +9,9 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import ASK, command, group
-from kinedex.pipelines.commands.options import FormatOption, KindOption, OutputOption, StageOption, StorePath
+from kinedex.pipelines.commands.options import AtOption, FormatOption, KindOption, OutputOption, StageOption, StorePath
 from kinedex.pipelines.commands.output import print_message, show_table
+from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,12 +33,12 @@ def list_(
     stage: StageOption = None,
     form: FormatOption = "table",
     output: OutputOption = None,
+    at: AtOption = None,
 ) -> None:
     """List the templates of a store."""
     from kinedex.pipelines.templates.stored_templates import stored_templates, templates_overview
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     table = templates_overview(opened, delta, stage)
     plain = form == "table" and output is None
     show_table(
@@ -62,6 +63,7 @@ def show(
         Path | None,
         typer.Option("--output", "-o", help="Figure to write (.svg, .png), or template file to edit (.yaml, .csv)."),
     ] = None,
+    at: AtOption = None,
 ) -> None:
     """Show a template: every feature over time.
 
@@ -74,9 +76,8 @@ def show(
     from kinedex.pipelines.templates.stored_templates import choose_template
     from kinedex.pipelines.templates.template_output import write_template
     from kinedex.pipelines.templates.template_text import heading, template_lines
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     one = choose_template(opened, name, kind_of(kind), stage)
     console = make_console()
     if output is None:
@@ -106,6 +107,7 @@ def diff(
         Path | None,
         typer.Option("--output", "-o", help="Figure to write (.svg, .png); text unless given."),
     ] = None,
+    at: AtOption = None,
 ) -> None:
     """List the features in which two templates contradict each other."""
     from kinedex.ops.templates.derived_templates import contrast
@@ -114,9 +116,8 @@ def diff(
     from kinedex.pipelines.report.template_figures import contrast_figure
     from kinedex.pipelines.templates.stored_templates import choose_template
     from kinedex.pipelines.templates.template_text import contrast_lines
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     names = (first, second)
     one, other = (choose_template(opened, name, kind_of(kind), stage).learned.template for name in names)
     found = contrast(one, other, delta)
@@ -142,14 +143,14 @@ def from_clip(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write (.yaml, .csv); standard output unless given.")
     ] = None,
+    at: AtOption = None,
 ) -> None:
     """Make a template from one example: a take or an interval of it. `learn_templates.template_files` reads it."""
     from kinedex.catalog.template_files import write_yaml
     from kinedex.pipelines.templates.stored_templates import template_from_clip
     from kinedex.pipelines.templates.template_output import write_template
-    from kinedex.storage.store.store import open_store
 
-    opened = open_store(store)
+    opened = open_for_reading(store, at)
     made = template_from_clip(opened, take, start, stop, name or take)
     if output is None:
         print(write_yaml([made], opened.feature_set), end="")

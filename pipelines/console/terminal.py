@@ -26,6 +26,11 @@ def configure_messages(*, quiet: bool = False, to_stderr: bool = False) -> None:
     _messages.update(quiet=quiet, to_stderr=to_stderr)
 
 
+def is_quiet() -> bool:
+    """Return whether `configure_messages` has chosen to print no messages."""
+    return _messages["quiet"]
+
+
 def make_console() -> Console:
     """Return a console that prints results to standard output."""
     return _console(stderr=False, quiet=False)

@@ -149,7 +149,7 @@ class StageContext:
 
     def open(self) -> Store:
         """Return a read-only snapshot of the store as it is now."""
-        return open_store(self.store_path)
+        return open_store(self.store_path, at="newest")
 
     def writer(self) -> StoreWriter:
         """Return the store's writer, a context manager that holds its lock."""

@@ -149,7 +149,7 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
 
 
 def _open(path: Path) -> Store | None:
-    return open_store(path) if versions(path) else None
+    return open_store(path, at="newest") if versions(path) else None
 
 
 def _reading(stage: PipelineStage, store: Store | None) -> Reading | None:

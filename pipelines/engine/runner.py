@@ -68,7 +68,7 @@ class Outcome:
     @cached_property
     def metrics(self) -> pl.DataFrame:
         """The metrics of the pipeline's evaluations, one row for each class, take or group; see docs/sql.md."""
-        return data_frame(open_store(self.store_path).result("metrics", pipeline=self.pipeline.name))
+        return data_frame(open_store(self.store_path, at="newest").result("metrics", pipeline=self.pipeline.name))
 
 
 class StageFailed(KinedexError):
@@ -211,7 +211,8 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     context = StageContext(
         store_path=run.store_path,
         feature_set=feature_set_for(
-            open_store(run.store_path) if versions(run.store_path) else None, getattr(stage.params, "features", None)
+            open_store(run.store_path, at="newest") if versions(run.store_path) else None,
+            getattr(stage.params, "features", None),
         ),
         pipeline=run.pipeline.name,
         stage=stage.name,
@@ -338,7 +339,7 @@ def _resume(
 
 
 def _outcome(pipeline: Pipeline, steps: list[Step], store_path: Path) -> Outcome:
-    stages = open_store(store_path).manifest.stages
+    stages = open_store(store_path, at="newest").manifest.stages
     records = {step.stage.name: stages[f"{pipeline.name}/{step.stage.name}"] for step in steps}
     summaries = {
         name: {key: value for key, value in record.summary.items() if key not in _OWN_FIELDS}

@@ -145,7 +145,7 @@ def run_cells(
 def annotate_task(task: Task) -> SegmentsByTake:
     """Annotate some takes, in a worker."""
     ids = sorted({take_id for test_take in task.test_takes for take_id in test_take.take_ids})
-    words = open_store(task.store).words(ids)
+    words = open_store(task.store, at="newest").words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
     laid_out = [
         np.concatenate([words.take(place[take_id]) for take_id in test_take.take_ids]) for test_take in task.test_takes

@@ -146,7 +146,7 @@ class _Work:
         self.outcome.kept = [
             file for one in quarantines(self.root) if one.name == self.quarantine.name for file in one.files
         ]
-        self.outcome.remaining = [one for one in verify(open_store(self.root)) if one.fault]
+        self.outcome.remaining = [one for one in verify(open_store(self.root, at="newest")) if one.fault]
 
     def report_plan(self, bad: list[BadManifest]) -> None:
         """Report what a repair would do."""
@@ -188,7 +188,7 @@ class _Work:
 
     def _take_rows(self) -> None:
         """Restore the rows of takes of damaged parts; a store without them cannot be written."""
-        store = open_store(self.root)
+        store = open_store(self.root, at="newest")
         wrong = _parts(store.manifest.takes, self.outcome.found, "takes")
         if not wrong:
             return
@@ -230,7 +230,7 @@ class _Work:
 
     def _frames(self) -> None:
         """Read the takes of damaged parts of frames again."""
-        store = open_store(self.root)
+        store = open_store(self.root, at="newest")
         wrong = _parts(store.manifest.frames, self.outcome.found, "frames")
         single = {take for one in self.outcome.found if one.kind == "content" for take in one.takes}
         if not wrong and not single:
@@ -287,7 +287,7 @@ class _Work:
 
     def _results(self) -> None:
         """Remove the results of stages whose parts are damaged, so that they run again, and note which are to run."""
-        store = open_store(self.root)
+        store = open_store(self.root, at="newest")
         stages = self._hit_stages(store)
         if not stages:
             return
@@ -320,7 +320,7 @@ class _Work:
 
     def _index(self) -> None:
         """Build the index where it is missing, stale or damaged."""
-        store = open_store(self.root)
+        store = open_store(self.root, at="newest")
         wrong = {one.file.split("/")[1] for one in self.outcome.found if one.kind == "index" and one.fault}
         for name in wrong:
             shutil.rmtree(self.root / "index" / name, ignore_errors=True)

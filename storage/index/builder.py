@@ -40,9 +40,10 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.index.shard_plan import SHARD_FRAMES, ShardPlan, plan_shards, shard_parts
 from kinedex.storage.index.slice_files import write_slices
+from kinedex.storage.leases import open_versions
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.frames import read_words
-from kinedex.storage.snapshot.manifest import Part, now
+from kinedex.storage.snapshot.manifest import Part, content_digest_of, now
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 MOST_WASTE = 2.0
@@ -65,7 +66,9 @@ def build_index(
     shard_frames: int = SHARD_FRAMES,
     wait: Wait = NO_WAIT,
 ) -> Path:
-    """Build and publish the index of a store's live takes, unless it exists already; the newest `KEPT` stay.
+    """Build and publish the index of a store's live takes, unless it exists already.
+
+    The newest `KEPT` generations stay, and those of versions that readers have open.
 
     Shards of the generation before whose takes are the same are copied, not made again.
 
@@ -112,20 +115,39 @@ def build_index(
                 sync_folder(folder)
         finally:
             shutil.rmtree(building, ignore_errors=True)
-        for number, old in enumerate(generations(store.path)):
-            # of the same version: damaged, of another version of the index, or with other macros
-            if number >= KEPT or (old != generation and is_of(old, store.manifest.version)):
-                removed = folder / f"{BUILDING}{uuid.uuid4().hex}"
-                _remove_generation(old, removed)
+        _remove_old(store, generation)
         return generation
 
 
-def _remove_generation(generation: Path, removed: Path) -> None:
-    """Remove a generation in one step: under another name first, where no reader looks for it."""
+def _remove_old(store: Snapshot, built: Path) -> None:
+    """Remove the generations that the one just built replaces, and old ones whose version no reader has open."""
+    for number, old in enumerate(generations(store.path)):
+        # of the same version: damaged, of another version of the index, or with other macros
+        if old != built and is_of(old, store.manifest.version):
+            _remove_generation(store, old, replaced=True)
+        elif number >= KEPT and not _is_read(store, old):
+            _remove_generation(store, old)
+
+
+def _is_read(store: Snapshot, generation: Path) -> bool:
+    """Return whether a reader has a version open that a generation indexes."""
+    record = read_generation(generation)
+    return record is not None and any(
+        content_digest_of(store.path, one.version, store.manifest) == record.content
+        for one in open_versions(store.path)
+    )
+
+
+def _remove_generation(store: Snapshot, generation: Path, *, replaced: bool = False) -> None:
+    """Remove a generation: under another name first, where no reader looks for it."""
+    removed = generation.with_name(f"{BUILDING}{uuid.uuid4().hex}")
     try:
         os.rename(generation, removed)
     except PermissionError:
         return  # Windows: a reader has it open; a later build removes it
+    if not replaced and _is_read(store, removed):
+        os.rename(removed, generation)  # a reader has opened its version meanwhile
+        return
     shutil.rmtree(removed, ignore_errors=True)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import chain
@@ -13,14 +14,14 @@ from pathlib import Path
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
 from kinedex.storage.remedies import build_index
-from kinedex.storage.snapshot.manifest import Manifest, json_checksum, versions
+from kinedex.storage.snapshot.manifest import Manifest, content_digest_of, json_checksum, read_version, versions
 
 INDEX_VERSION = 5
 """Version of the index's tables and of its other files; an index of another version is built again."""
 
 KEPT = 8
-"""Generations that a build keeps, its own among them, for readers that have an older version open. Each is a copy of
-the file, so that there must be a bound; `kinedex gc` removes those that no remaining version needs."""
+"""Generations that a build keeps, its own among them, besides those of versions that readers have open. Each is a copy
+of the file, so that there must be a bound; `kinedex gc` removes those that no remaining version needs."""
 
 BUILDING, GENERATION = ".building-", "gen-"
 """Prefixes of the folders of unfinished and of published indexes."""
@@ -165,6 +166,48 @@ def _shard(values: dict[str, object]) -> Shard:
     return Shard(**{**values, "parts": known})  # type: ignore[arg-type]
 
 
+def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
+    """Return the newest version of a store that has its index, and the index; the newest version where none has.
+
+    Few manifests are read, however many versions there are: takes only change from one version to a later one, and the
+    versions with the takes of an index follow one another.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    newest : Manifest
+        Its newest version.
+    """
+    generation = current_generation(store, newest)
+    if generation is not None:
+        return newest.version, generation
+    known = {newest.version: newest.content_digest()}
+    for folder in generations(store):
+        record = read_generation(folder)
+        if record is not None and _sound(folder, record):
+            version = _last_version(store, record, newest, known)
+            if version is not None:
+                return version, folder
+    return newest.version, None
+
+
+def _last_version(store: Path, record: Generation, newest: Manifest, known: dict[int, str]) -> int | None:
+    """Return the last version with the takes of an index; None if there is none.
+
+    `known` has the digests of versions that were read before, and gets those that are read here.
+    """
+    later = [version for version in versions(store) if version >= record.manifest_version]
+
+    def is_other(version: int) -> bool:
+        if version not in known:
+            known[version] = content_digest_of(store, version, newest)
+        return known[version] != record.content
+
+    count = bisect_left(later, True, key=is_other)
+    return later[count - 1] if count else None
+
+
 def current_generation(store: Path, manifest: Manifest) -> Path | None:
     """Return the newest generation that indexes exactly the live takes of a version; None where there is none."""
     content = manifest.content_digest()
@@ -241,10 +284,12 @@ def missing_index(store: Path, manifest: Manifest) -> StoreError:
     """Return the error for a version of a store whose index is missing or does not fit its takes."""
     newest = max(versions(store), default=0)
     if newest > manifest.version:
-        return StoreError(
-            f"{store}: version {manifest.version}, which is open here, has no index, and version {newest} has been "
-            "published since; open the store again"
-        )
+        version, generation = readable_version(store, read_version(store, newest))
+        if generation is not None:
+            return StoreError(
+                f"{store}: version {manifest.version}, which is open here, has no index; the newest version that has "
+                f"one is {version}: open the store again without naming a version"
+            )
     state = "missing"
     if found := generations(store):
         record = read_generation(found[0])

@@ -9,7 +9,7 @@ import os
 import re
 import uuid
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from itertools import chain
@@ -449,6 +449,17 @@ def named_files(store: Path, version: int) -> set[str]:
         return {part["path"] for part in chain(content["frames"], content["takes"], content.get("labels", ()), results)}
     except (KeyError, TypeError, AttributeError) as fault:
         raise _damaged(path, f"it names no parts ({fault!r})") from None
+
+
+def content_digest_of(store: Path, version: int, newest: Manifest) -> str:
+    """Return `Manifest.content_digest` of a version, read faster than by `read_version`; empty where it is damaged.
+
+    `newest` is a later version of the store: feature set and rate are the same in all of them.
+    """
+    try:
+        return replace(newest, content=_content(manifest_path(store, version))["content"]).content_digest()
+    except (StoreError, KeyError):
+        return ""
 
 
 def _content(path: Path) -> dict[str, Any]:

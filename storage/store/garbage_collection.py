@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
+from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
-from kinedex.ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import TEMPORARY, write_errors
-from kinedex.storage.index.generations import BUILDING, GENERATION, INDEX_VERSION, read_generation
+from kinedex.storage.index.generations import (
+    BUILDING,
+    GENERATION,
+    INDEX_VERSION,
+    read_generation,
+    readable_version,
+)
+from kinedex.storage.leases import OpenVersion, open_versions, without_readers
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.manifest import FOLDER, manifest_path, named_files, read_newest, read_version, versions
 from kinedex.storage.snapshot.schemas import PART_FOLDERS
@@ -40,13 +50,35 @@ class Garbage:
     kind: str
 
 
-def collect(
-    store: str | Path, *, keep: int = KEPT_VERSIONS, dry_run: bool = False, wait: Wait = NO_WAIT
-) -> list[Garbage]:
-    """Remove all files that the newest versions of a store do not need; files of others are not touched.
+@dataclass(frozen=True)
+class Collection:
+    """The outcome of a garbage collection.
 
-    Versions go before their parts, so that the store is sound when the process is killed at any moment. Readers that
-    have an older version open can no longer read the removed parts.
+    Attributes
+    ----------
+    removed : list of Garbage
+        What was removed, or would be, versions first.
+    open_versions : list of OpenVersion
+        Versions that stay only because readers have them open.
+    """
+
+    removed: list[Garbage]
+    open_versions: list[OpenVersion]
+
+
+def collect(
+    store: str | Path,
+    *,
+    keep: int = KEPT_VERSIONS,
+    older_than_seconds: float = 0.0,
+    dry_run: bool = False,
+    wait: Wait = NO_WAIT,
+) -> Collection:
+    """Remove old versions of a store, and all files that no remaining version needs; files of others are not touched.
+
+    A version goes if it is not one of the newest `keep`, and older than the given age, and no reader has it open. The
+    newest version that has its index, which readers get, stays in any case. Versions go before their parts, so that
+    the store is sound when the process is killed at any moment.
 
     Parameters
     ----------
@@ -54,6 +86,8 @@ def collect(
         The store's directory.
     keep : int, optional
         Number of the newest versions that stay, at least 1.
+    older_than_seconds : float, optional
+        Age below which versions stay, by the time of their commit.
     dry_run : bool, optional
         Remove nothing; only return what would be removed.
     wait : Wait, optional
@@ -61,8 +95,8 @@ def collect(
 
     Returns
     -------
-    list of Garbage
-        What was removed, versions first.
+    Collection
+        What was removed, and which versions readers have open.
 
     Raises
     ------
@@ -80,11 +114,20 @@ def collect(
         Lock(root / "lock", "garbage collection", wait),
         Lock(root / "index" / "lock", "garbage collection", wait),
     ):
-        found = [*_old_versions(root, keep), *_parts(root, keep), *_unfinished(root), *_generations(root, keep)]
+        old = _old_versions(root, keep, older_than_seconds)
+        opened = open_versions(root, old)
+        busy = {one.version for one in opened}
+        manifests = {version: _manifest(root, version) for version in old if version not in busy}
+        unneeded = _unneeded(root, manifests)
         if not dry_run:
-            for garbage in found:
+            late = [version for version in manifests if not _remove_version(root, version)]
+            if late:  # readers have opened these meanwhile
+                opened = open_versions(root, sorted([*busy, *late]))
+                manifests = {version: garbage for version, garbage in manifests.items() if version not in late}
+                unneeded = _unneeded(root, manifests)
+            for garbage in unneeded:
                 _remove(root / garbage.path)
-    return found
+    return Collection([*manifests.values(), *unneeded], opened)
 
 
 def summary(found: list[Garbage]) -> list[str]:
@@ -108,14 +151,46 @@ def shown_bytes(count: int) -> str:
     return f"{count} bytes" if unit == "bytes" else f"{size:.1f} {unit}"
 
 
-def _old_versions(root: Path, keep: int) -> Iterator[Garbage]:
-    for version in versions(root)[:-keep]:
-        path = manifest_path(root, version)
-        yield Garbage(f"{FOLDER}/{path.name}", path.stat().st_size, "old version")
+def _old_versions(root: Path, keep: int, older_than_seconds: float) -> list[int]:
+    """Return the versions beyond the newest ones that are old enough to go, ascending."""
+    found = versions(root)
+    readable, _ = readable_version(root, read_version(root, found[-1]))
+    old = [version for version in found[:-keep] if version != readable]
+    if older_than_seconds:
+        limit = time.time() - older_than_seconds
+        old = old[: bisect_left(old, limit, key=lambda version: _committed(root, version))]
+    return old
 
 
-def _parts(root: Path, keep: int) -> Iterator[Garbage]:
-    needed = set().union(*(named_files(root, version) for version in versions(root)[-keep:]))
+def _committed(root: Path, version: int) -> float:
+    """Return the time of the commit of a version, in seconds; that of its file where the manifest is damaged."""
+    try:
+        return datetime.fromisoformat(read_version(root, version).created).timestamp()
+    except (StoreError, ValueError):
+        return manifest_path(root, version).stat().st_mtime
+
+
+def _manifest(root: Path, version: int) -> Garbage:
+    path = manifest_path(root, version)
+    return Garbage(f"{FOLDER}/{path.name}", path.stat().st_size, "old version")
+
+
+def _remove_version(root: Path, version: int) -> bool:
+    """Remove a version, unless a reader has it open; return whether it is gone."""
+    with without_readers(root, version) as free:
+        if free:
+            _remove(manifest_path(root, version))
+    return free
+
+
+def _unneeded(root: Path, gone: Container[int]) -> list[Garbage]:
+    """Return the files that no version needs besides those that go."""
+    stay = [version for version in versions(root) if version not in gone]
+    return [*_parts(root, stay), *_unfinished(root), *_generations(root, stay)]
+
+
+def _parts(root: Path, stay: list[int]) -> Iterator[Garbage]:
+    needed = set().union(*(named_files(root, version) for version in stay))
     for folder in PART_FOLDERS:
         kind = f"{folder.split('/')[0]} part"
         for name in sorted(os.listdir(root / folder)) if (root / folder).is_dir() else ():
@@ -131,9 +206,9 @@ def _unfinished(root: Path) -> Iterator[Garbage]:
         yield Garbage(path.relative_to(root).as_posix(), path.stat().st_size, "unfinished file")
 
 
-def _generations(root: Path, keep: int) -> Iterator[Garbage]:
+def _generations(root: Path, stay: list[int]) -> Iterator[Garbage]:
     """Yield the index generations that fit no remaining version, and the leftovers of killed builds."""
-    contents = {read_version(root, version).content_digest() for version in versions(root)[-keep:]}
+    contents = {read_version(root, version).content_digest() for version in stay}
     for folder in sorted((root / "index").iterdir()):
         if folder.name.startswith(BUILDING):
             yield Garbage(f"index/{folder.name}", _size(folder), "unfinished file")

@@ -1,4 +1,4 @@
-"""A store as users open it: the newest version of an archive, its takes, words and results, index and SQL.
+"""A store as users open it: one version of an archive, its takes, words and results, index and SQL.
 
 DuckDB and polars are imported when they are first used: a keyframe search from a cold start needs neither.
 """
@@ -12,10 +12,11 @@ from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, overload
 
-from kinedex.ops.errors import KinedexError
-from kinedex.storage.index.generations import FILE, current_generation, missing_index
+from kinedex.ops.errors import KinedexError, ParameterError, StoreError
+from kinedex.storage.index.generations import FILE, current_generation, missing_index, readable_version
+from kinedex.storage.leases import Lease, take_lease
 from kinedex.storage.snapshot.checked_files import CheckedFiles
-from kinedex.storage.snapshot.manifest import Manifest, read_newest
+from kinedex.storage.snapshot.manifest import Manifest, read_newest, read_version, versions
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -27,10 +28,18 @@ if TYPE_CHECKING:
     from kinedex.storage.sql.queries import Answer
 
 
-def open_store(path: str | Path, files: Iterable[str | Path] = ()) -> Store:
-    """Open the newest version of a store for reading.
+AskedVersion = int | Literal["newest"]
+"""A version that a reader asks for: its number, or the newest one whether or not it has its index."""
+
+_TRIES = 100
+"""Versions may be removed while one of them is chosen; so often another one is chosen."""
+
+
+def open_store(path: str | Path, files: Iterable[str | Path] = (), at: AskedVersion | None = None) -> Store:
+    """Open a version of a store for reading: the newest one that has its index, unless another is asked for.
 
     The store that is returned keeps showing this version whatever writers do meanwhile; open it again for theirs.
+    Nothing that the version needs is removed before the store is closed, or no longer used.
 
     Parameters
     ----------
@@ -39,14 +48,51 @@ def open_store(path: str | Path, files: Iterable[str | Path] = ()) -> Store:
     files : iterable of str or Path, optional
         Folders outside the store whose files SQL may read, with `read_csv` for example. SQL reads the store alone
         without them.
+    at : int or "newest", optional
+        The number of the version, or "newest" for the newest one even where its index is still to be built. Without it
+        this is also the version of a store that has no index at all.
 
     Raises
     ------
     StoreError
-        There is no store, it is damaged, or it has another format version.
+        There is no store or no such version, it is damaged, or it has another format version.
     """
-    root = Path(path)
-    return Store(root, read_newest(root), tuple(Path(place) for place in files))
+    if not (at is None or at == "newest" or isinstance(at, int)):
+        raise ParameterError("at", 'the number of a version, or "newest"', at)
+    root, places = Path(path), tuple(Path(place) for place in files)
+    for _ in range(_TRIES):
+        found = versions(root)
+        _require_version(root, found, at)
+        opened = _leased(root, at if isinstance(at, int) else found[-1])
+        if opened is not None and at is None:
+            opened = _with_index(root, *opened)
+        if opened is not None:
+            return Store(root, opened[0], places, lease=opened[1], newest_version=found[-1])
+    raise StoreError(f"{root}: its versions are removed as fast as they are opened; stop what removes them")
+
+
+def _leased(root: Path, version: int) -> tuple[Manifest, Lease] | None:
+    """Lease and read a version; return None if it has been removed meanwhile."""
+    lease = take_lease(root, version)
+    return None if lease is None else (read_version(root, version), lease)
+
+
+def _with_index(root: Path, newest: Manifest, lease: Lease) -> tuple[Manifest, Lease] | None:
+    """Lease and read the newest version that has its index, the newest where none has; None where it was removed."""
+    version, generation = readable_version(root, newest)
+    if version == newest.version:
+        return newest, lease
+    opened = _leased(root, version)
+    return opened if generation is not None and generation.is_dir() else None
+
+
+def _require_version(root: Path, found: list[int], at: AskedVersion | None) -> None:
+    """Raise a StoreError if there is no store, or not the version that was asked for."""
+    if not found:
+        read_newest(root)  # reports that there is no store
+    elif isinstance(at, int) and at not in found:
+        shown = str(found[0]) if len(found) == 1 else f"{len(found)} versions from {found[0]} to {found[-1]}"
+        raise StoreError(f"{root}: it has no version {at} (or no longer); it has {shown}")
 
 
 class Store(Snapshot):
@@ -65,15 +111,39 @@ class Store(Snapshot):
         Folders outside the store whose files SQL may read.
     checked : CheckedFiles, optional
         The files that are known to be sound; without it each file is checked before it is first read.
+    lease : Lease, optional
+        The lease of the version; taken here unless given.
+    newest_version : int, optional
+        The newest version when this one was chosen; unless given, this one.
+
+    Raises
+    ------
+    StoreError
+        The version is not there any more.
     """
 
     def __init__(
-        self, path: Path, manifest: Manifest, files: tuple[Path, ...] = (), checked: CheckedFiles | None = None
+        self,
+        path: Path,
+        manifest: Manifest,
+        files: tuple[Path, ...] = (),
+        checked: CheckedFiles | None = None,
+        *,
+        lease: Lease | None = None,
+        newest_version: int | None = None,
     ) -> None:
         super().__init__(path, manifest, checked)
+        self.newest_version = newest_version or manifest.version
         self._files = files
+        self._lease = lease or self._take_lease()
         self._lock = Lock()
         self._connections: Connections | None = None
+
+    def _take_lease(self) -> Lease:
+        lease = take_lease(self.path, self.manifest.version)
+        if lease is None:
+            raise StoreError(f"{self.path}: version {self.manifest.version} has been removed; open the store again")
+        return lease
 
     def __repr__(self) -> str:
         return f"Store({str(self.path)!r}, version {self.manifest.version}, {len(self.manifest.live_takes)} takes)"
@@ -224,6 +294,8 @@ class Store(Snapshot):
         from kinedex.storage.sql.connection import Connections
 
         with self._lock:
+            if not self._lease.release.alive:
+                self._lease = self._take_lease()
             known = self._connections
             # the index may have been published after these were opened
             if known is not None and not known.indexed and current_generation(self.path, self.manifest) is not None:
@@ -241,11 +313,15 @@ class Store(Snapshot):
                     self._connections = None if self._connections is known else self._connections
 
     def close(self) -> None:
-        """Close the connections that `sql` has opened; the store can still be used."""
+        """Close the connections that `sql` has opened, and let `kinedex gc` remove the version.
+
+        The store can still be used for as long as the version is there.
+        """
         with self._lock:
             connections, self._connections = self._connections, None
         if connections is not None:
             connections.close()
+        self._lease.release()
 
     def __enter__(self) -> Store:
         return self
@@ -256,7 +332,7 @@ class Store(Snapshot):
         self.close()
 
     def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...], CheckedFiles]]:
-        # a worker gets the same version and opens its own connections
+        # a worker gets the same version, with a lease and connections of its own
         return Store, (self.path, self.manifest, self._files, self.checked)
 
 

@@ -172,7 +172,7 @@ def attack(folder: Path, only: int | None = None) -> tuple[int, int, list[str]]:
         file from outside the store, and files that were not what they had been.
     """
     path = make_store(folder / "store", {"a": 30, "b": 40})
-    build_index(open_store(path))
+    build_index(open_store(path, at="newest"))
     (folder / "secret.csv").write_text(SECRET)
     broken, refused = [], 0
     with open_store(path) as store:

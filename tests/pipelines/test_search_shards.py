@@ -52,7 +52,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     path = tmp_path_factory.mktemp("shards") / "store"
     for part in range(5):
         takes_of_part(path, part)
-    return open_store(path)
+    return open_store(path, at="newest")
 
 
 def test_hits_do_not_depend_on_the_number_of_shards(store: Store) -> None:
@@ -61,7 +61,7 @@ def test_hits_do_not_depend_on_the_number_of_shards(store: Store) -> None:
         generation = build_index(store, threads=1, shard_frames=shard_frames)
         says = read_generation(generation)
         assert says is not None
-        found.append((len(says.shards), search_store(open_store(store.path), QUERIES)))
+        found.append((len(says.shards), search_store(open_store(store.path, at="newest"), QUERIES)))
         (generation / "generation.json").unlink()
     (one, whole), (many, divided) = found
     assert (one, many) == (1, 3)

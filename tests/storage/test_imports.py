@@ -16,7 +16,7 @@ from tests.storage.made_up import make_store
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = make_store(tmp_path_factory.mktemp("imports") / "store", {"a_one": 30, "b_two": 30})
-    build_index(open_store(path))
+    build_index(open_store(path, at="newest"))
     return path
 
 

@@ -46,7 +46,7 @@ def change(store: Store, frames: int) -> Store:
     with StoreWriter.open(store.path, BODY) as writer:
         add(writer, {"bd_walk": frames}, edition=frames)
         writer.commit()
-    return open_store(store.path)
+    return open_store(store.path, at="newest")
 
 
 @pytest.mark.parametrize("name", ["upper", "lower", "mix"])
@@ -108,7 +108,7 @@ def test_results_do_not_make_an_index_stale(store: Store) -> None:
     with StoreWriter.open(store.path, BODY) as writer:
         writer.record_stage(StageRecord("p/index", "f", "r", "2026-01-01T00:00:00Z", 1.0))
         assert writer.commit().version == 3
-    assert open_store(store.path).index_path() == store.index_path()
+    assert open_store(store.path, at="newest").index_path() == store.index_path()
 
 
 def test_a_stale_index_is_not_used(store: Store) -> None:
@@ -121,21 +121,28 @@ def test_a_stale_index_is_not_used(store: Store) -> None:
         later.sql("FROM runs_where(1)")
     assert later.sql("SELECT count(*) AS n FROM frames").column(0).to_pylist() == [91]
     build_index(later)
-    assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM takes").column(0).to_pylist() == [91]
+    assert open_store(store.path, at="newest").sql("SELECT sum(frames)::BIGINT AS n FROM takes").column(
+        0
+    ).to_pylist() == [91]
 
 
-def test_a_reader_finds_the_generation_of_its_version_until_many_have_followed(store: Store) -> None:
-    lazy = open_store(store.path)
+def test_a_reader_finds_the_generation_of_its_version_until_it_is_closed(store: Store) -> None:
+    lazy = open_store(store.path, at="newest")
     for frames in range(10, 13):
         build_index(change(store, frames))
     assert lazy.sql("SELECT sum(frames)::BIGINT AS n FROM takes").to_pylist() == [{"n": 131}]
     assert lazy.sql("SELECT count(*) AS n FROM word_runs") == store.sql("SELECT count(*) AS n FROM word_runs")
-    later = open_store(store.path)
+    later = open_store(store.path, at="newest")
     for frames in range(13, 13 + KEPT):
         build_index(change(store, frames))
-    assert len(list((store.path / "index").glob("gen-*"))) == KEPT
+    assert len(list((store.path / "index").glob("gen-*"))) == KEPT + 2
+    assert later.sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary").num_rows
+    later.close()
+    newest = build_index(change(store, 50))
+    assert len(list((store.path / "index").glob("gen-*"))) == KEPT + 1
     told = (
-        rf"version {later.manifest.version}, .* has no index, and version \d+ has been published since; open the store"
+        rf"version {later.manifest.version}, which is open here, has no index; the newest version that has one is "
+        rf"{int(newest.name[4:])}: open the store again"
     )
     with pytest.raises(StoreError, match=told):
         later.index_path()
@@ -149,7 +156,7 @@ def test_a_reader_finds_the_generation_of_its_version_until_many_have_followed(s
 
 
 def test_an_index_that_is_published_after_the_first_question_is_found(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path / "store", {"a": 40}))
+    store = open_store(make_store(tmp_path / "store", {"a": 40}), at="newest")
     with pytest.raises(StoreError, match="the index is missing"):
         store.sql("FROM word_runs")
     build_index(store)
@@ -200,7 +207,7 @@ def test_a_reader_keeps_its_generation_and_old_ones_go(store: Store) -> None:
     for frames in range(10, 11 + KEPT):
         build_index(change(store, frames))
     kept = [f"gen-{version:06d}" for version in range(4, 4 + KEPT)]
-    assert sorted(os.listdir(store.path / "index")) == [*kept, "lock"]
+    assert sorted(os.listdir(store.path / "index")) == ["gen-000002", *kept, "lock"]
     assert store.sql("SELECT count(*) AS n FROM word_runs").to_pylist() == before
 
 
@@ -211,7 +218,7 @@ def test_a_damaged_index_is_built_again(store: Store) -> None:
         store.index_path()
     assert build_index(store) == file.parent.with_name("gen-000002-2")
     assert not file.exists()
-    assert open_store(store.path).sql("SELECT count(*) AS n FROM takes").to_pylist() == [{"n": 4}]
+    assert open_store(store.path, at="newest").sql("SELECT count(*) AS n FROM takes").to_pylist() == [{"n": 4}]
 
 
 def test_an_index_that_was_damaged_without_changing_its_size_is_built_again(store: Store) -> None:
@@ -219,7 +226,9 @@ def test_an_index_that_was_damaged_without_changing_its_size_is_built_again(stor
     whole = file.read_bytes()
     file.write_bytes(whole[:-5000] + bytes(255 - byte for byte in whole[-5000:]))
     assert build_index(store) == file.parent.with_name("gen-000002-2")
-    assert open_store(store.path).sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary").to_pylist() == [{"n": 3 * 131}]
+    assert open_store(store.path, at="newest").sql("SELECT sum(frames)::BIGINT AS n FROM vocabulary").to_pylist() == [
+        {"n": 3 * 131}
+    ]
 
 
 def test_two_builds_at_once_are_kept_apart_and_leftovers_go(store: Store) -> None:
@@ -234,7 +243,7 @@ def test_two_builds_at_once_are_kept_apart_and_leftovers_go(store: Store) -> Non
 
 def test_a_store_without_takes_has_an_empty_index(tmp_path: Path) -> None:
     StoreWriter.open(tmp_path, BODY).close()
-    store = open_store(tmp_path)
+    store = open_store(tmp_path, at="newest")
     build_index(store)
     assert store.sql("FROM runs_where('rhand_fast')").num_rows == 0
     assert store.sql("SELECT count(*) AS n FROM frames").to_pylist() == [{"n": 0}]
@@ -273,7 +282,7 @@ from kinedex.storage.index.generations import current_generation, read_generatio
 from kinedex.storage.index import tables
 from kinedex.storage.store.store import open_store
 tables.count = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-build_index(open_store(sys.argv[1]))
+build_index(open_store(sys.argv[1], at="newest"))
 """
 
 
@@ -297,7 +306,7 @@ from kinedex.ops.errors import StoreError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation, read_generation
 from kinedex.storage.store.store import open_store
-store = open_store(sys.argv[1])
+store = open_store(sys.argv[1], at="newest")
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
 try:
@@ -318,7 +327,7 @@ def test_invalid_frames_are_in_no_run_and_count_as_frames(tmp_path: Path) -> Non
         rows = [take_row(ids[name], name, frames) for name, frames in (("gaps", 7), ("nothing", 3))]
         writer.add_takes(takes_table(rows), done)
         writer.commit()
-    store = open_store(tmp_path)
+    store = open_store(tmp_path, at="newest")
     build_index(store)
     runs = store.sql("SELECT word, take_id, start, stop FROM word_runs WHERE feature_set = 'upper'").to_pylist()
     assert [(run["word"], run["start"], run["stop"]) for run in runs] == [(5, 0, 2), (5, 3, 4), (7, 6, 7)]

@@ -39,12 +39,12 @@ with duckdb.connect(sys.argv[1], read_only=True) as client:
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """A store whose index has several shards and has lost takes."""
     path = make_store(tmp_path_factory.mktemp("clients") / "store", {"a_walk": 90, "b_kick": 40, "c_none": 0})
-    build_index(open_store(path), shard_frames=50)
+    build_index(open_store(path, at="newest"), shard_frames=50)
     with StoreWriter.open(path, BODY) as writer:
         add(writer, {"a_walk": 55, "d_jump": 30}, edition=1)
         writer.commit()
-    build_index(open_store(path), shard_frames=50)
-    return open_store(path)
+    build_index(open_store(path, at="newest"), shard_frames=50)
+    return open_store(path, at="newest")
 
 
 def queries() -> list[str]:

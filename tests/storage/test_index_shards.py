@@ -50,7 +50,7 @@ def change(store: Path, takes: dict[str, int], drop: tuple[str, ...] = (), editi
             add(writer, takes, edition)
         writer.drop_takes(writer.assign_take_ids(drop).values())
         writer.commit()
-    return open_store(store)
+    return open_store(store, at="newest")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def stores(batches: Path, tmp_path: Path) -> dict[str, Store]:
     found = {}
     for name, shard_frames in (("one", 10**9), ("many", FEW)):
         shutil.copytree(batches, tmp_path / name)
-        found[name] = open_store(tmp_path / name)
+        found[name] = open_store(tmp_path / name, at="newest")
         build_index(found[name], threads=2, shard_frames=shard_frames)
     return found
 
@@ -129,7 +129,7 @@ def test_a_shard_that_has_lost_half_of_its_frames_is_made_anew(stores: dict[str,
 @pytest.mark.parametrize("seed", range(2))
 def test_an_index_follows_any_history_of_a_store(tmp_path: Path, seed: int) -> None:
     chance = random.Random(seed)
-    store = open_store(make_store(tmp_path, {"first": 40}))
+    store = open_store(make_store(tmp_path, {"first": 40}), at="newest")
     names = ["first"]
     for step in range(9):
         what = chance.choice(["add", "add", "replace", "drop", "compact", "damage"])
@@ -147,7 +147,7 @@ def test_an_index_follows_any_history_of_a_store(tmp_path: Path, seed: int) -> N
         elif what == "compact":
             with StoreWriter.open(tmp_path, BODY) as writer:
                 compact(writer)
-            store = open_store(tmp_path)
+            store = open_store(tmp_path, at="newest")
         elif (tmp_path / "index").exists():
             for file in (tmp_path / "index").glob("gen-*/index.duckdb"):
                 file.write_bytes(file.read_bytes()[:-1] + b"?")
@@ -157,7 +157,7 @@ def test_an_index_follows_any_history_of_a_store(tmp_path: Path, seed: int) -> N
 
 
 def test_many_small_additions_leave_few_shards(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path, {"first": 40}))
+    store = open_store(make_store(tmp_path, {"first": 40}), at="newest")
     build_index(store, threads=1)
     for step in range(FANOUT + 1):
         store = change(tmp_path, {f"take_{step}": 9})
@@ -176,4 +176,4 @@ def test_views_and_macros_that_are_out_of_date_are_made_anew_and_the_rows_stay(
     after = says(store)
     assert after.surface != before.surface
     assert after.built_frames == 0
-    is_that_of_the_words(open_store(store.path))
+    is_that_of_the_words(open_store(store.path, at="newest"))

@@ -68,7 +68,7 @@ def test_what_is_mapped_is_what_was_written(
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    store = open_store(make_store(tmp_path / "store", {"a": 70, "b": 130}))
+    store = open_store(make_store(tmp_path / "store", {"a": 70, "b": 130}), at="newest")
     build_index(store, threads=1)
     return store
 
@@ -106,7 +106,7 @@ def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) ->
     with StoreWriter.open(store.path, BODY) as writer:
         add(writer, {"c": 64})
         writer.commit()
-    store = open_store(store.path)
+    store = open_store(store.path, at="newest")
     build_index(store, threads=1)
     file = file_of(store, 2)
     content = file.read_bytes()
@@ -170,7 +170,7 @@ def test_other_takes_than_those_of_the_shard_are_never_searched(store: Store, id
     assert str(finding).endswith(f"its content does not fit its checksum; {repair(store.path).text}")
     build_index(store, threads=1)
     assert verify(store) == []
-    assert sliced_store(open_store(store.path)).take_ids.tolist() == [1, 2]
+    assert sliced_store(open_store(store.path, at="newest")).take_ids.tolist() == [1, 2]
 
 
 def test_files_that_are_cut_short_or_gone_are_named_by_verify(store: Store) -> None:

@@ -44,7 +44,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         {"name": name, "words": words, "class": CLASSES[name], "actor": "x"} for name, words in TAKES.items()
     ]
     path = write_store(tmp_path_factory.mktemp("macros") / "store", takes)
-    build_index(open_store(path), shard_frames=40)
+    build_index(open_store(path, at="newest"), shard_frames=40)
     return open_store(path)
 
 

@@ -28,7 +28,7 @@ def runs_of(feature: int) -> list[tuple[str, int, int]]:
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     path = make_store(tmp_path_factory.mktemp("views") / "store", TAKES)
-    build_index(open_store(path))
+    build_index(open_store(path, at="newest"))
     return open_store(path)
 
 

@@ -94,7 +94,7 @@ def test_curves_of_takes_that_are_kept_stay_in_their_files(tmp_path: Path):
     assert (line.store / first).stat() == times
     assert {part.stage for part in store.manifest.results["distance_curves"]} == {"test/annotate"}
     collect(line.store, keep=1)
-    assert verify(open_store(line.store)) == []
+    assert verify(open_store(line.store, at="newest")) == []
     assert results(open_store(line.store), "distance_curves").num_rows == 2 * 4
     line.run(Annotate)
     assert curve_files(open_store(line.store)) == curve_files(store)
@@ -112,7 +112,7 @@ def test_of_takes_that_changed_or_are_not_asked_for_the_curves_go(tmp_path: Path
     lengths = {row["take"]: len(row["costs"]) for row in store.result("distance_curves").to_pylist()}
     assert lengths == dict(store.takes("class IS NULL AND name != 'cat_2'").select("name", "frames").iter_rows())
     collect(line.store, keep=1)
-    assert verify(open_store(line.store)) == []
+    assert verify(open_store(line.store, at="newest")) == []
     assert len(list((line.store / "results/distance_curves").iterdir())) == 1
     line.run(Annotate, tau=0.1)
     assert not set(curve_files(open_store(line.store))) & set(curve_files(store))

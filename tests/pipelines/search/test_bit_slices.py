@@ -110,7 +110,7 @@ def test_hits_do_not_depend_on_shards_pieces_and_threads(
 
 
 def test_a_take_that_is_not_there_cannot_be_searched(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path / "store", {"a": 40}))
+    store = open_store(make_store(tmp_path / "store", {"a": 40}), at="newest")
     build_index(store, threads=1)
     with pytest.raises(KeyError, match="9"):
         sliced_store(store).select(np.array([1, 9]))
@@ -127,7 +127,7 @@ from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.store.store import open_store
 from tests.pipelines.search.test_bit_slices import QUERIES, listed
 
-sliced = sliced_store(open_store(sys.argv[1]))
+sliced = sliced_store(open_store(sys.argv[1], at="newest"))
 print("open", flush=True)
 sys.stdin.readline()
 print([listed(found) for found in sliced.search(QUERIES)], flush=True)
@@ -139,13 +139,13 @@ def changed(store: Store, edition: int) -> Store:
     with StoreWriter.open(store.path, BODY) as writer:
         add(writer, {"a": 200 + edition, f"more_{edition}": 70}, edition)
         writer.commit()
-    later = open_store(store.path)
+    later = open_store(store.path, at="newest")
     build_index(later, threads=1)
     return later
 
 
 def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
+    store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}), at="newest")
     old = build_index(store, threads=1)
     expected = [listed(found) for found in sliced_store(store).search(QUERIES)]
     assert any(expected)
@@ -167,19 +167,19 @@ def test_a_process_reads_on_in_a_generation_that_has_been_replaced_and_removed(t
 
 
 def test_slices_of_shards_that_stay_are_one_file_in_both_generations(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}))
+    store = open_store(make_store(tmp_path / "store", {"a": 300, "b": 500}), at="newest")
     before = build_index(store, threads=1)
     with StoreWriter.open(store.path, BODY) as writer:
         add(writer, {"c": 64})
         writer.commit()
-    after = build_index(open_store(store.path), threads=1)
+    after = build_index(open_store(store.path, at="newest"), threads=1)
     files = [sorted(folder.glob("*.slices")) for folder in (before, after)]
     assert [len(found) for found in files] == [1, 2]
     assert os.path.samefile(files[0][0], files[1][0])
 
 
 def test_what_is_mapped_cannot_be_written_to(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path / "store", {"a": 300}))
+    store = open_store(make_store(tmp_path / "store", {"a": 300}), at="newest")
     build_index(store, threads=1)
     (shard,) = sliced_store(store).shards
     with pytest.raises(ValueError, match="read-only"):
@@ -187,7 +187,7 @@ def test_what_is_mapped_cannot_be_written_to(tmp_path: Path) -> None:
 
 
 def test_an_index_whose_slices_are_gone_or_shortened_says_how_to_build_it(tmp_path: Path) -> None:
-    store = open_store(make_store(tmp_path / "store", {"a": 300}))
+    store = open_store(make_store(tmp_path / "store", {"a": 300}), at="newest")
     (file,) = build_index(store, threads=1).glob("*.slices")
     content = file.read_bytes()
     for damage in (content[:-64], None):

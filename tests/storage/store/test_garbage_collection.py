@@ -13,7 +13,7 @@ from kinedex.storage.lock import Lock
 from kinedex.storage.snapshot.manifest import manifest_path, named_files, read_version, versions
 from kinedex.storage.store import garbage_collection as garbage
 from kinedex.storage.store.compaction import FANOUT, compact
-from kinedex.storage.store.garbage_collection import collect, shown_bytes, summary
+from kinedex.storage.store.garbage_collection import Collection, collect, shown_bytes, summary
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -33,8 +33,8 @@ def store(tmp_path: Path) -> Store:
             if batch == 0:
                 build_index(writer.store)
         compact(writer)
-    build_index(open_store(path))
-    return open_store(path)
+    build_index(open_store(path, at="newest"))
+    return open_store(path, at="newest")
 
 
 def files(path: Path) -> set[str]:
@@ -44,7 +44,7 @@ def files(path: Path) -> set[str]:
 def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: Store) -> None:
     before = files(store.path)
     previous = Store(store.path, read_version(store.path, 9))
-    found = collect(store.path)
+    found = collect(store.path).removed
     assert versions(store.path) == [9, 10]
     assert before - files(store.path) >= {item.path for item in found if item.kind != "index generation"}
     assert verify(store) == []
@@ -53,7 +53,7 @@ def test_what_only_old_versions_need_goes_and_the_rest_reads_as_before(store: St
     assert [item.kind for item in found].count("old version") == 8
     assert not any(item.kind in ("frames part", "takes part") for item in found)
     assert sorted(os.listdir(store.path / "results/hits")) == [Path(store.manifest.results["hits"][0].path).name]
-    assert collect(store.path) == []
+    assert collect(store.path) == Collection([], [])
     assert summary([]) == ["nothing: there is no garbage"]
 
 
@@ -69,9 +69,9 @@ def test_the_newest_version_alone_needs_only_its_own_parts(store: Store) -> None
 
 def test_a_dry_run_says_the_same_and_removes_nothing(store: Store) -> None:
     before = files(store.path)
-    said = collect(store.path, keep=1, dry_run=True)
+    said = collect(store.path, keep=1, dry_run=True).removed
     assert files(store.path) == before
-    assert collect(store.path, keep=1) == said
+    assert collect(store.path, keep=1).removed == said
     assert sum(item.bytes for item in said if item.kind == "old version") > 0
     assert summary(said)[0].startswith("9 old versions, ")
 
@@ -90,7 +90,7 @@ def test_leftovers_of_killed_runs_and_a_stale_index_go(store: Store) -> None:
     (store.path / "takes/.tmp-1.parquet").touch()
     (store.path / "index/.building-1").mkdir()
     (store.path / "index/.building-1/index.duckdb").write_bytes(b"1" * 100)
-    found = {item.path: item for item in collect(store.path, keep=100)}
+    found = {item.path: item for item in collect(store.path, keep=100).removed}
     assert found[orphan.path].kind == "frames part"
     assert found["index/.building-1"].bytes == 100
     assert found["takes/.tmp-1.parquet"].kind == "unfinished file"
