@@ -156,7 +156,10 @@ def gc(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove old versions of a store: those beyond the newest that are older than asked for and open nowhere."""
+    """Remove old versions of a store.
+
+    A version goes if it is not among the newest, is older than --older-than, and no process has it open.
+    """
     from kinedex.storage.store.garbage_collection import collect, summary
 
     found = collect(store, keep=keep, older_than_seconds=older_than or 0.0, dry_run=dry_run, wait=wait_of(wait))
