@@ -232,11 +232,11 @@ def _left_by_kill(place: Path, undisturbed: Undisturbed, published: int) -> str:
             undisturbed.reports.get(name), undisturbed.end.get(name),
         ):  # fmt: skip
             return f"{name} is neither the old nor the new one"
-    return _sound(place) or _difference(contents(open_store(place)), states.get(found, {}))
+    return _sound(place) or _difference(contents(open_store(place, at="newest")), states.get(found, {}))
 
 
 def _sound(place: Path) -> str:
-    with open_store(place) as store:
+    with open_store(place, at="newest") as store:
         return next((str(finding) for finding in verify(store) if finding.fault), "")
 
 
@@ -257,7 +257,7 @@ def _versions(place: Path) -> dict[int, dict[str, str]]:
 
 
 def _end(place: Path) -> dict[str, str]:
-    with open_store(place) as store:
+    with open_store(place, at="newest") as store:
         index = current_generation(place, store.manifest) is not None
         return {**contents(store), **reports(place), "index": str(index)}
 

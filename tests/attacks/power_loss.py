@@ -252,7 +252,7 @@ def _written(content: bytes, steps: list[Step]) -> bytes:
 
 def contents(path: Path) -> tuple[tuple[str, str], ...]:
     """Return the names of the takes of a store, each with its words."""
-    with open_store(path) as store:
+    with open_store(path, at="newest") as store:
         rows = store.takes().select("name", "take_id").sort("name").rows()
         return tuple((name, store.words([number]).take(0).tobytes().hex()) for name, number in rows)
 
@@ -357,7 +357,7 @@ def _opened(place: Path, store: Path, files: dict[str, bytes], expected: list[ob
     _laid_out(place, store, files)
     try:
         found: object = contents(place)
-        with open_store(place) as opened:
+        with open_store(place, at="newest") as opened:
             damage = [str(finding) for finding in verify(opened) if finding.fault]
     except StoreError as fault:
         found, damage = (), [] if not expected[0] else [f"cannot be opened: {fault}"]

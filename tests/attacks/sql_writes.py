@@ -175,7 +175,7 @@ def attack(folder: Path, only: int | None = None) -> tuple[int, int, list[str]]:
     build_index(open_store(path, at="newest"))
     (folder / "secret.csv").write_text(SECRET)
     broken, refused = [], 0
-    with open_store(path) as store:
+    with open_store(path, at="newest") as store:
         places = {
             "file": folder / "written",
             "manifest": sorted(path.glob("manifest/*.json"))[-1],

@@ -77,7 +77,7 @@ def _changed(folder: Path) -> None:
     """A store of four takes, of whose files one has changed since, one is gone and one is new."""
     _new(folder)
     bring_in(folder, folder / "store")
-    build_index(open_store(folder / "store"))
+    build_index(open_store(folder / "store", at="newest"))
     (folder / "source" / "x_0.amc").unlink()
     write_archive(folder / "source", {"x_1.amc": 31, "x_7.amc": 25}, first_seed=50)
 
@@ -102,7 +102,7 @@ def _old_index(folder: Path) -> None:
 def _garbage(folder: Path) -> None:
     """A store with old versions, parts of replaced takes, an index of before, and unfinished files."""
     _old_index(folder)
-    build_index(open_store(folder / "store"))
+    build_index(open_store(folder / "store", at="newest"))
     for name in ("frames/.tmp-1.parquet", "manifest/.tmp-2.json"):
         (folder / "store" / name).write_bytes(b"unfinished")
 
@@ -132,7 +132,7 @@ def _stages(count: int, folder: Path, store: Path) -> None:
 
 
 def _build(folder: Path, store: Path) -> None:
-    build_index(open_store(store))
+    build_index(open_store(store, at="newest"))
 
 
 def _collect(folder: Path, store: Path) -> None:

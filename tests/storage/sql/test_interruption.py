@@ -48,7 +48,7 @@ main()
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = make_store(tmp_path_factory.mktemp("bounded") / "store", {"a": 30, "b": 40})
-    build_index(open_store(path))
+    build_index(open_store(path, at="newest"))
     return path
 
 

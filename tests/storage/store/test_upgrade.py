@@ -45,7 +45,7 @@ def old(tmp_path: Path) -> Path:
 
 def answers(path: Path) -> dict[str, list[dict[str, object]]]:
     """All that a store answers: rows of takes, of frames and of results."""
-    with open_store(path) as store:
+    with open_store(path, at="newest") as store:
         columns = [name for name in store.take_rows.column_names if name not in ("style", "rate")]
         found = {"takes": store.take_rows.select(columns).to_pylist()}
         found |= {f"frames of {take}": store.frames(take).to_pylist() for take in store.take_ids}
@@ -60,7 +60,7 @@ def files(path: Path) -> dict[str, bytes]:
 
 def test_format_3_is_read_and_left_as_it_is(old: Path) -> None:
     before = files(old)
-    store = open_store(old)
+    store = open_store(old, at="newest")
     assert store.manifest.format_version == 3
     assert store.takes(where="class IS NULL")["name"].to_list() == [JACK]
     assert store.sql("SELECT count(*) AS n FROM frames").to_pylist() == [{"n": 75}]
@@ -85,7 +85,7 @@ def test_an_upgrade_keeps_every_answer(old: Path) -> None:
     assert (manifest.format_version, manifest.version) == (4, 22)
     assert answers(old) == before
     assert manifest.content_digest() == content
-    assert verify(open_store(old)) == []
+    assert verify(open_store(old, at="newest")) == []
     for part in manifest.parts:
         assert part.xxh3 == xxhash.xxh3_128((old / part.path).read_bytes()).hexdigest()
     assert upgrade(old) == replace(done, before=4, parts=0, bytes=0, takes_parts=0, columns=())
@@ -93,7 +93,7 @@ def test_an_upgrade_keeps_every_answer(old: Path) -> None:
 
 def test_named_groups_become_columns(old: Path) -> None:
     upgrade(old)
-    store = open_store(old)
+    store = open_store(old, at="newest")
     assert store.sql("SELECT name FROM takes WHERE style = 'jumpingJack1Reps'").to_pylist() == [{"name": JACK}]
     assert store.takes(where="rate = '120'").height == 2
     assert store.takes()["style"].to_list() == ["jumpingJack1Reps", None, None]
@@ -121,7 +121,7 @@ def test_the_old_version_stays_until_it_is_collected(old: Path) -> None:
     assert versions(old) == [20, 21, 22]
     collect(old, keep=1)
     assert versions(old) == [22]
-    assert verify(open_store(old)) == []
+    assert verify(open_store(old, at="newest")) == []
 
 
 def test_an_upgraded_store_is_written(old: Path) -> None:
@@ -132,7 +132,7 @@ def test_an_upgraded_store_is_written(old: Path) -> None:
             [{"take": JACK, "class": "jack", "start": 2, "stop": 9, "origin": "drawn"}]
         ))  # fmt: skip
         writer.commit()
-    store = open_store(old)
+    store = open_store(old, at="newest")
     assert store.takes()["style"].to_list() == ["jumpingJack1Reps", None, None, None]
     assert store.labels().num_rows == 1
     assert verify(store) == []
@@ -140,13 +140,13 @@ def test_an_upgraded_store_is_written(old: Path) -> None:
 
 def test_the_index_stays_valid(tmp_path: Path) -> None:
     path = make_store(tmp_path / "store", {"bd_walk": 50, "mm_run": 40})
-    build_index(open_store(path))
+    build_index(open_store(path, at="newest"))
     as_format_3(path)
     generation = current_generation(path, read_newest(path))
     assert generation is not None
     upgrade(path)
     assert current_generation(path, read_newest(path)) == generation
-    rows = open_store(path).sql("SELECT name, session FROM takes ORDER BY name").to_pylist()
+    rows = open_store(path, at="newest").sql("SELECT name, session FROM takes ORDER BY name").to_pylist()
     assert rows == [{"name": "bd_walk", "session": "1"}, {"name": "mm_run", "session": "1"}]
 
 
@@ -175,7 +175,7 @@ def test_a_damaged_part_stops_the_upgrade(old: Path, folder: str, missing: bool)
     done = upgrade(old, keep_damaged=True)
     assert done.damaged == (f"{folder}/{part.name}",)
     assert read_newest(old).format_version == 4
-    assert any(finding.fault for finding in verify(open_store(old)))
+    assert any(finding.fault for finding in verify(open_store(old, at="newest")))
 
 
 class _Killed(BaseException):
@@ -209,7 +209,7 @@ def test_a_killed_upgrade_goes_on(old: Path, monkeypatch: pytest.MonkeyPatch, mo
     assert len(known) <= 9
     assert answers(old) == before
     assert not (old / "manifest" / PROGRESS).exists()
-    assert verify(open_store(old)) == []
+    assert verify(open_store(old, at="newest")) == []
 
 
 def test_sums_of_a_killed_upgrade_are_reused(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
