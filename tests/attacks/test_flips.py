@@ -24,7 +24,7 @@ def test_a_flipped_bit_is_the_same_answer_or_an_error_that_names_the_file(tmp_pa
         table = pa.Table.from_pylist([row | {"run": "r"}], schema=result_schema("annotations"))
         writer.put_results("annotations", table, stage="study/annotate", run="r")
         writer.commit()
-    build_index(open_store(path), threads=1)
+    build_index(open_store(path, at="newest"), threads=1)
     outcome = attack(path, EACH, Options(seed=1))
     assert outcome.failures == []
     kinds = ["frames", "generation.json", "index.duckdb", "manifest, newest", "manifest, older"]
