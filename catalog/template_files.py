@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -58,10 +57,10 @@ def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemp
     """
     path = Path(path).expanduser()
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _from_yaml(load_yaml(path), feature_set)
+        return _named_templates(load_yaml(path), feature_set)
     if path.suffix.lower() != ".csv":
         raise ConfigError(path, "a template file ends in .yaml or .csv")
-    return (NamedTemplate(path.stem, _from_csv(read_text(path, "utf-8-sig"), path, feature_set)),)
+    return (_from_csv(read_text(path, "utf-8-sig"), path, feature_set),)
 
 
 def write_yaml(templates: Iterable[NamedTemplate], feature_set: FeatureSet) -> str:
@@ -94,7 +93,7 @@ class _Entry(BaseModel):
     column_weights: list[Annotated[float, Field(gt=0, allow_inf_nan=False)]] | None = None
 
 
-def _from_yaml(located: Located, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:
+def _named_templates(located: Located, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:
     found = []
     for name, body in located.mapping().items():
         if not isinstance(name, str):
@@ -218,63 +217,32 @@ def _number(value: float) -> str:
 # ---- CSV -------------------------------------------------------------------------------------------------
 
 
-def _from_csv(text: str, path: Path, feature_set: FeatureSet) -> Template:
+def _from_csv(text: str, path: Path, feature_set: FeatureSet) -> NamedTemplate:
+    """Read a table as the mapping that a YAML file of it would hold."""
     reader = csv.reader(io.StringIO(text))
     try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+        table = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
     except csv.Error as fault:
         raise ConfigError(path, f"is not CSV: {fault}", line=reader.line_num) from None
-    if not rows or rows[0][1][0].strip().lower() != "feature":
+    if not table or table[0][1][0].lower() != "feature":
         raise ConfigError(path, "must begin with a line `feature,1,2,3,…`, a number for each column", line=1)
-    head = [cell.strip() for cell in rows[0][1]]
-    weighted = len(head) > 1 and head[1].lower() == _WEIGHT
-    columns = len(head) - 1 - weighted
-    if columns < 1:
-        raise ConfigError(path, "has no columns", line=rows[0][0])
-    values = np.full((columns, len(feature_set.features)), WILDCARD)
-    weights = np.ones(len(feature_set.features))
-    seen: set[int] = set()
-    for line, row in rows[1:]:
-        number = _csv_feature(path, line, row[0], feature_set, seen)
-        if len(row) != len(head):
-            raise ConfigError(path, f"has {len(row)} cells, but the first line has {len(head)}", line=line, key=row[0])
-        if weighted:
-            weights[number - 1] = _csv_weight(path, line, row)
-        values[:, number - 1] = _csv_values(path, line, row, 1 + weighted)
-    if not seen:
-        raise ConfigError(path, "has no feature in it", line=rows[0][0])
-    if not weights.any():
-        raise ConfigError(path, "at least one feature must count: all weights are 0", line=rows[0][0])
-    return Template(values, np.ones(columns), weights if weighted else None)
-
-
-def _csv_feature(path: Path, line: int, cell: str, feature_set: FeatureSet, seen: set[int]) -> int:
-    try:
-        number = feature_set.feature(cell).number
-    except KinedexError as fault:
-        raise ConfigError(path, str(fault), line=line) from None
-    if number in seen:
-        raise ConfigError(path, f"feature {number} has a row already", line=line, key=cell.strip())
-    seen.add(number)
-    return number
-
-
-def _csv_weight(path: Path, line: int, row: Sequence[str]) -> float:
-    try:
-        weight = float(row[1])
-    except ValueError:
-        weight = -1.0
-    if not 0 <= weight < math.inf:
-        raise ConfigError(path, f"a weight must be a number from 0 up, got {row[1]!r}", line=line, key=row[0].strip())
-    return weight
-
-
-def _csv_values(path: Path, line: int, row: Sequence[str], start: int) -> list[float]:
-    result = []
-    for place, cell in enumerate(row[start:], 1):
-        value = _value(cell.strip())
-        if value is None:
-            reason = f"column {place} must be a number from 0 to 1, or *, got {cell!r}"
-            raise ConfigError(path, reason, line=line, key=row[0].strip())
-        result.append(value)
-    return result
+    (first, head), *rows = table
+    start = 2 if len(head) > 1 and head[1].lower() == _WEIGHT else 1
+    if len(head) == start:
+        raise ConfigError(path, "has no columns", line=first)
+    if not rows:
+        raise ConfigError(path, "has no feature in it", line=first)
+    name = path.stem
+    parts: dict[str, dict[str, Any]] = {"rows": {}, "weights": {}}
+    lines: dict[tuple[str | int, ...], int] = {(name,): first}
+    for line, (feature, *cells) in rows:
+        if len(cells) != len(head) - 1:
+            reason = f"has {len(cells) + 1} cells, but the first line has {len(head)}"
+            raise ConfigError(path, reason, line=line, key=feature)
+        if feature in parts["rows"]:
+            raise ConfigError(path, "has a row already", line=line, key=feature)
+        parts["rows"][feature] = cells[start - 1 :]
+        if start == 2:
+            parts["weights"][feature] = cells[0]
+        lines |= {(name, part, feature): line for part in parts}
+    return _named_templates(Located(path, {name: parts}, lines), feature_set)[0]

@@ -133,8 +133,9 @@ WRONG_CSV = [
     ("feature,1,2\nF20,1", 2, "has 2 cells, but the first line has 3"),
     ("feature,1,2\nF20,1,7", 2, "column 2 must be a number from 0 to 1"),
     ("feature,1\nF20,1\nrknee_bent,0", 3, "has a row already"),
+    ("feature,1\nF20,1\nF20,0", 3, "has a row already"),
     ("feature,1\nF41,1", 2, "no feature F41"),
-    ("feature,weight,1\nF20,x,1", 2, "a weight must be a number"),
+    ("feature,weight,1\nF20,x,1", 2, "must be a valid number"),
     ("feature,1\n", 1, "has no feature in it"),
     ('feature,1\n"F20,1', 2, ""),
 ]
