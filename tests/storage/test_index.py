@@ -365,4 +365,4 @@ def test_a_shard_with_wrong_rows_is_found_though_its_checksum_fits(store: Store)
     assert "the lists of lower in shard 1 are not those that its vocabulary counts" in found
     assert "mix has rows of a shard 9 that is none" in found
     assert "upper has rows of takes that are in no shard" in found
-    assert "then run the stage `index`" in found
+    assert "`kinedex repair" in found

@@ -98,7 +98,7 @@ def test_a_damaged_file_is_named_and_never_searched(store: Store, at: int, bytes
     content = bytearray(file.read_bytes())
     content[at : at + len(bytes_there)] = bytes_there
     file.write_bytes(content)
-    with pytest.raises(StoreError, match=r"shard-000001\.slices: .* does not fit its checksum; run"):
+    with pytest.raises(StoreError, match=r"shard-000001\.slices: .* does not fit its checksum; `kinedex"):
         sliced_store(store)
 
 
@@ -113,9 +113,7 @@ def test_a_flipped_bit_is_found_and_only_its_shard_is_made_anew(store: Store) ->
     file.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
     (finding,) = verify(store)
     assert finding.fault
-    assert "shard-000002.slices: its content does not fit its checksum; `kinedex repair .*` builds it again" in str(
-        finding
-    )
+    assert "shard-000002.slices: its content does not fit its checksum; `kinedex repair" in str(finding)
     generation = build_index(store, threads=1)
     says = read_generation(generation)
     assert says is not None
@@ -162,9 +160,7 @@ def test_other_takes_than_those_of_the_shard_are_never_searched(store: Store, id
     content = bytearray(file.read_bytes())
     content[64 : 64 + 16] = np.array(ids, "<i8").tobytes()
     file.write_bytes(content)
-    with pytest.raises(
-        StoreError, match=r"shard-000001\.slices: .* does not fit its checksum; `kinedex repair .*` builds it again"
-    ):
+    with pytest.raises(StoreError, match=r"shard-000001\.slices: .* does not fit its checksum; `kinedex repair"):
         sliced_store(store)
     (finding,) = verify(store)
     assert str(finding).endswith(f"its content does not fit its checksum; {repair(store.path).text}")

@@ -194,9 +194,7 @@ def test_an_index_whose_slices_are_gone_or_shortened_says_how_to_build_it(tmp_pa
         file.unlink()
         if damage is not None:
             file.write_bytes(damage)
-        with pytest.raises(
-            StoreError, match=r"stale: it is damaged, or was built by another version.* `kinedex repair"
-        ):
+        with pytest.raises(StoreError, match=r"stale: .* is damaged, or was built by another version"):
             sliced_store(store)
     build_index(store, threads=1)
     assert len(sliced_store(store).take_ids) == 1
