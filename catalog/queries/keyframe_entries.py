@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from kinedex.catalog.configs import Located
 from kinedex.catalog.features import FeatureSet, WordSet
-from kinedex.catalog.queries.gap_entries import GapEntry, read_gap
+from kinedex.catalog.queries.gap_entries import read_gap
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.search.gaps import UNBOUNDED
@@ -72,20 +72,6 @@ class ChainEntry(BaseModel):
     distances: list[Annotated[int, Field(ge=0, le=UNBOUNDED)]] | None = None
     stiffness: list[Annotated[float, Field(ge=0, le=1)]] | None = None
     positions: list[Annotated[int, Field(ge=0)]] | None = None
-
-
-def refuse_unknown_keys(located: Located, body: dict[Any, Any], model: type[BaseModel], *key: str | int) -> None:
-    """Raise an error for a misspelt key, before the key that was meant is reported as missing."""
-    parts: list[tuple[Any, type[BaseModel], tuple[str | int, ...]]] = [(body, model, key)]
-    inner: dict[str, type[BaseModel]] = {"keyframes": _KeyframeEntry, "gaps": GapEntry}
-    for name, of in inner.items():
-        items = body.get(name)
-        parts += [(item, of, (*key, name, i)) for i, item in enumerate(items if isinstance(items, list) else [])]
-    for part, of, at in parts:
-        known = [field.alias or name for name, field in of.model_fields.items()]
-        for word in part if isinstance(part, dict) else ():
-            if word not in known:
-                raise located.error(f"no such key{did_you_mean(str(word), known)}", *at, word)
 
 
 def read_chain(located: Located, entry: ChainEntry, feature_set: FeatureSet, rate_hz: float, *key: str | int) -> Chain:

@@ -12,7 +12,7 @@ from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.mirror import mirrored
 from kinedex.catalog.queries.gap_entries import read_gap
-from kinedex.catalog.queries.keyframe_entries import Chain, ChainEntry, read_chain, refuse_unknown_keys
+from kinedex.catalog.queries.keyframe_entries import Chain, ChainEntry, read_chain
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery
 from kinedex.ops.errors import ConfigError, did_you_mean
 
@@ -131,7 +131,6 @@ class QueryReader:
         """Check one query as it is written, without what it refers to."""
         if not isinstance(body, dict):
             raise self.located.error("a query is a mapping with `keyframes` and `gaps`", *key)
-        refuse_unknown_keys(self.located, body, QueryEntry, *key)
         entry = self.located.model(QueryEntry, *key, data=body)
         kinds = [kind for kind in STRUCTURE if getattr(entry, kind) is not None]
         if len(kinds) != 1:
@@ -203,7 +202,6 @@ class QueryReader:
 
     def _in_other_file(self, item: dict[Any, Any], within: _Within, *key: str | int) -> list[Chain]:
         """Return the chains of a query of another file."""
-        refuse_unknown_keys(self.located, item, ReferenceEntry, *key)
         reference = self.located.model(ReferenceEntry, *key, data=item)
         path = referred_path(self.located, reference.file, *key, "file")
         other = self.files.get(path.resolve())
@@ -237,7 +235,6 @@ class QueryReader:
                     *key,
                     i,
                 )
-            refuse_unknown_keys(self.located, item, StepEntry, *key, i)
             step = self.located.model(StepEntry, *key, i, data=item)
             gap = self._gap(step, *key, i)
             later = self._item(step.then, within, *key, i, "then")
