@@ -103,7 +103,7 @@ def labelled(store: Store, drawn: Draw, seed: int, executor: Executor) -> Iterat
     """Yield a row for each unlabelled take and method: its label, and its frames labelled right and wrong."""
     rows = {row["take_id"]: row for row in drawn.rest.iter_rows(named=True)}
     for method, annotator in annotators(store, drawn.examples, executor).items():
-        for batch in annotate_stored(store.path, annotator, drawn.rest, executor, False):
+        for batch in annotate_stored(store, annotator, drawn.rest, executor, False):
             for one in batch:
                 row = rows[one.take_id]
                 covered = np.zeros((len(annotator.classes), row["frames"]), bool)

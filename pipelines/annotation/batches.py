@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,7 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import whole_takes
 from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
-from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.store import Store
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -53,21 +52,21 @@ class TakeAnnotation:
 class Batch:
     """Takes that one worker annotates."""
 
-    store: Path
+    store: Store
     annotator: Annotator
     take_ids: tuple[int, ...]
     store_curves: bool
 
 
 def annotate_stored(
-    store: Path, annotator: Annotator, takes: pl.DataFrame, executor: Executor, store_curves: bool
+    store: Store, annotator: Annotator, takes: pl.DataFrame, executor: Executor, store_curves: bool
 ) -> Iterator[list[TakeAnnotation]]:
     """Annotate takes of a store in batches.
 
     Parameters
     ----------
-    store : Path
-        The folder of the store, which workers open.
+    store : Store
+        The store, of which workers get this version.
     annotator : Annotator
         All that the annotations depend on.
     takes : polars.DataFrame
@@ -98,8 +97,8 @@ def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[in
 
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
     """Read the words of a batch and annotate them, in a worker."""
-    store = open_store(batch.store, at="newest")
-    return annotate_words(batch.annotator, store.words(batch.take_ids), batch.store_curves, store)
+    words = batch.store.words(batch.take_ids)
+    return annotate_words(batch.annotator, words, batch.store_curves, batch.store)
 
 
 def annotate_words(

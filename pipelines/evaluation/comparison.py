@@ -209,7 +209,8 @@ def _swept(params: ComparisonParameters) -> list[Method]:
 
 def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTake]:
     """Run the cells that are not in the store yet, and store them."""
-    known = known_cells(context.open().result("method_cells", pipeline=context.pipeline))
+    store = context.open()
+    known = known_cells(store.result("method_cells", pipeline=context.pipeline))
     distinct = list({cell.key: cell for cell in cells}.values())
 
     def save(found: Mapping[str, SegmentsByTake]) -> None:
@@ -219,7 +220,7 @@ def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTa
     if already:
         context.say(f"{already} of {len(distinct)} cells are known")
     with context.progress("cells", len(distinct)) as progress:
-        found = run_cells(distinct, context.store_path, context.executor, known, save, progress.advance)
+        found = run_cells(distinct, store, context.executor, known, save, progress.advance)
     save(found)
     return found
 

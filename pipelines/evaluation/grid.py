@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -23,7 +22,7 @@ from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.evaluation.scheme import Method
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.store import Store
 
 CODE = "kinedex.pipelines.evaluation.grid:annotate_task"
 """A cell depends on the code that this function reaches, and on that of its method."""
@@ -71,7 +70,7 @@ class Cell:
 class Task:
     """Some takes of one cell, for one worker."""
 
-    store: Path
+    store: Store
     annotator: Annotator
     test_takes: tuple[TestTake, ...]
 
@@ -94,7 +93,7 @@ def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
 
 def run_cells(
     cells: Sequence[Cell],
-    store: Path,
+    store: Store,
     executor: Executor,
     known: Mapping[str, SegmentsByTake],
     save: Callable[[Mapping[str, SegmentsByTake]], None],
@@ -106,8 +105,8 @@ def run_cells(
     ----------
     cells : sequence of Cell
         The cells; those of the same key are computed once.
-    store : Path
-        The folder of the store, which workers open.
+    store : Store
+        The store, of which workers get this version.
     executor : Executor
         The workers.
     known : mapping of str to SegmentsByTake
@@ -145,7 +144,7 @@ def run_cells(
 def annotate_task(task: Task) -> SegmentsByTake:
     """Annotate some takes, in a worker."""
     ids = sorted({take_id for test_take in task.test_takes for take_id in test_take.take_ids})
-    words = open_store(task.store, at="newest").words(ids)
+    words = task.store.words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
     laid_out = [
         np.concatenate([words.take(place[take_id]) for take_id in test_take.take_ids]) for test_take in task.test_takes

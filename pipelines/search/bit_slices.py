@@ -1,7 +1,7 @@
 """Bit slices of the takes of a store or of words in memory, and the search of any number of queries in them.
 
 The slices of an index are files that every process maps read-only: however many processes and threads search, memory
-holds them once, and only the parts that were searched. Slicing words in memory takes some 20 ns a frame.
+holds them once. Slicing words in memory takes some 20 ns a frame.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ def _annotate(
     def curves() -> Iterator[pa.Table]:
         yield from kept.curves(known.again, context.run)
         with context.progress("takes", new.height) as progress:
-            for batch in annotate_stored(context.store_path, annotator, new, context.executor, params.store_curves):
+            for batch in annotate_stored(writer.store, annotator, new, context.executor, params.store_curves):
                 segments.append(annotations_table(batch, annotator, names, writer.store.rate_hz, context.run))
                 searched.update((one.take_id, float(one.preselected.mean())) for one in batch)
                 progress.advance(len(batch))

@@ -1,7 +1,7 @@
 """Slice files: the bit slices of one shard each, written once and mapped by every process that searches.
 
-All processes of a machine share the mapped pages, and only pages that are used are read. A mapped file stays readable
-after it has been removed (Windows refuses to remove it).
+All processes of a machine share the mapped pages. A mapped file stays readable after it has been removed (Windows
+refuses to remove it).
 
 The file is little-endian. Its head has 64 bytes: the eight letters of `MAGIC`, then as uint64 `LAYOUT` and the numbers
 of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (T,), ascending, and the arrays of

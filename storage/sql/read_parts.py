@@ -85,4 +85,5 @@ def _reads_catalogue(names: Names) -> bool:
 
 def _described_by(parts: Iterable[Part | ResultPart]) -> Iterator[Part | ResultPart]:
     """Yield the parts from which DuckDB takes the columns of a view: the first one of each of its scans."""
-    return iter({bool(part.dropped_rows): part for part in reversed(list(parts))}.values())
+    scans = {(bool(part.dropped_rows), getattr(part, "columns", 0)): part for part in reversed(list(parts))}
+    return iter(scans.values())
