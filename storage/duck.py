@@ -116,9 +116,11 @@ def result_rows(schema: pa.Schema, files: Sequence[tuple[Path, int]]) -> str:
         return f"SELECT {', '.join(null_columns(schema))} WHERE false"
     branches = []
     for width in sorted({width for _, width in files}):
-        held, lacking = schema.names[:width], list(schema)[width:]
-        columns = ", ".join([*map(identifier, held), *null_columns(lacking)]) if lacking else "*"
-        branches.append(f"SELECT {columns} FROM {_read_parquet([file for file, count in files if count == width])}")
+        lacking = null_columns(list(schema)[width:])
+        # every column stands with its table: a bare name could be taken for an argument of a macro
+        held = [f"part.{identifier(name)}" for name in schema.names[:width]] if lacking else ["*"]
+        scan = _read_parquet([file for file, count in files if count == width])
+        branches.append(f"SELECT {', '.join([*held, *lacking])} FROM {scan} AS part")
     return "\nUNION ALL ".join(branches)
 
 

@@ -17,7 +17,9 @@ def running_command() -> str:
     program, *arguments = sys.argv or [""]
     path = Path(program)
     name = path.parent.name if path.name == "__main__.py" else path.name
-    text = shlex.join([name or "python", *arguments])
+    # a program that was given to Python as a text has no name
+    program_words = [name] if name and not name.startswith("-") else ["python", *filter(None, [name])]
+    text = shlex.join([*program_words, *arguments])
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
 
 

@@ -71,8 +71,9 @@ invalid_frames    BIGINT    frames without a word, because joints were not seen
 actor    VARCHAR    who moves, as `patterns` of ingest say
 class    VARCHAR    what a clip shows (its subclass); NULL for other takes
 clip    VARCHAR    number of the clip, as the patterns say
-groups    VARCHAR    JSON: what else the patterns say
+groups    VARCHAR    JSON: all further named groups of the patterns, which are columns of their own, too
 warnings    VARCHAR[]    reservations about the file
+known    UBIGINT    mask of the features that the body has joints for, with the bits of a word; NULL stands for all
 """),
         "SELECT name, actor, seconds, warnings FROM takes WHERE class IS NULL ORDER BY seconds DESC LIMIT 10",
     ),

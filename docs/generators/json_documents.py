@@ -75,6 +75,23 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "to_run": "commands that make results again, which failed now",
         "faults": "number of findings that are left (exit code 1 where there are any)",
     },
+    "upgrade": {
+        **_STORE,
+        "dry_run": "true where nothing was changed",
+        "before": "format that the store had",
+        "version": "version of the store afterwards",
+        "parts": "number of parts that were checked; 0 where the store has the present format",
+        "bytes": "their size",
+        "takes_parts": "number of parts of takes that were written again",
+        "columns": "columns that takes got, from named groups",
+        "damaged": "parts that were kept although they are damaged or missing",
+        "index_built": "true where the index had to be built again",
+    },
+    "versions": {
+        **_STORE,
+        "versions": "for each its `version`, `created`, `format`, `kinedex`, `command`, `changes`, `takes`, whether it "
+        "has an `index`, and the `problem` of one that cannot be read",
+    },
     "gc": {
         **_STORE,
         "dry_run": "true where nothing was removed",

@@ -1,4 +1,4 @@
-"""Commands that look after files and stores: inspect, verify, repair, gc, version."""
+"""Commands that look after files and stores: inspect, verify, repair, upgrade, versions, gc, version."""
 
 from __future__ import annotations
 
@@ -145,6 +145,52 @@ def repair(
         raise KinedexError(f"{store}: {len(done.remaining)} parts or files are still damaged")
     if not dry_run:
         print(f"{store}: {'repaired' if done.found else 'nothing is damaged'}")
+
+
+@command(MAINTAIN)
+def upgrade(
+    store: StorePath,
+    keep_damaged: Annotated[
+        bool, typer.Option("--keep-damaged", help="Convert it with its damaged parts, for `kinedex repair` to repair.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Report what would be done; check no checksum, and change nothing.")
+    ] = False,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Convert a store of an older format.
+
+    Takes and results stay as they are, and so does the old version until `kinedex gc` removes it. An upgrade that was
+    interrupted goes on where it was when it is run again.
+    """
+    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.storage.snapshot.manifest import read_newest
+    from kinedex.storage.store import upgrade as upgrading
+
+    parts = len(read_newest(store).parts)
+    with Terminal().progress("checking parts", parts) as bar:
+        done = upgrading.upgrade(
+            store, keep_damaged=keep_damaged, dry_run=dry_run, wait=wait_of(wait), progress=lambda _: bar.advance()
+        )
+    if as_json:
+        print_json({"store": store, "dry_run": dry_run, **asdict(done)})
+        return
+    for line in upgrading.summary(store, done, dry_run=dry_run):
+        print(line)
+
+
+@command(MAINTAIN)
+def versions(store: StorePath, as_json: JsonOption = False) -> None:
+    """List the versions of a store and what each changed."""
+    from kinedex.pipelines.commands.output import show_table
+    from kinedex.storage.store.version_changes import list_versions, versions_table
+
+    found = list_versions(store)
+    if as_json:
+        print_json({"store": store, "versions": [asdict(version) for version in found]})
+        return
+    show_table(versions_table(found), "table", None)
 
 
 @command(MAINTAIN)

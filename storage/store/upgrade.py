@@ -16,6 +16,8 @@ import yaml
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import TEMPORARY, FileSums, sync_file, write_errors
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import current_generation, generations
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import upgrade_with_damage
@@ -40,6 +42,8 @@ from kinedex.storage.snapshot.schemas import (
     takes_schema,
     with_columns,
 )
+from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.garbage_collection import shown_bytes
 from kinedex.storage.store.write_access import FOLDERS
 
 PROGRESS = f"{TEMPORARY}upgrade.jsonl"
@@ -68,6 +72,8 @@ class Upgrade:
         Columns that takes get, from the named groups of source patterns.
     damaged : tuple of str
         Damaged or missing parts that stay as they are.
+    index_built : bool
+        True if the index, which was of an older kinedex, was built again.
     """
 
     before: int
@@ -77,6 +83,7 @@ class Upgrade:
     takes_parts: int = 0
     columns: tuple[str, ...] = ()
     damaged: tuple[str, ...] = ()
+    index_built: bool = False
 
 
 def upgrade(
@@ -90,9 +97,10 @@ def upgrade(
     """Convert a store to the present format.
 
     Every part is compared with its SHA-256 and gets its XXH3; parts of takes whose patterns have named groups are
-    written again with these as columns. Takes, their ids, results, records of stages and index stay valid, so that
-    no stage runs again because of it. All of it becomes visible in one step, as a new version. A killed upgrade goes
-    on where it was when it is run again.
+    written again with these as columns. Takes, their ids, results and records of stages stay valid, so that no stage
+    runs again because of it. All of it becomes visible in one step, as a new version. A killed upgrade goes on where it
+    was when it is run again. The index stays, too, unless the files of indexes have changed since: then it is built
+    again at the end.
 
     Parameters
     ----------
@@ -139,7 +147,34 @@ def upgrade(
         made = _upgraded(root, manifest, sums, columns, again)
         publish(root, made)
         (root / FOLDER / PROGRESS).unlink(missing_ok=True)
-        return _summary(manifest, made.version, columns, again, damaged)
+    done = _summary(manifest, made.version, columns, again, damaged)
+    if damaged or not generations(root) or current_generation(root, made) is not None:
+        return done
+    build_index(Snapshot(root, made))
+    return replace(done, index_built=True)
+
+
+def summary(store: str | Path, done: Upgrade, *, dry_run: bool = False) -> list[str]:
+    """Describe an upgrade in lines of text."""
+    if done.before == FORMAT_VERSION:
+        return [f"{store} has format {FORMAT_VERSION} already: nothing to do"]
+    columns = f"; takes get the columns {', '.join(done.columns)}" if done.columns else ""
+    parts = f"{done.parts} parts of {shown_bytes(done.bytes)}"
+    if dry_run:
+        again = f"{done.takes_parts} parts of takes would be written again"
+        return [f"would convert {store} from format {done.before} to {FORMAT_VERSION}: check {parts}; {again}{columns}"]
+    lines = [
+        f"converted {store} from format {done.before} to {FORMAT_VERSION}: {parts} checked, {done.takes_parts} parts "
+        f"of takes written again{columns}; version {done.version}"
+    ]
+    lines += ["the index was built again"] if done.index_built else []
+    lines += [f"✗ {path}: is damaged or missing, and was kept" for path in done.damaged]
+    lines.append(
+        f"`kinedex repair {store}` repairs what is damaged"
+        if done.damaged
+        else f"version {done.version - 1} stays as it was; `kinedex gc {store}` removes old versions"
+    )
+    return lines
 
 
 def _summary(

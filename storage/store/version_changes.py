@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.generations import current_generation
-from kinedex.storage.snapshot.manifest import read_version, versions
+from kinedex.storage.snapshot.manifest import read_newest, read_version, versions
 
 COUNTS = (
     "takes_added",
@@ -81,15 +83,23 @@ class Version:
     format: int = 0
     kinedex: str = ""
     command: str = ""
-    changes: Mapping[str, Any] | None = None
+    changes: dict[str, Any] = field(default_factory=dict)
     takes: int = 0
     index: bool = False
     problem: str = ""
 
 
 def list_versions(store: Path) -> list[Version]:
-    """Return all versions of a store, oldest first; of one that cannot be read only its number and the reason."""
+    """Return all versions of a store, oldest first; of one that cannot be read only its number and the reason.
+
+    Raises
+    ------
+    StoreError
+        There is no store.
+    """
     found = []
+    if not versions(store):
+        read_newest(store)
     for number in versions(store):
         try:
             manifest = read_version(store, number)
@@ -109,3 +119,41 @@ def list_versions(store: Path) -> list[Version]:
             )
         )
     return found
+
+
+def versions_table(found: Iterable[Version]) -> pa.Table:
+    """Return versions as a table for people, the newest last."""
+    rows = [
+        {
+            "version": one.version,
+            "time": one.created,
+            "takes": None if one.problem else one.takes,
+            "index": None if one.problem else "yes" if one.index else "no",
+            "changes": one.problem or described(one.changes) or None,
+            "command": one.command or None,
+        }
+        for one in found
+    ]
+    kinds = (pa.int64(), pa.string(), pa.int64(), pa.string(), pa.string(), pa.string())
+    names = ("version", "time", "takes", "index", "changes", "command")
+    return pa.Table.from_pylist(rows, schema=pa.schema(list(zip(names, kinds, strict=True))))
+
+
+def described(changes: Mapping[str, Any]) -> str:
+    """Describe the changes of a version in words, such as "3 takes added, annotate/ingest done"."""
+    return ", ".join(_phrase(fact, value) for fact, value in changes.items())
+
+
+def _phrase(fact: str, value: Any) -> str:
+    if fact in COUNTS:
+        noun, _, verb = fact.partition("_")
+        noun = noun.removesuffix("s") if value == 1 else noun
+        return f"{value:,} {noun} {verb}".rstrip()
+    names = ", ".join(value) if isinstance(value, list) else str(value)
+    return {
+        "stages_begun": f"{names} begun",
+        "stages_done": f"{names} done",
+        "results": f"results: {names}",
+        "columns": f"columns: {names}",
+        "upgraded_from": f"upgraded from format {names}",
+    }.get(fact, f"{fact.replace('_', ' ')}: {names}")

@@ -257,6 +257,8 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "inspect": document("inspect", source / "takes/x_aa_take01.amc", "--picture", tmp_path / "x.png"),
         "verify": document("verify", store),
         "repair": document("repair", store, "--dry-run"),
+        "upgrade": document("upgrade", store),
+        "versions": document("versions", store),
         "gc": document("gc", store, "--dry-run"),
         "version": document("version"),
     }
@@ -346,7 +348,7 @@ def test_shells_get_a_completion_script_and_names_of_commands() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "kinedex"], env=os.environ | asked, capture_output=True, text=True, check=False
     )
-    assert done.stdout.split() == ["verify", "version"]
+    assert done.stdout.split() == ["verify", "versions", "version"]
 
 
 @pytest.mark.parametrize("words", [["--help"], ["takes", "--help"], ["--version"]])
