@@ -5,6 +5,7 @@ DuckDB and polars are imported when they are first used: a keyframe search from 
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -216,7 +217,10 @@ class Store(Snapshot):
         """
         from kinedex.storage.sql.connection import connect
 
-        return connect(self, threads, memory_mb)
+        connection = connect(self, threads, memory_mb)
+        # it reads the parts for as long as it is there, whatever becomes of this object
+        weakref.finalize(connection, _release, self._take_lease()).atexit = False
+        return connection
 
     @overload
     def sql(
@@ -334,6 +338,10 @@ class Store(Snapshot):
     def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...], CheckedFiles]]:
         # a worker gets the same version, with a lease and connections of its own
         return Store, (self.path, self.manifest, self._files, self.checked)
+
+
+def _release(lease: Lease) -> None:
+    lease.release()
 
 
 def data_frame(table: pa.Table) -> pl.DataFrame:
