@@ -177,8 +177,8 @@ def intervals(store: Store, run: str) -> tuple[tuple[float, float, float], tuple
     counts = [Counts(**row) for row in rows.filter(pl.col("scope") == "take").select(names).iter_rows(named=True)]
     total = sum(counts, Counts())
     return (
-        (total.f1, *bootstrap(counts, lambda drawn: drawn.f1)),
-        (total.f2, *bootstrap(counts, lambda drawn: drawn.f2)),
+        (total.f1, *bootstrap(lambda drawn: drawn.f1, counts)),
+        (total.f2, *bootstrap(lambda drawn: drawn.f2, counts)),
     )
 
 

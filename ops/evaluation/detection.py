@@ -17,6 +17,9 @@ F64 = npt.NDArray[np.float64]
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """The usual thresholds of intersection over union."""
 
+LEVEL = 0.95
+"""The share of draws within an interval."""
+
 
 class Detection(NamedTuple):
     """An automatic segment of one class.
@@ -135,26 +138,18 @@ def boundary_errors(found: Sequence[Detection], known: Sequence[TrueSegment]) ->
     return np.array(errors, np.int64).reshape(-1, 2)
 
 
-def bootstrap(
-    of_takes: Sequence[Counts],
-    measure: Callable[[Counts], float],
-    draws: int = 1000,
-    level: float = 0.95,
-    seed: int = 0,
-) -> tuple[float, float]:
-    """Return a confidence interval of a measure over takes, which are drawn with replacement and their counts pooled.
+def bootstrap(measure: Callable[..., float], *of_takes: Sequence[Counts], draws: int = 1000) -> tuple[float, float]:
+    """Return a 95 % interval of a measure over takes, which are drawn with replacement and their counts pooled.
 
     Parameters
     ----------
-    of_takes : sequence of Counts
-        The counts of each take.
     measure : callable
-        For instance `lambda counts: counts.f1`.
+        Of the pooled counts of each evaluation; for instance `lambda counts: counts.f1`, or of two evaluations
+        `lambda ours, theirs: theirs.f1 - ours.f1`.
+    *of_takes : sequences of Counts
+        The counts of the same takes in each evaluation.
     draws : int
         How often takes are drawn.
-    level : float
-        The share of draws within the interval.
-    seed : int
 
     Returns
     -------
@@ -164,19 +159,18 @@ def bootstrap(
     Raises
     ------
     ParameterError
-        If the level is not in (0, 1), or there is no draw.
+        If there is no draw.
     """
-    if not 0.0 < level < 1.0:
-        raise ParameterError("level", "above 0 and below 1", level)
     if draws < 1:
         raise ParameterError("draws", "1 or more", draws)
-    if not of_takes:
+    takes = len(of_takes[0])
+    if not takes:
         return math.nan, math.nan
-    matrix = np.array([tuple(vars(one).values()) for one in of_takes], np.int64)
-    drawn = np.random.default_rng(seed).integers(len(matrix), size=(draws, len(matrix)))
-    values = np.array([measure(Counts(*map(int, matrix[takes].sum(axis=0)))) for takes in drawn])
+    counts = [np.array([tuple(vars(one).values()) for one in evaluation], np.int64) for evaluation in of_takes]
+    drawn = np.random.default_rng(0).integers(takes, size=(draws, takes))
+    values = np.array([measure(*(Counts(*map(int, one[some].sum(axis=0))) for one in counts)) for some in drawn])
     values = values[~np.isnan(values)]
     if not len(values):
         return math.nan, math.nan
-    low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return float(low), float(high)

@@ -153,7 +153,6 @@ def find_consensus(
     tolerance: int,
     seed: int | tuple[int, ...],
     at_least: AtLeast = "median",
-    agreements: Sequence[float] = AGREEMENTS,
 ) -> Consensus:
     """Make one query of many runs: the keyframes that recur most, with gaps tuned by mutations.
 
@@ -169,8 +168,6 @@ def find_consensus(
         The seed of the mutations.
     at_least : {"median", "best"}
         The run that the consensus must not rank below.
-    agreements : sequence of float
-        See `AGREEMENTS`.
 
     Returns
     -------
@@ -193,7 +190,7 @@ def find_consensus(
     wanted = best.rank if at_least == "best" else median
     tuned: tuple[float, LearningRun] | None = None
     tried: set[tuple[bytes, ...]] = set()
-    for agreement in agreements:
+    for agreement in AGREEMENTS:
         query = recurring_keyframes([run.query for run in runs], agreement, tolerance, features)
         if query is None or query.key() in tried:
             continue

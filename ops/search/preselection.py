@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,25 +14,6 @@ from kinedex.ops.words import I64
 
 _COST_UNIT = 2**40
 """Costs are compared as whole numbers of this unit, so that ties are ties and not a matter of rounding."""
-
-
-@dataclass(frozen=True)
-class KeyframeFit:
-    """The template columns that the keyframes of a query fit best.
-
-    Parameters
-    ----------
-    positions : tuple of int
-        Template columns, one for each keyframe.
-    cost : float
-        The mean share of fixed entries that mismatch.
-    admissible : bool
-        False where no placement keeps the gaps of the query inside the template; the keyframes are then only in order.
-    """
-
-    positions: tuple[int, ...]
-    cost: float
-    admissible: bool
 
 
 def template_margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
@@ -75,7 +55,7 @@ def fit_keyframes(
     masks: npt.NDArray[np.bool_],
     values: npt.NDArray[np.bool_],
     gaps: Sequence[tuple[int, int]],
-) -> KeyframeFit:
+) -> tuple[int, ...]:
     """Find the template columns at which the keyframes of a query fit best under its gaps.
 
     The cost of a keyframe in a column is the mean of |template - value| over its fixed entries: the share of those that
@@ -94,9 +74,9 @@ def fit_keyframes(
 
     Returns
     -------
-    KeyframeFit
-        The cheapest columns p_1 <= ... <= p_K with admissible gaps. Of equally cheap placements the leftmost is taken,
-        by the first keyframe first.
+    tuple of int
+        The cheapest columns p_1 <= ... <= p_K with admissible gaps, or in any order-preserving place where no gaps are
+        admissible. Of equally cheap placements the leftmost is taken, by the first keyframe first.
 
     Raises
     ------
@@ -113,12 +93,10 @@ def fit_keyframes(
     share = misfit / np.maximum(masks.sum(axis=1), 1)[:, None]
     costs = np.round(share * _COST_UNIT).astype(np.int64)
     positions = _cheapest(costs, gaps)
-    admissible = positions is not None
     if positions is None:
         positions = _cheapest(costs, [(0, UNBOUNDED)] * len(gaps))
         assert positions is not None
-    cost = float(np.mean([share[k, column] for k, column in enumerate(positions)]))
-    return KeyframeFit(tuple(positions), cost, admissible)
+    return tuple(positions)
 
 
 def _cheapest(costs: I64, gaps: Sequence[tuple[int, int]]) -> list[int] | None:

@@ -67,8 +67,8 @@ JOG = Gait(
 )  # fmt: skip
 
 
-def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, close: bool = True) -> list[float]:
-    """Walk some steps, and stand still at the end if `close` is set.
+def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0) -> list[float]:
+    """Walk some steps, and stand still at the end.
 
     Parameters
     ----------
@@ -82,8 +82,6 @@ def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, clo
         Number of steps.
     curve : float
         Change of direction per step, degrees, to the left.
-    close : bool
-        If True, the last step brings the feet together.
 
     Returns
     -------
@@ -108,11 +106,10 @@ def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0, clo
         score.after(span)
         times.append(score.now)
         side = "r" if side == "l" else "l"
-    if close:
-        span = score.beat(min(0.9 * gait.seconds + 0.1, 0.62))
-        _close(score, gait, side, span, (x, z), heading)
-        score.after(span)
-        times.append(score.now)
+    span = score.beat(min(0.9 * gait.seconds + 0.1, 0.62))
+    _close(score, gait, side, span, (x, z), heading)
+    score.after(span)
+    times.append(score.now)
     return times
 
 

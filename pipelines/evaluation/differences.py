@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-import numpy as np
-
+from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
@@ -16,7 +15,6 @@ LEAST = 0.005
 """A measure that changes by less than this is the same."""
 
 LEVELS = ("f1", "f2")
-DRAWS = 1000
 NAMES = ("name", "title")
 """These settings only name a method."""
 
@@ -143,7 +141,7 @@ def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -
     return Comparison(
         *names,
         _change("all", *((pooled(ours), pooled(theirs)) if both else (a.pooled, b.pooled))),
-        {level: difference_interval(ours, theirs, _measure(level)) for level in LEVELS},
+        {level: bootstrap(_difference_of(level), ours, theirs) for level in LEVELS},
         () if apart else tuple(_changes(a.classes, b.classes)),
         tuple(_changes(a.takes, b.takes)),
         len(both) if a.takes or b.takes else None,
@@ -238,38 +236,6 @@ def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
     return found
 
 
-def difference_interval(
-    a: Sequence[Counts], b: Sequence[Counts], measure: Callable[[Counts], float]
-) -> tuple[float, float]:
-    """Return a 95 % interval of the difference B − A of a measure, by bootstrap over the takes of both.
-
-    Parameters
-    ----------
-    a, b : sequence of Counts
-        The counts of the same takes in both evaluations.
-    measure : callable
-        Returns the measure of counts.
-
-    Returns
-    -------
-    (float, float)
-        The percentile interval; NaN twice where there are no takes, or the difference is never defined.
-    """
-    if not a:
-        return math.nan, math.nan
-    ours, theirs = (np.array([tuple(vars(one).values()) for one in counts], np.int64) for counts in (a, b))
-    drawn = np.random.default_rng(0).integers(len(a), size=(DRAWS, len(a)))
-    values = [
-        measure(Counts(*map(int, theirs[takes].sum(axis=0)))) - measure(Counts(*map(int, ours[takes].sum(axis=0))))
-        for takes in drawn
-    ]
-    known = [value for value in values if not math.isnan(value)]
-    if not known:
-        return math.nan, math.nan
-    low, high = np.quantile(known, [0.025, 0.975])
-    return float(low), float(high)
-
-
 def content(comparisons: Sequence[Comparison]) -> dict[str, object]:
     """Return comparisons as JSON values."""
     return {
@@ -326,5 +292,5 @@ def _difference(pair: Pair) -> float | None:
     return b - a
 
 
-def _measure(name: str) -> Callable[[Counts], float]:
-    return lambda counts: float(getattr(counts, name))
+def _difference_of(level: str) -> Callable[[Counts, Counts], float]:
+    return lambda ours, theirs: float(getattr(theirs, level) - getattr(ours, level))

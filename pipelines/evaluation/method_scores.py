@@ -149,7 +149,7 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
             for group in groups
         },
         by_take,
-        {name: bootstrap(every, measure, draws) for name, measure in measures.items()},
+        {name: bootstrap(measure, every, draws=draws) for name, measure in measures.items()},
         {threshold: _mean([class_precision[label][threshold] for label in labels]) for threshold in THRESHOLDS},
         class_precision,
         confusion(outcome, test_takes, labels),

@@ -115,7 +115,7 @@ def template_window(
                         raise KinedexError(f"query '{query.name}' asks for F{number}, the template has {features}")
                     masks[k, number - 1] = True
                     values[k, number - 1] = keyframe.value >> bit & 1
-        positions = fit_keyframes(template, masks, values, query.bounds).positions
+        positions = fit_keyframes(template, masks, values, query.bounds)
     elif positions[-1] >= columns and query.margins is None:
         raise KinedexError(
             f"query '{query.name}' puts a keyframe in template column {positions[-1]}, but the template has {columns}"

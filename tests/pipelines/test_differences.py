@@ -11,11 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
 from kinedex.pipelines.evaluation.difference_tables import markdown, page
-from kinedex.pipelines.evaluation.differences import compared, content, difference_interval, without_repeats
+from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, without_repeats
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
 from tests.pipelines.study import Reading
 
@@ -151,9 +152,9 @@ def test_the_same_comparison_is_shown_once() -> None:
 
 def test_the_interval_of_no_difference_is_nothing() -> None:
     same = [counts(3), counts(7)]
-    assert difference_interval(same, same, lambda one: one.f1) == (0.0, 0.0)
-    assert all(math.isnan(end) for end in difference_interval([], [], lambda one: one.f1))
-    assert all(math.isnan(end) for end in difference_interval([Counts()], [Counts()], lambda one: one.f1))
+    assert bootstrap(_difference_of("f1"), same, same) == (0.0, 0.0)
+    assert all(math.isnan(end) for end in bootstrap(_difference_of("f1"), [], []))
+    assert all(math.isnan(end) for end in bootstrap(_difference_of("f1"), [Counts()], [Counts()]))
 
 
 def test_a_class_that_goes_up_in_frames_and_down_in_segments_is_mixed() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 
 import pytest
 from hypothesis import given
@@ -59,13 +60,16 @@ def test_boundaries_are_compared_with_the_segment_that_overlaps_most() -> None:
     assert boundary_errors([], [TrueSegment("take", 0, 10)]).shape == (0, 2)
 
 
+F1 = attrgetter("f1")
+
+
 def test_the_interval_of_takes_that_are_alike_is_narrow_and_of_unlike_ones_wide() -> None:
     good, bad = Counts(10, 10, 10, 1, 1, 1, 1), Counts(0, 10, 10, 0, 1, 0, 1)
-    assert bootstrap([good] * 5, lambda counts: counts.f1) == (1.0, 1.0)
-    low, high = bootstrap([good] * 5 + [bad] * 5, lambda counts: counts.f1)
+    assert bootstrap(F1, [good] * 5) == (1.0, 1.0)
+    low, high = bootstrap(F1, [good] * 5 + [bad] * 5)
     assert 0.1 < low < 0.5 < high < 0.9
-    assert bootstrap([good, bad], lambda counts: counts.f1) == bootstrap([good, bad], lambda counts: counts.f1)
-    assert all(math.isnan(edge) for edge in bootstrap([], lambda counts: counts.f1))
+    assert bootstrap(F1, [good, bad]) == bootstrap(F1, [good, bad])
+    assert all(math.isnan(edge) for edge in bootstrap(F1, []))
 
 
 def test_what_makes_no_sense_is_refused() -> None:
@@ -74,4 +78,4 @@ def test_what_makes_no_sense_is_refused() -> None:
     with pytest.raises(ParameterError, match="known must be"):
         average_precision([], [TrueSegment("take", 3, 3)], 0.5)
     with pytest.raises(ParameterError, match="draws must be"):
-        bootstrap([Counts()], lambda counts: counts.f1, draws=0)
+        bootstrap(F1, [Counts()], draws=0)
