@@ -12,13 +12,14 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.attacks import kills, power_loss, sql_writes
+from tests.attacks import fuzz, kills, power_loss, sql_writes
 from tests.attacks.outcome import Attack, Options, Outcome
 
 ATTACKS: dict[str, Attack] = {
     "sql": sql_writes.run,
     "kills": kills.run,
     "power": power_loss.run,
+    "fuzz": fuzz.run,
 }
 """All attacks by name, in the order in which they run."""
 

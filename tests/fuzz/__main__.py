@@ -1,4 +1,4 @@
-"""`python -m tests.fuzz`: mutants of valid files against every reader, for some seconds each."""
+"""`python -m tests.fuzz`: broken files against every reader, for some seconds each."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
+from tests.fuzz.guided import hunt_guided
 from tests.fuzz.hunt import Finding, Report, attempt, each, hunt
 from tests.fuzz.targets import TARGETS, Target
 
@@ -22,6 +23,7 @@ def main() -> int:
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(TARGETS)}; all unless given")
     parser.add_argument("--seconds", type=float, default=20.0, help="how long for each target")
     parser.add_argument("--seed", type=int, default=0, help="the same seed makes the same mutants")
+    parser.add_argument("--mutator", choices=("bytes", "structure", "guided"), default="bytes", help="makes the files")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="targets at the same time")
     parser.add_argument("--file", type=Path, help="read this file once, as the one target named does")
     given = parser.parse_args()
@@ -34,7 +36,11 @@ def main() -> int:
             parser.error("--file needs the name of one target")
         return _again(targets[0], given.file)
     found: list[Finding] = []
-    work = partial(hunt, seed=given.seed, seconds=given.seconds, folder=FOLDER)
+    work = partial(
+        hunt_guided if given.mutator == "guided" else hunt, seed=given.seed, seconds=given.seconds, folder=FOLDER
+    )
+    if given.mutator == "structure":
+        work = partial(work, mutator="structure")
     for report in each(targets, work, given.jobs):
         found += report.findings
         _show(report)

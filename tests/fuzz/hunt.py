@@ -19,8 +19,10 @@ from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
+from typing import Literal
 
 from tests.fuzz.mutations import mutate
+from tests.fuzz.structure import change_structure
 from tests.fuzz.targets import Target
 
 CASE_SECONDS = 5.0
@@ -58,26 +60,44 @@ class Report:
     findings: list[Finding] = field(default_factory=list)
 
 
-def mutant(target: Target, seed: int, case: int) -> bytes:
-    """One case: the same seed and number always make the same bytes."""
+Mutator = Literal["bytes", "structure"]
+"""The mutators of which every case can be repeated by its number; `tests.fuzz.guided` is a third one."""
+
+
+def mutant(target: Target, seed: int, case: int, mutator: Mutator = "bytes") -> bytes:
+    """Return the file of one case: the same seed and number always make the same bytes."""
     random = Random(f"{target.name}/{seed}/{case}")
     seeds = _seeds(target)
-    return mutate(seeds[random.choice(sorted(seeds))], target.mutations, random, target.largest)
+    data = seeds[random.choice(sorted(seeds))]
+    if mutator == "structure":
+        return change_structure(data, target.ending, random)[: target.largest]
+    return mutate(data, target.mutations, random, target.largest)
 
 
-def hunt(target: Target, seed: int, seconds: float, folder: Path, first: int = 0, cases: int | None = None) -> Report:
-    """Read mutants for some time, each in a child process with limits, and write down what goes wrong.
+def hunt(
+    target: Target, seed: int, seconds: float, folder: Path, cases: int | None = None, mutator: Mutator = "bytes"
+) -> Report:
+    """Read mutants for some time, each in a child process with limits, and write those that go wrong into a folder.
 
     Parameters
     ----------
-    seed: of the mutants. seconds: how long. folder: where findings are written. first: the number of the first case.
-    cases: at most this many; None for as many as there is time for.
+    target : Target
+        The reader and its files.
+    seed : int
+        Seed of the mutants.
+    seconds : float
+        Time for reading, without that for loading and compiling.
+    folder : Path
+        Folder of the findings.
+    cases : int or None
+        Most mutants; None for as many as there is time for.
+    mutator : str
+        Makes the mutants.
     """
     report, known = Report(target.name), Counter[str]()
-    deadline, case = time.monotonic() + seconds, first
-    last = None if cases is None else first + cases
-    while time.monotonic() < deadline and (last is None or case < last):
-        with _Child(target, seed, case, last) as child:
+    deadline, case = time.monotonic() + seconds, 0
+    while time.monotonic() < deadline and (cases is None or case < cases):
+        with _Child(target, mutator, seed, case, cases) as child:
             deadline += child.wait_until_ready()  # compiling does not count
             for number, outcome in child.outcomes(deadline):
                 report.cases += 1
@@ -85,25 +105,28 @@ def hunt(target: Target, seed: int, seconds: float, folder: Path, first: int = 0
                 if outcome in ("read", "refused"):
                     report.read += outcome == "read"
                     continue
-                kind = _kind(outcome)
+                kind = kind_of(outcome)
                 known[kind] += 1
                 if known[kind] == 1:
-                    report.findings.append(_write(target, seed, number, outcome, folder))
+                    stem = f"{target.name}-{mutator}-{seed}-{number}"
+                    data = mutant(target, seed, number, mutator)
+                    report.findings.append(write_finding(target, stem, number, data, outcome, folder))
                 if len(known) == MOST_FINDINGS:
                     return report
     return report
 
 
-def _kind(outcome: str) -> str:
+def kind_of(outcome: str) -> str:
     """Return a key of a defect: the type of the error and the lines that raised it, without numbers."""
     places = [line.strip() for line in outcome.splitlines() if line.strip().startswith("File ")]
     return " ".join((outcome.strip().splitlines()[-1].split(":")[0], *places[-2:]))
 
 
-def _write(target: Target, seed: int, case: int, outcome: str, folder: Path) -> Finding:
+def write_finding(target: Target, stem: str, case: int, data: bytes, outcome: str, folder: Path) -> Finding:
+    """Write a file that was not read as it should be, and beside it what happened."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{target.name}-{seed}-{case}{target.ending}"
-    path.write_bytes(mutant(target, seed, case))
+    path = folder / f"{stem}{target.ending}"
+    path.write_bytes(data)
     finding = Finding(target.name, case, outcome, path)
     path.with_suffix(path.suffix + ".txt").write_text(f"{finding.command}\n\n{outcome}\n", encoding="utf-8")
     return finding
@@ -117,10 +140,12 @@ def _seeds(target: Target) -> dict[str, bytes]:
 class _Child:
     """A process that reads one mutant after the other; it is ended where one takes too long."""
 
-    def __init__(self, target: Target, seed: int, first: int, last: int | None) -> None:
+    def __init__(self, target: Target, mutator: Mutator, seed: int, first: int, last: int | None) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_read_mutants, args=(theirs, target, seed, first, last), daemon=True)
+        self._process = context.Process(
+            target=_read_mutants, args=(theirs, target, mutator, seed, first, last), daemon=True
+        )
         self._next = first
         self._process.start()
         theirs.close()
@@ -180,8 +205,8 @@ class _Child:
         self._pipe.close()
 
 
-def _read_mutants(pipe: Connection, target: Target, seed: int, first: int, last: int | None) -> None:
-    """The child: reads the seeds, then mutants, and says of each how it went."""
+def _read_mutants(pipe: Connection, target: Target, mutator: Mutator, seed: int, first: int, last: int | None) -> None:
+    """Read the seeds, then mutants, in the child, and send the outcome of each."""
     place = Path(tempfile.mkdtemp(prefix="kinedex-fuzz-"))
     with suppress(BrokenPipeError, KeyboardInterrupt):
         try:
@@ -196,7 +221,7 @@ def _read_mutants(pipe: Connection, target: Target, seed: int, first: int, last:
             case = first
             while last is None or case < last:
                 # a name of its own: what remembers files by their path must not know it already
-                pipe.send(attempt(target, place / f"case{case}{target.ending}", mutant(target, seed, case)))
+                pipe.send(attempt(target, place / f"case{case}{target.ending}", mutant(target, seed, case, mutator)))
                 case += 1
             pipe.send("done")
         finally:

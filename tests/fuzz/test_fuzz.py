@@ -13,11 +13,11 @@ import pytest
 
 from kinedex.ops.errors import SourceError
 from tests.fuzz import hunt as hunting
-from tests.fuzz.hunt import attempt, hunt, mutant
+from tests.fuzz.hunt import Mutator, attempt, hunt, mutant
 from tests.fuzz.mutations import flip_bytes
 from tests.fuzz.targets import TARGETS, Broken, Target
 
-CASES = 25
+CASES: dict[Mutator, int] = {"bytes": 25, "structure": 8}
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -25,14 +25,17 @@ def test_seeds_are_read_and_mutants_are_read_or_refused(tmp_path: Path, name: st
     target = TARGETS[name]
     for key, data in target.seeds().items():
         assert attempt(target, tmp_path / f"{key}{target.ending}", data) == "read", key
-    for case in range(CASES):
-        outcome = attempt(target, tmp_path / f"{case}{target.ending}", mutant(target, 1, case))
-        assert outcome in ("read", "refused"), f"python -m tests.fuzz {name} --seed 1: case {case}\n{outcome}"
+    for mutator, cases in CASES.items():
+        for case in range(cases):
+            outcome = attempt(target, tmp_path / f"{mutator}{case}{target.ending}", mutant(target, 1, case, mutator))
+            assert outcome in ("read", "refused"), f"{name}, {mutator}, seed 1, case {case}\n{outcome}"
 
 
 def test_the_same_seed_makes_the_same_mutants() -> None:
     for target in TARGETS.values():
         assert mutant(target, 3, 14) == mutant(target, 3, 14)
+        if target.ending != ".c3d":  # of which every write has the time in it
+            assert mutant(target, 3, 14, "structure") == mutant(target, 3, 14, "structure")
         assert len({mutant(target, 3, case) for case in range(8)}) > 1
 
 
