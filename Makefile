@@ -63,7 +63,12 @@ fuzz: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck \
 	    $(BIN)/python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ)
 
-attack: setup
+# Coverage-guided fuzzing alone needs its package.
+$(VENV)/fuzz.stamp: requirements-fuzz.lock $(VENV)/run.stamp
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-fuzz.lock
+	@touch $@
+
+attack: setup $(VENV)/fuzz.stamp
 	$(BIN)/python -m tests.attacks $(ATTACK) --seed $(FUZZ_SEED) $(if $(NIGHTLY),--nightly)
 
 # The packages of other people that benchmarks stand beside; nothing else needs them.
@@ -99,6 +104,7 @@ lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements.lock
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-dev.lock
 	uv pip compile --group audit --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-audit.lock
+	uv pip compile --group fuzz --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-fuzz.lock
 	uv pip compile pyproject.toml --group docs -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-docs.lock
 	uv pip compile pyproject.toml --group bench -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-bench.lock
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.generations import current_generation
 from kinedex.storage.snapshot.manifest import read_newest, read_version, versions
 from kinedex.storage.store.garbage_collection import collect
@@ -161,7 +162,9 @@ def _undisturbed(folder: Path, name: str) -> Undisturbed | str:
 
     def once() -> tuple[Any, ...]:
         work.prepare(base)
-        before = _versions(base / "store") if (base / "store").exists() else {}
+        before: dict[int, dict[str, str]] = {}
+        if (base / "store").exists():
+            before = {read_newest(base / "store").version: {}} if work.damaged else _versions(base / "store")
         place = _copy(base, folder)
         work.run(base, place)
         return before, _versions(place), _end(place), reports(base / "store"), compiled()
@@ -206,7 +209,7 @@ def _killed(folder: Path, name: str, undisturbed: Undisturbed, moment: int) -> t
 
 def _checked(work: Work, base: Path, place: Path, undisturbed: Undisturbed, published: int) -> str:
     """Check a store as a kill has left it, run the work again, and check the end; return the problem, if any."""
-    problem = _left_by_kill(place, undisturbed, published)
+    problem = _left_by_kill(place, undisturbed, published, work.damaged)
     if problem:
         return f"after the kill: {problem}"
     work.run(base, place)
@@ -215,17 +218,22 @@ def _checked(work: Work, base: Path, place: Path, undisturbed: Undisturbed, publ
     if problem:
         return f"after the next run: {problem}"
     collect(place, keep=1)
-    left = [path.relative_to(place) for path in place.rglob(".*")]
+    left = [path.relative_to(place) for path in place.rglob(".*") if "quarantine" not in path.parts]
     return f"no collection of garbage removes {left[0]}" if left else _sound(place)
 
 
-def _left_by_kill(place: Path, undisturbed: Undisturbed, published: int) -> str:
-    """Return the problem of a store that should show a version; of its report files, each may be old or new."""
+def _left_by_kill(place: Path, undisturbed: Undisturbed, published: int, damaged: bool) -> str:
+    """Return the problem of a store that should show a version; of its report files, each may be old or new.
+
+    Of one that was damaged before, only the version is checked.
+    """
     if not published:
         return "a version that was not published" if versions(place) else ""
     found = read_newest(place).version
     if found != published:
         return f"shows version {found}, not {published}"
+    if damaged:
+        return ""
     states = undisturbed.before if found in undisturbed.before else undisturbed.after
     for name, content in reports(place).items():
         if not name.split("/")[-1].startswith(".") and content not in (
@@ -249,10 +257,10 @@ def _versions(place: Path) -> dict[int, dict[str, str]]:
     """Return the content of the newest versions of a store, as far as they can still be read."""
     found = {}
     for version in reversed(versions(place)):
-        manifest = read_version(place, version)
-        if not all((place / part.path).is_file() for part in manifest.parts):
+        try:
+            found[version] = contents(Store(place, read_version(place, version)))
+        except KinedexError:
             break
-        found[version] = contents(Store(place, manifest))
     return found
 
 

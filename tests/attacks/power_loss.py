@@ -1,9 +1,10 @@
 """Power loss: the writes of a traced run, replayed up to every moment with what was not flushed lost or out of order.
 
-A child process commits three versions of a store under `strace`. The trace is a list of writes, renames, removals and
-flushes. For a crash after any of them, a file's content is sure up to its last flush, and a name is sure once its
-folder was flushed after it; the rest may be on the disk or not. Of each moment several such disks are made and opened:
-the store must show the last version whose commit had returned, or the one that was being committed, whole.
+A child process commits three versions of a store under `strace`; others upgrade a store, and collect its garbage. The
+trace is a list of writes, renames, removals and flushes. For a crash after any of them, a file's content is sure up to
+its last flush, and a name is sure once its folder was flushed after it; the rest may be on the disk or not. Of each
+moment several such disks are made and opened: the store must show the last version whose commit had returned, or the
+one that was being committed, whole.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.attacks.outcome import Options, Outcome
 
-CHILD = """
+INGEST = """
 import sys
 from pathlib import Path
 
@@ -38,6 +39,38 @@ for number, files in enumerate(steps, 1):
     (acknowledged / str(number)).write_text("done")
 """
 """Each step commits takes, builds the index and records both stages; a file tells the trace when it has returned."""
+
+OLD_FORMAT = """
+import sys
+from pathlib import Path
+
+from tests.storage.old_formats import as_format_3
+
+as_format_3(Path(sys.argv[2]))
+"""
+
+UPGRADE = """
+import sys
+from pathlib import Path
+
+from kinedex.storage.store.upgrade import upgrade
+
+upgrade(sys.argv[2])
+(Path(sys.argv[3]) / "1").write_text("done")
+"""
+
+COLLECT = """
+import sys
+from pathlib import Path
+
+from kinedex.storage.store.garbage_collection import collect
+
+collect(sys.argv[2], keep=1)
+(Path(sys.argv[3]) / "1").write_text("done")
+"""
+
+WORKS = {"ingest": ((), INGEST), "upgrade": ((INGEST, OLD_FORMAT), UPGRADE), "gc": ((INGEST,), COLLECT)}
+"""The programs that make the store, and the program that is traced, of each work."""
 
 CALLS = (
     "open,openat,creat,write,pwrite64,writev,pwritev,lseek,rename,renameat,renameat2,unlink,unlinkat,fsync,fdatasync,"
@@ -155,10 +188,10 @@ def _bytes(given: str) -> bytes:
 class Disk:
     """A model of a disk: the content that is certainly on it, and the content that may be on it as well."""
 
-    def __init__(self) -> None:
+    def __init__(self, files: dict[str, bytes]) -> None:
         self.folders: set[str] = set()
-        self.sure: dict[str, Inode] = {}
-        self.now: dict[str, Inode] = {}
+        self.sure = {path: Inode(content) for path, content in files.items()}
+        self.now = dict(self.sure)
         self.pending: list[Step] = []
         self._made: dict[int, Inode] = {}
 
@@ -257,36 +290,82 @@ def contents(path: Path) -> tuple[tuple[str, str], ...]:
         return tuple((name, store.words([number]).take(0).tobytes().hex()) for name, number in rows)
 
 
-def traced(folder: Path) -> tuple[list[Step], Path, Path]:
-    """Run the child under strace; return the steps, the folder of the store, and that of the acknowledgements."""
+@dataclass(frozen=True)
+class Traced:
+    """The traced program of a work.
+
+    Attributes
+    ----------
+    files : dict of str to bytes
+        The files of the store as they were before.
+    steps : list of Step
+        The writing calls.
+    store : Path
+        The store.
+    acknowledged : Path
+        The folder into which the program writes a file after each commit.
+    """
+
+    files: dict[str, bytes]
+    steps: list[Step]
+    store: Path
+    acknowledged: Path
+
+
+def traced(folder: Path, work: str) -> Traced:
+    """Make the store of a work, and run its program under strace."""
     source, store, acknowledged = folder / "source", folder / "store", folder / "acknowledged"
+    before, program = WORKS[work]
+    for child in before:
+        acknowledged.mkdir(exist_ok=True)
+        _run([sys.executable, "-c", child, *map(str, (source, store, acknowledged))])
+    shutil.rmtree(acknowledged, ignore_errors=True)
     acknowledged.mkdir()
+    files = {str(path): path.read_bytes() for path in store.rglob("*") if path.is_file()}
     log = folder / "trace"
     command = ["strace", "-f", "-y", "-xx", "-s", "100000000", "-e", f"trace={CALLS}", "-o", str(log)]
-    child = [sys.executable, "-c", CHILD, *map(str, (source, store, acknowledged))]
-    subprocess.run([*command, *child], check=True, timeout=300)
+    _run([*command, sys.executable, "-c", program, *map(str, (source, store, acknowledged))])
     trace = Trace(folder)
     steps = [step for step in trace.steps(log.read_text()) if not _under(step.path, str(source))]
     if trace.unknown:
         raise AssertionError(f"calls that the model does not know: {sorted(trace.unknown)}")
-    return steps, store, acknowledged
+    return Traced(files, steps, store, acknowledged)
+
+
+def _run(command: list[str]) -> None:
+    subprocess.run(command, check=True, timeout=300, stdout=subprocess.DEVNULL)
 
 
 def run(folder: Path, options: Options) -> Outcome:
-    """Crash after every step of the traced run, and of each moment open what the disk may hold."""
+    """Crash after every step of each traced work, and of each moment open what the disk may hold."""
     if shutil.which("strace") is None:
         return Outcome({"skipped, there is no strace on this machine": 1})
-    only = None if options.case is None else int(options.case)
-    return attack(folder, options.seed, several=6 if options.nightly else 1, only=only)
+    total = Outcome({"crash points": 0, "disks": 0, "before": 0, "after": 0})
+    chosen, _, step = (options.case or "").partition(":")
+    for work in WORKS:
+        if chosen not in ("", work):
+            continue
+        (folder / work).mkdir()
+        only = int(step) if step else None
+        outcome = attack(folder / work, work, options.seed, several=6 if options.nightly else 1, only=only)
+        for kind, number in outcome.counts.items():
+            total.count(kind, number)
+            total.count(f"{work}: {kind}", number)
+        total.failures += outcome.failures
+    return total
 
 
-def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1, only: int | None = None) -> Outcome:
-    """Crash after every step of the traced run, or every so many of them, and open what each disk may hold.
+def attack(
+    folder: Path, work: str = "ingest", seed: int = 0, several: int = 1, every: int = 1, only: int | None = None
+) -> Outcome:
+    """Crash after every step of a traced work, or every so many of them, and open what each disk may hold.
 
     Parameters
     ----------
     folder : Path
         An empty folder to work in.
+    work : str
+        One of `WORKS`.
     seed : int
         Seed of the mixtures.
     several : int
@@ -302,12 +381,12 @@ def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1, only: 
         The counts of crash points and disks, and of the disks by the state of the store; a failure for every disk on
         which it was torn.
     """
-    steps, store, acknowledged = traced(folder)
-    after = [*_versions(folder, steps, store, acknowledged)]
-    disk, outcome, done = Disk(), Outcome({"crash points": 0, "disks": 0, "before": 0, "after": 0}), 0
+    trace = traced(folder, work)
+    after = [*_versions(folder, trace)]
+    disk, outcome, done = Disk(trace.files), Outcome({"crash points": 0, "disks": 0, "before": 0, "after": 0}), 0
     tried: dict[int, str] = {}
-    for number, step in enumerate(steps):
-        if _under(step.path, str(acknowledged)):
+    for number, step in enumerate(trace.steps):
+        if _under(step.path, str(trace.acknowledged)):
             done = max(done, int(Path(step.path).name))
             continue
         disk.apply(step)
@@ -315,28 +394,29 @@ def attack(folder: Path, seed: int = 0, several: int = 1, every: int = 1, only: 
             continue
         outcome.count("crash points")
         for files in disk.states(random.Random(f"{seed}/{number}"), several):
-            inside = {path: content for path, content in files.items() if _under(path, str(store))}
+            inside = {path: content for path, content in files.items() if _under(path, str(trace.store))}
             key = hash((done, frozenset(inside.items())))
             if key not in tried:
-                tried[key] = _opened(folder / "crashed", store, inside, after[done : done + 2])
+                tried[key] = _opened(folder / "crashed", trace.store, inside, after[done : done + 2])
                 outcome.count("disks")
                 if tried[key] in ("before", "after"):
                     outcome.count(tried[key])
                 else:
-                    outcome.fail(str(number), f"after step {number} ({step.kind} {step.path}): {tried[key]}")
+                    problem = f"{work}, after step {number} ({step.kind} {step.path}): {tried[key]}"
+                    outcome.fail(f"{work}:{number}", problem)
     return outcome
 
 
-def _versions(folder: Path, steps: list[Step], store: Path, acknowledged: Path) -> Iterator[object]:
+def _versions(folder: Path, trace: Traced) -> Iterator[object]:
     """Yield what the store holds before the first commit and after each acknowledged one."""
-    disk, seen = Disk(), 0
-    yield ()
-    for step in steps:
-        if _under(step.path, str(acknowledged)):
+    disk, seen = Disk(trace.files), 0
+    yield contents(_laid_out(folder / "whole", trace.store, trace.files)) if trace.files else ()
+    for step in trace.steps:
+        if _under(step.path, str(trace.acknowledged)):
             if int(Path(step.path).name) > seen:
                 seen = int(Path(step.path).name)
                 names = {path: _written(inode.flushed, inode.pending) for path, inode in disk.now.items()}
-                yield contents(_laid_out(folder / "whole", store, names))
+                yield contents(_laid_out(folder / "whole", trace.store, names))
             continue
         disk.apply(step)
 

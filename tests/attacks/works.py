@@ -10,11 +10,15 @@ from pathlib import Path
 import yaml
 
 import kinedex
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.repair.repair import repair_store
 from kinedex.pipelines.stages import ingest
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store
+from kinedex.storage.store.upgrade import upgrade
 from tests.pipelines.archives import write_archive
+from tests.storage.old_formats import as_format_3
 
 BATCH_BYTES = 1 << 12
 """A batch of files is this small, so that an ingest of a few takes commits several times."""
@@ -47,11 +51,14 @@ class Work:
         Makes the store as it is before, and the sources, in an empty folder.
     run : callable
         Changes a copy of that store; given the folder and the copy.
+    damaged : bool
+        True if the store is damaged before, so that only the end can be sound.
     """
 
     name: str
     prepare: Callable[[Path], object]
     run: Callable[[Path, Path], object]
+    damaged: bool = False
 
 
 def bring_in(folder: Path, store: Path) -> None:
@@ -131,6 +138,31 @@ def _stages(count: int, folder: Path, store: Path) -> None:
     kinedex.run_pipeline(str(_written(folder, f"stages{count}", "killed", stages)), store)
 
 
+def _old_format(folder: Path) -> None:
+    """A store of labelled clips and takes in the format before this one."""
+    _staged(2, folder)
+    as_format_3(folder / "store")
+
+
+def _damaged(kinds: tuple[str, ...], folder: Path) -> None:
+    """A store of which a part of each of these kinds has a flipped byte."""
+    _staged(2, folder)
+    for kind in kinds:
+        path = sorted((folder / "store").glob(f"{kind}/*"))[-1]
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+
+
+def _upgrade(folder: Path, store: Path) -> None:
+    upgrade(store)
+
+
+def _repair(folder: Path, store: Path) -> None:
+    ingest.MEGABYTE = BATCH_BYTES
+    repair_store(store, Terminal())
+
+
 def _build(folder: Path, store: Path) -> None:
     build_index(open_store(store, at="newest"))
 
@@ -149,6 +181,9 @@ WORKS = {
         Work("later index", _old_index, _build),
         *(Work(stage, partial(_staged, number), partial(_stages, number + 1)) for number, stage in enumerate(STAGES)),
         Work("gc", _garbage, _collect),
+        Work("upgrade", _old_format, _upgrade),
+        Work("repair frames", partial(_damaged, ("frames", "index/gen-*")), _repair, damaged=True),
+        Work("repair results", partial(_damaged, ("results/annotations", "results/templates")), _repair, damaged=True),
     )
 }
 """All works by name."""
