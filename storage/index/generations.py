@@ -169,7 +169,8 @@ def _shard(values: dict[str, object]) -> Shard:
 def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
     """Return the newest version of a store that has its index, and the index; the newest version where none has.
 
-    Few manifests are read, however many versions there are: takes only change from one version to a later one, and the
+    Where a newer index is damaged, or of another version of kinedex, this is the newest version, without an index. Few
+    manifests are read, however many versions there are: takes only change from one version to a later one, and the
     versions with the takes of an index follow one another.
 
     Parameters
@@ -189,6 +190,9 @@ def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
             version = _last_version(store, record, newest, known)
             if version is not None:
                 return version, folder
+        elif folder.is_dir():
+            # it may be that of the newest version: damage must be reported, not answered by an older version
+            break
     return newest.version, None
 
 

@@ -12,7 +12,7 @@ from kinedex.storage.store.store import open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.attacks.flips import attack
 from tests.attacks.outcome import Options
-from tests.storage.made_up import BODY, make_store
+from tests.storage.made_up import BODY, add, make_store
 
 EACH = 3
 
@@ -25,6 +25,10 @@ def test_a_flipped_bit_is_the_same_answer_or_an_error_that_names_the_file(tmp_pa
         writer.put_results("annotations", table, stage="study/annotate", run="r")
         writer.commit()
     build_index(open_store(path, at="newest"), threads=1)
+    with StoreWriter.open(path, BODY) as writer:
+        add(writer, {"c": 40})
+        writer.commit()
+        build_index(writer.store, threads=1)
     outcome = attack(path, EACH, Options(seed=1))
     assert outcome.failures == []
     kinds = ["frames", "generation.json", "index.duckdb", "manifest, newest", "manifest, older"]

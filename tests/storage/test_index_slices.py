@@ -29,6 +29,7 @@ from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
+from tests.storage.flipped import flip_bit
 from tests.storage.made_up import BODY, add, make_store
 
 NOTHING = Generation(3, 1, "", "", 30.0, "", (), {}, 0, 0, "", 0.0, "", 0, 0.0)
@@ -191,3 +192,19 @@ def test_an_index_of_another_version_is_told_and_built_again(store: Store) -> No
     assert "the index is damaged or of another version" in finding.problem
     build_index(store, threads=1)
     assert verify(store) == []
+
+
+def test_no_older_version_answers_for_one_whose_index_is_damaged(store: Store) -> None:
+    with StoreWriter.open(store.path, BODY) as writer:
+        add(writer, {"c": 64})
+        writer.commit()
+        newest = writer.store
+    assert open_store(store.path).manifest.version == store.manifest.version  # the index is still to be built
+    record = build_index(newest, threads=1) / "generation.json"
+    assert open_store(store.path).manifest.version == newest.manifest.version
+    flip_bit(record, 200)
+    reopened = open_store(store.path)
+    assert reopened.manifest.version == newest.manifest.version
+    for ask in (lambda: sliced_store(reopened), lambda: reopened.sql("FROM word_runs")):
+        with pytest.raises(StoreError, match=f"{record.parent.name}/generation.json is damaged"):
+            ask()
