@@ -1,4 +1,4 @@
-"""What a version changed, by which command: facts in its manifest, and the list of all versions."""
+"""The manifest of a version records its changes and its command, and all versions are listed."""
 
 from __future__ import annotations
 
