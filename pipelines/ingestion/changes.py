@@ -118,14 +118,10 @@ def compare(
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = recipe_of(made_by[motion.format], of_skeleton, groups)
             row = known.get(name)
+            read_so = row is not None and row["recipe"] == made and row["take_id"] not in damaged
             if row is not None and _moved(row, motion):
                 former.add(row["source_root"])
-            elif (
-                row is not None
-                and row["recipe"] == made
-                and _same_content(row, motion)
-                and row["take_id"] not in damaged
-            ):
+            elif row is not None and read_so and _same_content(row, motion):
                 unchanged += 1
                 restated += _restated(row, motion)
                 continue
