@@ -19,6 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from kinedex.ops.errors import KinedexError, Remedy
+from kinedex.pipelines.console.escapes import json_escaped, visible_lines
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -245,6 +246,6 @@ def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remed
     """
     if as_json:
         error = {"type": kind, "message": message, "exit_code": code, "remedy": remedy and asdict(remedy)}
-        print(json.dumps({"error": error}, indent=1, ensure_ascii=False))
+        print(json_escaped(json.dumps({"error": error}, indent=1, ensure_ascii=False)))
     else:
-        print(f"kinedex: {message}", file=sys.stderr)
+        print(f"kinedex: {visible_lines(message)}", file=sys.stderr)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
-from io import TextIOWrapper
 
 # Importing a module registers its commands, in the order of the help. They import what they need when they run.
 from kinedex.pipelines.commands import (  # noqa: F401
@@ -20,15 +19,14 @@ from kinedex.pipelines.commands import (  # noqa: F401
     templates,
 )
 from kinedex.pipelines.commands.app import app
+from kinedex.pipelines.console.escapes import escape_streams
 
 __all__ = ["app", "main"]
 
 
 def main() -> None:
     """Run the console command `kinedex`; its output is UTF-8, on Windows too."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper) and stream.encoding.lower() not in ("utf-8", "utf8"):
-            stream.reconfigure(encoding="utf-8")
+    escape_streams()
     try:
         app(prog_name="kinedex")  # whichever file started it
     except SystemExit as end:

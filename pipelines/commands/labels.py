@@ -11,6 +11,7 @@ from kinedex.pipelines.commands.app import ASK, command, group
 from kinedex.pipelines.commands.options import AtOption, FormatOption, OutputOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
+from kinedex.pipelines.console.escapes import visible
 
 labels = group("labels", "Write annotations as label files, and read label files.", ASK)
 
@@ -42,16 +43,27 @@ def export(
 ) -> None:
     """Write annotations as label files: one per take into a folder, or one file."""
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_of
-    from kinedex.pipelines.console.wording import counted
+    from kinedex.pipelines.console.wording import counted, few
     from kinedex.storage.formats.labels.formats import write_labels
 
     opened = open_for_reading(store, at)
     chosen = annotate_stage(opened, stage)
     found = labels_of(opened, chosen, take or (), where)
-    paths = write_labels(found, form, output, force=force)
-    count = sum(len(one.labels) for one in found)
+    written = write_labels(found, form, output, force=force)
+    paths = written.paths
+    inside = [one for one in found if one.take not in written.excluded]
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
-    print(f"{counted(count, 'segment')} of {counted(len(found), 'take')}, annotated by {chosen}: {place}")
+    count = sum(len(one.labels) for one in inside)
+    print(visible(f"{counted(count, 'segment')} of {counted(len(inside), 'take')}, annotated by {chosen}: {place}"))
+    if written.renamed:
+        print(visible(f"files of other names than their takes: {few(_pairs(written.renamed))}"))
+    if written.excluded:
+        names = few([f"'{name}'" for name in written.excluded])
+        print(visible(f"excluded, since this format would not give back their names; JSON would: {names}"))
+
+
+def _pairs(renamed: dict[str, str]) -> list[str]:
+    return [f"{name} of '{take}'" for take, name in sorted(renamed.items())]
 
 
 @command(of=labels)

@@ -23,6 +23,7 @@ from kinedex.pipelines.commands.options import (
     wait_of,
 )
 from kinedex.pipelines.commands.output import print_json
+from kinedex.pipelines.console.escapes import visible, visible_lines
 
 if TYPE_CHECKING:
     from kinedex.storage.store.verification import Finding
@@ -95,7 +96,7 @@ def verify(store: StorePath, as_json: JsonOption = False) -> None:
             raise typer.Exit(FAILED)
         return
     for finding in findings:
-        print(f"{'✗' if finding.fault else '·'} {finding}")
+        print(visible_lines(f"{'✗' if finding.fault else '·'} {finding}"))
     if faults:
         raise KinedexError(f"{store}: {faults} of {parts} parts or files are damaged", remedy=repair(store))
     print(f"{store}: version {opened.manifest.version}, {takes} takes, {parts} parts: all sound")
@@ -215,9 +216,9 @@ def gc(
         print_json({"store": store, "dry_run": dry_run, "removed": rows, "open_versions": opened})
         return
     for line in summary(found.removed):
-        print(f"would remove {line}" if dry_run else f"removed {line}")
+        print(visible(f"would remove {line}" if dry_run else f"removed {line}"))
     for one in found.open_versions:
-        print(f"kept: {one}")
+        print(visible(f"kept: {one}"))
 
 
 @command(MAINTAIN)

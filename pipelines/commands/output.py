@@ -12,6 +12,7 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import LEFT_OUT
+from kinedex.pipelines.console.escapes import visible, visible_lines
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,7 +31,12 @@ def print_message(text: str) -> None:
     """Print a line about a result, which `--quiet` suppresses and `--json` sends to standard error."""
     from kinedex.pipelines.console.terminal import message_console
 
-    message_console().print(text, markup=False)
+    message_console().print(visible_lines(text), markup=False)
+
+
+def print_path(path: Path) -> None:
+    """Print a path on a line of its own: in a pipe byte for byte, on a terminal with control characters escaped."""
+    print(visible(str(path)) if sys.stdout.isatty() else path)
 
 
 def is_for_people(form: str, output: Path | None) -> bool:
@@ -70,7 +76,8 @@ def show_table(table: pa.Table, form: str, output: Path | None) -> None:
     elif form == "parquet" and sys.stdout.isatty():
         raise KinedexError("a terminal cannot show Parquet: write it to a file with --output FILE")
     else:
-        sys.stdout.buffer.write(data)
+        # a terminal escapes text; a pipe gets what a file would hold
+        sys.stdout.write(data.decode()) if sys.stdout.isatty() else sys.stdout.buffer.write(data)
 
 
 def _form_of(output: Path) -> str:

@@ -103,10 +103,14 @@ def plan(
     from rich import box
     from rich.table import Table
 
+    from kinedex.pipelines.console.tables import plain_text
     from kinedex.pipelines.console.terminal import make_console
 
     table = Table(
-        box=box.SIMPLE_HEAD, pad_edge=False, title=f"{loaded.name}: {loaded.description}", title_justify="left"
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        title=plain_text(f"{loaded.name}: {loaded.description}"),
+        title_justify="left",
     )
     for column in ("stage", "inputs", "runs because", "last run"):
         table.add_column(column)
@@ -114,7 +118,7 @@ def plan(
         last = f"{step.record.finished} ({step.record.seconds:g} s)" if step.record else "never"
         inputs = ", ".join(sorted(set(step.stage.inputs.values()))) or "–"
         nothing = f"– (unchanged: {step.what})" if step.what else "– (nothing to do)"
-        table.add_row(step.stage.name, inputs, step.reason or nothing, last)
+        table.add_row(*map(plain_text, (step.stage.name, inputs, step.reason or nothing, last)))
     make_console().print(table)
 
 

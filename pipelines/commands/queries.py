@@ -10,7 +10,7 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command, group
 from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
-from kinedex.pipelines.commands.output import print_json, print_message, show_table
+from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
@@ -123,4 +123,4 @@ def from_clip(
         print(text, end="")
     else:
         output.write_text(text, encoding="utf-8")
-        print(output)
+        print_path(output)

@@ -20,7 +20,7 @@ from kinedex.pipelines.commands.options import (
     StorePath,
     WhereOption,
 )
-from kinedex.pipelines.commands.output import print_json, print_message, show_table
+from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def rank(
     hidden = ["run", "take_id"] if len(rankings) > 1 else ["run", "template", "take_id"]
     show_table(table.drop_columns(hidden) if plain else table, form, output)
     if output is not None:
-        print(output)
+        print_path(output)
     if plain:
         print_message(_summary(rankings, table.num_rows, tau, queries is not None, seconds))
 

@@ -21,7 +21,7 @@ from kinedex.pipelines.commands.options import (
     WhereOption,
     seconds_of,
 )
-from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, show_table
+from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 
@@ -74,7 +74,7 @@ def sql(
     if path:
         if query is not None or file is not None:
             raise KinedexError("--path prints the path of the index file and runs no SQL: give no statement")
-        print(open_for_reading(store, at).index_path().absolute())
+        print_path(open_for_reading(store, at).index_path().absolute())
         return
     from kinedex.pipelines.console.sql_prompt import ROWS, rows_line, run_prompt
     from kinedex.pipelines.console.terminal import make_console
@@ -173,4 +173,4 @@ def export(
     form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
     path = output or Path(f"{Path(take).name}.{form}")
     export_take(open_for_reading(store, at), take, form, path)
-    print(path)
+    print_path(path)

@@ -10,8 +10,9 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import ASK, command, group
 from kinedex.pipelines.commands.options import AtOption, FormatOption, KindOption, OutputOption, StageOption, StorePath
-from kinedex.pipelines.commands.output import print_message, show_table
+from kinedex.pipelines.commands.output import print_message, print_path, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
+from kinedex.pipelines.console.escapes import visible
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -82,7 +83,7 @@ def show(
     console = make_console()
     if output is None:
         for line in template_lines(one, opened.feature_set, delta, opened.rate_hz, console.width):
-            console.print(line, markup=False)
+            console.print(visible(line), markup=False)
     elif output.suffix.lower() in (".yaml", ".yml", ".csv"):
         write_template(
             NamedTemplate(name, one.learned.template, heading(one, opened.rate_hz)), opened.feature_set, output
@@ -92,7 +93,7 @@ def show(
         figure = template_figure(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
         write_figure(figure, output)
     if output is not None:
-        print(output)
+        print_path(output)
 
 
 @command(of=template)
@@ -125,10 +126,10 @@ def diff(
     if output is None:
         console = make_console()
         for line in lines:
-            console.print(line, markup=False)
+            console.print(visible(line), markup=False)
         return
     write_figure(contrast_figure(one, other, names, found, delta, lines[0], opened.feature_set, opened.rate_hz), output)
-    print(output)
+    print_path(output)
 
 
 @command(of=template, name="from-clip")
@@ -156,7 +157,7 @@ def from_clip(
         print(write_yaml([made], opened.feature_set), end="")
         return
     write_template(made, opened.feature_set, output)
-    print(output)
+    print_path(output)
 
 
 def one_stage(table: pa.Table) -> bool:

@@ -8,10 +8,12 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import Any
 
+from kinedex.pipelines.console.escapes import json_escaped
+
 
 def json_text(document: object) -> str:
     """Return a value as indented JSON text that ends with a line break."""
-    return json.dumps(json_value(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_escaped(json.dumps(json_value(document), indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def json_value(value: Any) -> Any:

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.escapes import json_escaped, visible_lines
 
 _STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
 """The attributes that every record has; all others are fields that the code which logged has added."""
@@ -20,6 +21,14 @@ _STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
 def _is_not_an_event(record: logging.LogRecord) -> bool:
     """Return whether a record is shown nowhere else: the terminal shows the events of a run, failures included."""
     return not hasattr(record, "event")
+
+
+class _Lines(logging.Formatter):
+    """Format a record as lines in which names cannot pass for lines of their own."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the lines."""
+        return visible_lines(super().format(record))
 
 
 class JsonLines(logging.Formatter):
@@ -36,7 +45,7 @@ class JsonLines(logging.Formatter):
         line |= {name: value for name, value in vars(record).items() if name not in _STANDARD}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(line, ensure_ascii=False, default=str)
+        return json_escaped(json.dumps(line, ensure_ascii=False, default=str))
 
 
 def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: Path | None = None) -> None:
@@ -64,7 +73,7 @@ def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: P
     shown.setLevel(logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING)
     if not verbose:
         shown.addFilter(_is_not_an_event)
-    shown.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s" if verbose else "kinedex: %(message)s"))
+    shown.setFormatter(_Lines("%(asctime)s %(name)s: %(message)s" if verbose else "kinedex: %(message)s"))
     handlers: list[logging.Handler] = [shown]
     if log_file is not None:
         try:

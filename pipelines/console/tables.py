@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import textwrap
@@ -19,12 +18,17 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.console.escapes import visible, visible_text
 from kinedex.pipelines.console.json_text import json_text, json_value
+from kinedex.storage.formats.csv_cells import csv_line
 
 FORMATS = ("table", "csv", "json", "parquet")
 
 TALL = 4
 """Average number of lines of a row above which each row is printed as a block."""
+
+_LINES = {b"lines": b"yes"}
+"""Metadata of a column whose texts are broken into lines."""
 
 _TRIED = 200  # number of rows that the choice looks at
 
@@ -50,18 +54,16 @@ class Shown:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Print the table in the form that fits."""
         if console.soft_wrap and not console.is_terminal:
-            rows = [[_cell(value, self._null) for value in row] for row in _rows(self._table)]
+            rows = _texts(self._table, self._null)
             if rows and all(_is_plain(text) for row in (self._table.column_names, *rows) for text in row):
                 yield from _plain_lines(self._table, rows)
                 return
             whole = rich_table(self._table, null=self._null)
             yield from console.render(whole, options.update_width(_natural_width(whole, console, options)))
         elif self._is_tall(console, options):
-            for number, row in enumerate(_rows(self._table), 1):
+            for number, row in enumerate(_texts(self._table, self._null), 1):
                 yield Text(f"row {number:,}", style="bold")
-                yield pairs(
-                    (name, _cell(value, self._null)) for name, value in zip(self._table.column_names, row, strict=True)
-                )
+                yield pairs(zip(self._table.column_names, row, strict=True))
         else:
             yield rich_table(self._table, null=self._null)
 
@@ -99,7 +101,12 @@ def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
         for text in texts
     ]
     index = table.schema.get_field_index(column)
-    return table.set_column(index, table.schema.field(index), pa.array(lines, pa.string()))
+    return table.set_column(index, table.schema.field(index).with_metadata(_LINES), pa.array(lines, pa.string()))
+
+
+def plain_text(text: str) -> Text:
+    """Return a text of one line for a cell: no markup, and nothing that a terminal would obey."""
+    return Text(visible(text))
 
 
 def pairs(lines: Iterable[tuple[str, str]]) -> Table:
@@ -108,7 +115,7 @@ def pairs(lines: Iterable[tuple[str, str]]) -> Table:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, text in lines:
-        table.add_row(Text(name), Text(text))
+        table.add_row(plain_text(name), Text(visible_text(text)))
     return table
 
 
@@ -133,10 +140,10 @@ def rich_table(table: pa.Table, null: str = "–") -> Table:
     shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for field in table.schema:
         justify: JustifyMethod = "right" if _is_number(field.type) else "left"
-        shown.add_column(Text(field.name), justify=justify, overflow="fold")
-    for row in _rows(table):
+        shown.add_column(plain_text(field.name), justify=justify, overflow="fold")
+    for row in _texts(table, null):
         # plain text: rich would take [brackets] for markup
-        shown.add_row(*(Text(_cell(value, null)) for value in row))
+        shown.add_row(*map(Text, row))
     return shown
 
 
@@ -167,6 +174,15 @@ def _is_number(kind: pa.DataType) -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
 
 
+def _texts(table: pa.Table, null: str) -> list[list[str]]:
+    """Return the cells of the rows as they are shown; only columns that are made of lines have line breaks."""
+    lines = [field.name == "explain_value" or field.metadata == _LINES for field in table.schema]
+    return [
+        [visible_text(text) if broken else visible(text) for text, broken in zip(cells, lines, strict=True)]
+        for cells in ([_cell(value, null) for value in row] for row in _rows(table))
+    ]
+
+
 def _cell(value: Any, null: str) -> str:
     if value is None:
         return null
@@ -179,7 +195,8 @@ def encode(table: pa.Table, form: str) -> bytes:
     """Encode an Arrow table as CSV (header first), JSON (a list of objects) or Parquet.
 
     Columns of equal names are all kept: in CSV they stand side by side; in JSON and Parquet, where names must differ,
-    the second x is called x_1. `json_value` describes the values of JSON.
+    the second x is called x_1. `json_value` describes the values of JSON. In CSV a text that a spreadsheet would take
+    for a formula has an apostrophe in front.
 
     Parameters
     ----------
@@ -208,12 +225,8 @@ def encode(table: pa.Table, form: str) -> bytes:
         names = _distinct(table.column_names)
         return json_text([dict(zip(names, row, strict=True)) for row in _rows(table)]).encode()
     if form == "csv":
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(table.column_names)
-        for row in _rows(table):
-            writer.writerow(_nested(value) if isinstance(value, dict | list) else value for value in row)
-        return text.getvalue().encode()
+        rows = ([_nested(value) if isinstance(value, dict | list) else value for value in row] for row in _rows(table))
+        return "".join(map(csv_line, [table.column_names, *rows])).encode()
     raise KinedexError(f"no output format '{form}'; expected one of {', '.join(FORMATS)}{did_you_mean(form, FORMATS)}")
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from types import TracebackType
+from typing import Any
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook, RenderResult
+from rich.segment import Segment
+
+from kinedex.pipelines.console.escapes import unescaped, visible, visible_lines, visible_text
 
 WIDE = 160
 """Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
@@ -42,10 +47,34 @@ def message_console() -> Console:
 
 
 def _console(*, stderr: bool, quiet: bool) -> Console:
-    console = Console(highlight=False, soft_wrap=True, stderr=stderr, quiet=quiet)
+    file = unescaped(sys.stderr if stderr else sys.stdout)
+    console = EscapingConsole(highlight=False, soft_wrap=True, file=file, quiet=quiet)
     if console.is_terminal:
         return console
-    return Console(highlight=False, soft_wrap=True, stderr=stderr, quiet=quiet, width=WIDE)
+    return EscapingConsole(highlight=False, soft_wrap=True, file=file, quiet=quiet, width=WIDE)
+
+
+class EscapingConsole(Console):
+    """A rich console that escapes the texts in everything it prints; layout and styles are rich's own."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.push_render_hook(_Hook())
+
+
+class _Hook(RenderHook):
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Escaped(one) for one in renderables]
+
+
+class _Escaped:
+    def __init__(self, shown: ConsoleRenderable) -> None:
+        self._shown = shown
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Render what is shown, and escape its texts."""
+        for text, style, control in console.render(self._shown, options):
+            yield Segment(text if control else visible_text(text), style, control)
 
 
 class Progress:
@@ -88,6 +117,7 @@ class Terminal:
 
     def say(self, text: str) -> None:
         """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
+        text = visible_lines(text)
         if self.console.is_terminal:
             text = "\n".join(self._wrapped(line) for line in text.splitlines())
         self.console.print(f"    {text}", markup=False)
@@ -101,7 +131,7 @@ class Terminal:
 
     def heading(self, text: str) -> None:
         """Print one line that begins a step."""
-        self.console.print(text, markup=False, style="bold")
+        self.console.print(visible(text), markup=False, style="bold")
 
     def show(self, table: RenderableType) -> None:
         """Print a rich table or anything else that rich can show."""

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pyarrow as pa
 from rich.table import Table
-from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
-from kinedex.pipelines.console.tables import numbers_table
+from kinedex.pipelines.console.tables import numbers_table, plain_text
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.storage.disk import whole_file, write_errors
@@ -134,7 +133,7 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
                 continue
             values = [counts.f1, counts.p1, counts.r1, counts.f2, counts.p2, counts.r2]
             table.add_row(
-                Text(row.name),
+                plain_text(row.name),
                 *(digits(value) for value in values),
                 f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
                 f"{counts.segments_manual_hit}/{counts.segments_manual}",

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from kinedex.pipelines.console.tables import numbers_table
+from kinedex.pipelines.console.tables import numbers_table, plain_text
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits, few
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
@@ -39,7 +39,7 @@ def signed(value: float | None) -> str:
 def rich_comparison(one: Comparison) -> Group:
     """Return a comparison for the terminal: the verdict, then the changes, the greatest first."""
     parts: list[RenderableType] = [
-        Text("\n".join([f"A  {one.a}", f"B  {one.b}", *settings(one)])),
+        *map(plain_text, (f"A  {one.a}", f"B  {one.b}", *settings(one))),
         Text(f"{one.verdict}.", style="bold"),
         _table(one.scope, [one.overall], plain=not one.common),
     ]
@@ -49,7 +49,7 @@ def rich_comparison(one: Comparison) -> Group:
             if changed:
                 more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
                 parts.append(_table(f"{verdict}: {len(changed)} of {len(changes)} {what}{more}", changed[:MOST_SHOWN]))
-    parts += [Text(text) for text in (*remarks(one), THESIS_NAMES)]
+    parts += [plain_text(text) for text in (*remarks(one), THESIS_NAMES)]
     return Group(*parts)
 
 
@@ -85,7 +85,9 @@ def remarks(one: Comparison) -> list[str]:
 def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Table:
     table = numbers_table(HEADER, title or None)
     for change in changes:
-        table.add_row(Text(change.name), *values(change), style=None if plain else _STYLES[change.verdict] or None)
+        table.add_row(
+            plain_text(change.name), *values(change), style=None if plain else _STYLES[change.verdict] or None
+        )
     return table
 
 

@@ -6,10 +6,9 @@ import math
 
 from rich.console import Group
 from rich.table import Table
-from rich.text import Text
 
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.console.tables import numbers_table
+from kinedex.pipelines.console.tables import numbers_table, plain_text
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted, digits
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
@@ -108,7 +107,7 @@ def overview(study: Study) -> Group:
             tables[-1].caption_justify = "left"
         tables[-len(parts)].title = title
         tables[-1].caption = f"{counted(len(result.missed), 'manual segment')} found by no method"
-    return Group(*tables, *(Text(f"{sentence(text)}.") for text in (THESIS_NAMES, *overlap_notes(study))))
+    return Group(*tables, *(plain_text(f"{sentence(text)}.") for text in (THESIS_NAMES, *overlap_notes(study))))
 
 
 def _overview(result: SplitResult, study: Study, part: slice) -> Table:
@@ -116,7 +115,7 @@ def _overview(result: SplitResult, study: Study, part: slice) -> Table:
     table = numbers_table((name.replace(" ", "\n") for name in headings(study)[part]), min_width=12)
     for name, judgement in result.judgements.items():
         leads = name == result.leading and len(result.judgements) > 1
-        table.add_row(Text(name), *row(judgement, study)[part], style="bold" if leads else None)
+        table.add_row(plain_text(name), *row(judgement, study)[part], style="bold" if leads else None)
     return table
 
 

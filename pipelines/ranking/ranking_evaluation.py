@@ -19,6 +19,7 @@ from kinedex.ops.evaluation.ranking_metrics import average_precision
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
+from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.pipelines.ranking.ranking import Hit
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
@@ -205,7 +206,8 @@ def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> Table:
             confused.update(dict(one.confused))
         shown = ", ".join(f"{name} {count}" for name, count in confused.most_common(3))
         total = sum(one.total for one in own)
-        table.add_row(label, str(total), _number(mean_average_precision(own)), _number(recall_at_tau(own)), shown)
+        numbers = (str(total), _number(mean_average_precision(own)), _number(recall_at_tau(own)))
+        table.add_row(plain_text(label), *numbers, plain_text(shown))
     table.add_section()
     every = sum(one.total for one in judged)
     table.add_row("mean", str(every), _number(mean_average_precision(judged)), _number(recall_at_tau(judged)), "")

@@ -14,6 +14,7 @@ from rich.table import Table
 from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.templates.templates import Kind
+from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
@@ -150,7 +151,7 @@ def _shown(
     for column in columns:
         table.add_column(column, justify="left" if column == "subclass" else "right")
     for one, ranking in zip(searched, rankings, strict=True):
-        first = [one.name, str(len(one.template))]
+        first = [str(len(one.template))]
         if lists:
             own = lists.get(one.name, Lists(0, None, 0, 0.0, 0.0))
             first += [str(own.keyframes), "–" if own.stiffness is None else f"{own.stiffness:.2f}", f"{own.segments:,}"]
@@ -158,5 +159,5 @@ def _shown(
         best = f"{ranking.hits[0].cost:.3f}" if ranking.hits else "–"
         skipped = "not tried" if ranking.skipped is None else f"{ranking.skipped:.0%}"
         times = [f"{1000 * seconds:.1f}" for seconds in (ranking.reading, ranking.ranking)]
-        table.add_row(*first, skipped, *times, str(len(ranking.hits)), best)
+        table.add_row(plain_text(one.name), *first, skipped, *times, str(len(ranking.hits)), best)
     return table

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
+import unicodedata
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -86,7 +89,7 @@ def test_the_same_labels_in_the_words_of_every_format(tmp_path: Path):
 
 def test_nothing_is_overwritten_unless_asked_for_and_nothing_half_written(tmp_path: Path):
     others = [TakeLabels(name, 30.0, 9, ()) for name in ("one", "two")]
-    written = write_labels(others, "vtt", tmp_path / "new" / "folder")
+    written = list(write_labels(others, "vtt", tmp_path / "new" / "folder").paths)
     assert written == [tmp_path / "new" / "folder" / f"{name}.vtt" for name in ("one", "two")]
     before = written[1].stat().st_mtime_ns
     (tmp_path / "new" / "folder" / "one.vtt").unlink()
@@ -98,14 +101,49 @@ def test_nothing_is_overwritten_unless_asked_for_and_nothing_half_written(tmp_pa
     assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == ["one.vtt", "two.vtt"]
     with pytest.raises(KinedexError, match="holds one take, not 2; name a folder"):
         write_labels(others, "vtt", tmp_path / "all.vtt")
-    assert write_labels(others, "json", tmp_path / "all.json") == [tmp_path / "all.json"]
+    assert list(write_labels(others, "json", tmp_path / "all.json").paths) == [tmp_path / "all.json"]
     with pytest.raises(KinedexError, match="no format of labels is named 'srt'"):
         write_labels(others, "srt", tmp_path)
-    for name in ("a\nb", " a", ""):
-        with pytest.raises(KinedexError, match="cannot be written into label files"):
-            write_labels([TakeLabels(name, 30.0, 9, ())], "csv", tmp_path / "x.csv")
-    with pytest.raises(KinedexError, match="cannot be the name of a file"):
-        write_labels([TakeLabels("../a", 30.0, 9, ())], "csv", tmp_path)
+
+
+def test_a_name_that_a_format_cannot_hold_excludes_its_take_and_no_other(tmp_path: Path):
+    for name, form in (("a\nb", "vtt"), ("\x1b[31m", "eaf"), ("a\rb", "txt"), (" a", "csv"), ("", "json")):
+        odd, plain = TakeLabels(name, 30.0, 9, ()), TakeLabels("plain", 30.0, 9, ())
+        with pytest.raises(KinedexError, match=r"cannot hold .*would not give back the name"):
+            write_labels([odd], form, tmp_path / f"x.{form}")
+        written = write_labels([odd, plain], form, tmp_path / "folder", force=True)
+        assert (written.excluded, [path.stem for path in written.paths]) == ((name,), ["plain"])
+
+
+HOSTILE = (
+    "a\nb", "a\rb", "\x1b[31mred", "\u202egnp", "\u200b", "=1+1", "+A1", "-x", "@x", "'=x", "''@x", "'x", "-3", "con",
+    "a:b", "../up", "..", "A", "a", "x" * 400, 'q"uo,te', "\u00e4", "a\u0308",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["csv", "json"])
+def test_any_name_is_exported_and_read_again(tmp_path: Path, form: str):
+    takes = [TakeLabels(name, 30.0, 900, (Label(name, 0, 9, name, 0.1, 0.9),)) for name in HOSTILE]
+    (whole,) = write_labels(takes, form, tmp_path / f"all.{form}").paths
+    assert [(one.take, one.label) for one in read_labels(whole).segments] == [(name, name) for name in HOSTILE]
+    written = write_labels(takes, form, tmp_path / "each")
+    assert written.excluded == ()
+    assert [read_labels(path).takes for path in written.paths] == [(name,) for name in HOSTILE]
+    assert len({unicodedata.normalize("NFC", path.name).casefold() for path in written.paths}) == len(HOSTILE)
+    assert all(re.fullmatch(r"[^\x00-\x1f/\\:*?\"<>|\u200b\u202e]{1,200}", path.name) for path in written.paths)
+    assert {path.parent for path in written.paths} == {tmp_path / "each"}
+    assert sorted(written.renamed) == sorted(
+        set(HOSTILE) - {"=1+1", "+A1", "-x", "@x", "'=x", "''@x", "'x", "-3", "A", "\u00e4"}
+    )
+
+
+def test_a_spreadsheet_computes_no_cell(tmp_path: Path):
+    takes = [TakeLabels(name, 30.0, 900, (Label(name, 0, 9, name, -0.5, 0.9),)) for name in HOSTILE]
+    (path,) = write_labels(takes, "csv", tmp_path / "all.csv").paths
+    with path.open(encoding="utf-8", newline="") as file:
+        cells = [cell for row in csv.reader(file) for cell in row]
+    assert not [cell for cell in cells if cell[:1] in tuple("=+-@\t\r") and not re.fullmatch(r"-[0-9.]+", cell)]
+    assert "-0.5" in cells
 
 
 def read(folder: Path, ending: str, text: str) -> list[ManualSegment]:
@@ -124,14 +162,19 @@ def test_what_is_a_folder_and_which_format_is_meant(tmp_path: Path):
     with pytest.raises(KinedexError, match=r"labels\.cvs: .* '\.cvs', is no .*; did you mean 'csv'"):
         write_labels(takes, None, tmp_path / "labels.cvs")
     assert list(tmp_path.iterdir()) == []
-    assert write_labels(takes, None, f"{year}/") == [year / "one.csv", year / "two.csv"]
-    assert write_labels(takes, None, year, force=True) == [year / "one.csv", year / "two.csv"]  # it is a folder now
-    assert write_labels(takes, "VTT", year) == [year / "one.vtt", year / "two.vtt"]
-    assert write_labels(takes, None, f"{tmp_path}/in.csv/") == [
+    assert list(write_labels(takes, None, f"{year}/").paths) == [year / "one.csv", year / "two.csv"]
+    assert list(write_labels(takes, None, year, force=True).paths) == [
+        year / "one.csv",
+        year / "two.csv",
+    ]  # it is a folder now
+    assert list(write_labels(takes, "VTT", year).paths) == [year / "one.vtt", year / "two.vtt"]
+    assert list(write_labels(takes, None, f"{tmp_path}/in.csv/").paths) == [
         tmp_path / "in.csv" / f"{n}.csv" for n in ("one", "two")
     ]
-    assert write_labels(takes, None, tmp_path / "plain") == [tmp_path / "plain" / f"{n}.csv" for n in ("one", "two")]
-    assert write_labels(takes, None, tmp_path / "all.JSON") == [tmp_path / "all.JSON"]
+    assert list(write_labels(takes, None, tmp_path / "plain").paths) == [
+        tmp_path / "plain" / f"{n}.csv" for n in ("one", "two")
+    ]
+    assert list(write_labels(takes, None, tmp_path / "all.JSON").paths) == [tmp_path / "all.JSON"]
 
 
 def test_where_nothing_can_be_written_the_target_is_named(tmp_path: Path):
@@ -144,9 +187,8 @@ def test_where_nothing_can_be_written_the_target_is_named(tmp_path: Path):
         with pytest.raises(KinedexError, match=r"p\.yaml: is no folder, so .* cannot be written into it"):
             write_labels([TWO], form, output)
     assert (tmp_path / "p.yaml").read_text() == ""
-    long = TakeLabels("x" * 300, 30.0, 9, ())
     with pytest.raises(KinedexError, match=r"x\.csv: cannot be written: File name too long"):
-        write_labels([long], "csv", tmp_path / "new")
+        write_labels([TWO], "csv", tmp_path / f"{'x' * 300}.csv")
     (tmp_path / "taken.csv" / "a take.csv").mkdir(parents=True)
     with pytest.raises(KinedexError, match=r"a take\.csv: cannot be written: Is a directory"):
         write_labels([TWO], "csv", tmp_path / "taken.csv", force=True)
@@ -162,7 +204,7 @@ def test_a_folder_that_nobody_may_write_into_is_not_blamed_on_a_temporary_file()
 def test_takes_without_a_label_are_takes_of_their_file(tmp_path: Path):
     takes = [TWO, TakeLabels("found empty", 30.0, 9, ())]
     for form in ("csv", "json"):
-        (path,) = write_labels(takes, form, tmp_path / f"all.{form}")
+        (path,) = write_labels(takes, form, tmp_path / f"all.{form}").paths
         found = read_labels(path)
         assert found.takes == ("a take", "found empty")
         assert {one.take for one in found.segments} == {"a take"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,7 +11,8 @@ from pathlib import Path
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.labels import audacity, elan, tables, webvtt
-from kinedex.storage.formats.labels.segments import LabelFile, TakeLabels, check_writable
+from kinedex.storage.formats.labels.file_names import file_names
+from kinedex.storage.formats.labels.segments import LabelFile, TakeLabels, is_writable
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Format:
     read : callable
         Reads the labels of a file.
     several : bool
-        True if one file can hold several takes.
+        True if one file can hold several takes, and names with control characters.
     """
 
     title: str
@@ -55,6 +57,25 @@ FORMATS: dict[str, Format] = {
 ENDINGS = ", ".join(f".{name} ({form.title})" for name, form in FORMATS.items())
 
 
+@dataclass(frozen=True)
+class Written:
+    """The label files that were written.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        The files, each of them whole.
+    renamed : dict of str to str
+        Take → name of its file, where the take's own name cannot be one.
+    excluded : tuple of str
+        Takes that the format cannot hold, since it would not give back their names or those of their classes.
+    """
+
+    paths: tuple[Path, ...]
+    renamed: dict[str, str]
+    excluded: tuple[str, ...]
+
+
 def read_labels(path: str | Path) -> LabelFile:
     """Read a label file in the format of its ending.
 
@@ -74,9 +95,7 @@ def read_labels(path: str | Path) -> LabelFile:
     return FORMATS[ending].read(path)
 
 
-def write_labels(
-    takes: Sequence[TakeLabels], form: str | None, output: str | Path, *, force: bool = False
-) -> list[Path]:
+def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Path, *, force: bool = False) -> Written:
     """Write the labels of takes: a file for each into a folder, or one file.
 
     Parameters
@@ -87,26 +106,33 @@ def write_labels(
         A key of `FORMATS`, in letters of either case; None for the format of the file's ending, CSV for a folder.
     output : str or Path
         A file if its name ends as the format's files do; a folder if it does not, exists as one, or has a slash at its
-        end. Missing folders are made, and the files in them bear the takes' names.
+        end. Missing folders are made, and the files in them bear the takes' names, as far as `file_names` allows.
     force : bool, optional
         Replace existing files.
 
     Returns
     -------
-    list of Path
-        The files, each of them whole.
+    Written
+        The files, and the takes that are not in them, or not under their names.
 
     Raises
     ------
     KinedexError
         The format is unknown, files exist already (none is written then), a file of a format for one take would hold
-        several, or a name or a file cannot be written.
+        several, the format can hold none of the takes, or a file cannot be written.
     """
-    folder = str(output).endswith("/") or Path(output).is_dir()
+    folder = str(output).endswith("/") or os.path.isdir(output)
     kind = _format(form, output, folder)
-    for labels in takes:
-        check_writable(labels)
-    targets = _targets(takes, kind, Path(output), folder)
+    writable = [labels for labels in takes if is_writable(labels, quoted=FORMATS[kind].several)]
+    inside = {labels.take for labels in writable}
+    excluded = tuple(labels.take for labels in takes if labels.take not in inside)
+    if excluded and not writable:
+        raise KinedexError(
+            f"a file of {FORMATS[kind].title} cannot hold {excluded[0]!r}: it would not give back the name of the take "
+            "or of a class; a name must not be empty, begin or end with a space, or (but in CSV and JSON) have control "
+            "characters in it"
+        )
+    targets = _targets(writable, kind, Path(output), folder)
     standing = []
     for path in targets:
         with _writing(path):
@@ -120,7 +146,9 @@ def write_labels(
             path.parent.mkdir(parents=True, exist_ok=True)
             with whole_file(path) as temporary:
                 temporary.write_text(text, encoding="utf-8", newline="")
-    return list(targets)
+    own = {} if Path(output) in targets else {members[0].take: path.name for path, members in targets.items()}
+    renamed = {take: name for take, name in own.items() if name != f"{take}.{kind}"}
+    return Written(tuple(targets), renamed, excluded)
 
 
 def _format(form: str | None, output: str | Path, folder: bool) -> str:
@@ -157,9 +185,5 @@ def _targets(takes: Sequence[TakeLabels], form: str, output: Path, folder: bool)
             title = FORMATS[form].title
             raise KinedexError(f"{output}: a file of {title} holds one take, not {len(takes)}; name a folder")
         return {output: takes}
-    targets: dict[Path, Sequence[TakeLabels]] = {}
-    for labels in takes:
-        if labels.take in (".", "..") or any(mark in labels.take for mark in "/\0"):
-            raise KinedexError(f"take '{labels.take}' cannot be the name of a file; export it to a file that you name")
-        targets[output / f"{labels.take}.{form}"] = (labels,)
-    return targets
+    names = file_names([labels.take for labels in takes])
+    return {output / f"{name}.{form}": (labels,) for name, labels in zip(names, takes, strict=True)}

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.ops.errors import SourceError
 
 _NEVER = {"Cc", "Cs", "Zl", "Zp"}
 
@@ -133,15 +133,14 @@ class LabelFile:
         return cls(str(path), tuple(dict.fromkeys(one.take for one in segments)) or (take,), tuple(segments))
 
 
-def check_writable(labels: TakeLabels) -> None:
-    """Raise a KinedexError for names that some format would not give back.
+def is_writable(labels: TakeLabels, *, quoted: bool) -> bool:
+    """Return whether a file gives back the names of a take and of its classes as they are.
 
-    Such names are empty, begin or end with a space, or have characters that end lines or that XML does not know.
+    Readers remove spaces around names. Formats without quotes have no characters that end lines or that XML does not
+    know.
     """
-    for what, text in (("take", labels.take), *(("class", one.label) for one in labels.labels)):
+    for text in (labels.take, *(one.label for one in labels.labels)):
         odd = any(unicodedata.category(letter) in _NEVER or letter in "\ufffe\uffff" for letter in text)
-        if not text or text != text.strip() or odd:
-            raise KinedexError(
-                f"{what} {text!r} cannot be written into label files: a name must not be empty, begin or end with a "
-                "space, or have control characters in it"
-            )
+        if not text or text != text.strip() or (odd and not quoted):
+            return False
+    return True

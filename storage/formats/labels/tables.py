@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.csv_cells import csv_line, unguarded
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
 from kinedex.storage.formats.labels.texts import (
     LONGEST_SECONDS,
@@ -36,14 +36,10 @@ _MOST_VALUES = 4 * MOST_LABELS  # lists and objects of a JSON file, which take f
 def write_csv(takes: Sequence[TakeLabels]) -> str:
     """Return a CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
 
-    A take without labels has a row of its name alone.
+    A take without labels has a row of its name alone. Names that a spreadsheet would compute are guarded.
     """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _WRITTEN, lineterminator="\n")
-    writer.writeheader()
-    for labels in takes:
-        writer.writerows({"take": labels.take, **row} for row in [*_rows(labels)] or [{}])
-    return text.getvalue()
+    rows = ({"take": labels.take, **row} for labels in takes for row in [*_rows(labels)] or [dict[str, object]()])
+    return "".join([csv_line(_WRITTEN), *(csv_line(map(row.get, _WRITTEN)) for row in rows)])
 
 
 def write_json(takes: Sequence[TakeLabels]) -> str:
@@ -118,7 +114,7 @@ def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, Man
     for count, row in enumerate(reader, 1):
         line = reader.line_num
         refuse_many(path, count, line)
-        texts = {name: (row[name] or "").strip() for name in columns}
+        texts = {name: unguarded((row[name] or "").strip()) for name in columns}
         if not any(texts.values()):
             continue
         take = texts["take"]

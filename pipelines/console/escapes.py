@@ -1,0 +1,109 @@
+"""Control and invisible characters of names, values and messages, escaped for people's eyes.
+
+A terminal obeys ESC sequences in a file's name, and a right-to-left override shows a name as another one. Everything
+that the command line shows passes here; CSV, JSON and Parquet in files and pipes keep the true values.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+import sys
+from collections.abc import Iterable
+from io import TextIOWrapper
+from typing import Any, TextIO
+
+_ODD = (
+    "\x00-\x1f\x7f-\x9f"  # controls, C1 among them
+    "\u00ad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e0fff"  # invisible
+    "\ud800-\udfff"  # bytes of file names that are not UTF-8
+)
+_ESCAPED = re.compile(f"[{_ODD}]")
+_ESCAPED_IN_LINES = re.compile(f"(?!\n)[{_ODD}]")
+_SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+
+
+def visible(text: str) -> str:
+    """Return a text of one line in which control and invisible characters are escaped: ``\\x1b``, ``\\u202e``."""
+    return text if text.isascii() and text.isprintable() else _ESCAPED.sub(_escape, text)
+
+
+def visible_text(text: str) -> str:
+    """Return a text as `visible` does, but with its line breaks."""
+    return text if text.isascii() and text.isprintable() else _ESCAPED_IN_LINES.sub(_escape, text)
+
+
+def visible_lines(text: str) -> str:
+    """Return a message as `visible` does, but with its lines; all but the first are indented by two spaces or more.
+
+    So a name with a line break in it cannot pass for a message of its own.
+    """
+    return re.sub(r"\n(?!  |\n|$)", "\n  ", visible_text(text))
+
+
+def json_escaped(text: str) -> str:
+    """Return JSON text in which these characters are escaped; its values stay the same."""
+    return text if text.isascii() else _ESCAPED_IN_LINES.sub(_json_escape, text)
+
+
+def _escape(found: re.Match[str]) -> str:
+    letter = found[0]
+    code = ord(letter)
+    return _SHORT.get(letter) or (
+        f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    )
+
+
+def _json_escape(found: re.Match[str]) -> str:
+    pairs = found[0].encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{pairs[place : place + 4]}" for place in range(0, len(pairs), 4))
+
+
+class EscapedStream:
+    """A terminal to which plain text is written: `print`, log records, warnings, errors of usage.
+
+    Parameters
+    ----------
+    stream : TextIO
+        The terminal; everything but `write` is passed on to it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.unescaped = stream
+
+    def write(self, text: str) -> int:
+        """Write a text with its line breaks, and everything else as `visible` does."""
+        self.unescaped.write(visible_text(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write texts one after the other."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unescaped, name)
+
+
+def unescaped(stream: TextIO) -> TextIO:
+    """Return the stream below an `EscapedStream`: for rich, which writes ESC sequences of its own."""
+    return stream.unescaped if isinstance(stream, EscapedStream) else stream
+
+
+def escape_streams() -> None:
+    """Escape what the program writes to terminals; files and pipes get UTF-8, and names byte for byte."""
+    codecs.register_error("kinedex-names", _encode_name)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="kinedex-names")
+        if stream is not None and stream.isatty():
+            setattr(sys, name, EscapedStream(stream))
+
+
+def _encode_name(fault: UnicodeError) -> tuple[str | bytes, int]:
+    """Encode a file name's byte that is not UTF-8 as that byte, and escape any other surrogate."""
+    try:
+        return codecs.lookup_error("surrogateescape")(fault)
+    except UnicodeError:
+        return codecs.lookup_error("backslashreplace")(fault)
