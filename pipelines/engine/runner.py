@@ -307,6 +307,8 @@ def _record(
         **summary,
         "uses": step.stage.uses,
         "params": step.stage.params.model_dump(mode="json"),
+        # a stage may follow another one in what it was not given, so that defaults cannot stand for it
+        "given": step.stage.params.model_dump(mode="json", exclude_unset=True),
         "inputs": dict(step.stage.inputs),
         "fingerprint_parts": step.parts,
     }

@@ -26,9 +26,11 @@ def known_stages(store: Path) -> dict[str, StageRecord]:
 
 
 def pipeline_text(records: dict[str, StageRecord], pipeline: str) -> str:
-    """Return the text of a pipeline file with the stages of a pipeline, and the parameters that they had."""
+    """Return the text of a pipeline file with the stages of a pipeline, and the parameters that they were given."""
     stages = {
-        key.partition("/")[2]: {name: record.summary[name] for name in ("uses", "inputs", "params")}
+        key.partition("/")[2]: {name: record.summary[name] for name in ("uses", "inputs")}
+        # records of format 3 do not keep apart the parameters that were given
+        | {"params": record.summary.get("given", record.summary["params"])}
         for key, record in records.items()
         if key.partition("/")[0] == pipeline
     }
