@@ -37,8 +37,8 @@ from tests.killed_runs import channel, start
 from tests.pipelines.archives import write_archive
 from tests.storage.made_up import BODY, add
 
-ANSWER_SECONDS = 300.0
-"""A process that takes longer than this is ended, and counts as a failure."""
+ANSWER_SECONDS, COMMIT_SECONDS = 300.0, 15.0
+"""A process that takes longer than this, and than so long for each commit, is ended and counts as a failure."""
 
 WAIT = Wait(60.0)
 HELD_SECONDS = 1.5
@@ -91,12 +91,15 @@ def _race_readers(store: Path, seed: int, commits: int, outcome: Outcome) -> Non
         *((_read_newest, (store, stop)) for _ in range(2)), (_read_for_long, (store, stop)),
         (_read_old, (store, stop, seed)),
     ]  # fmt: skip
-    for kind, count in _together(works, "reads", outcome):
+    for kind, count in _together(works, "reads", outcome, ANSWER_SECONDS + COMMIT_SECONDS * commits):
         outcome.count(kind, count)
 
 
 def _together(
-    works: list[tuple[Callable[..., dict[str, int]], tuple[Any, ...]]], case: str, outcome: Outcome
+    works: list[tuple[Callable[..., dict[str, int]], tuple[Any, ...]]],
+    case: str,
+    outcome: Outcome,
+    seconds: float = ANSWER_SECONDS,
 ) -> list[tuple[str, int]]:
     """Call functions in processes of their own at the same time; return their counts, and add their failures."""
     running = []
@@ -105,9 +108,9 @@ def _together(
         running.append((function.__name__, start(_answer, theirs, function, given), ours))
         theirs.close()
     counts: list[tuple[str, int]] = []
-    deadline = time.monotonic() + ANSWER_SECONDS
+    deadline = time.monotonic() + seconds
     for name, process, pipe in running:
-        found: Any = f"{name} gave no answer in {ANSWER_SECONDS:.0f} s"
+        found: Any = f"{name} gave no answer in {seconds:.0f} s"
         if pipe.poll(max(0.0, deadline - time.monotonic())):
             try:
                 found = pipe.recv()
