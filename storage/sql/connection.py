@@ -177,9 +177,11 @@ def _define(connection: duck.Connection, store: Snapshot, index: Generation | No
             # an index file of an older kinedex may hold older ones
             if indexed or complete or not _reads_index(macro):
                 connection.execute(macro.sql(temporary=True))
-    except duck.Error as fault:
+    except (duck.Error, UnicodeDecodeError) as fault:
+        # a damaged name of a column may be no UTF-8, and then no message either
         store.checked.parts(store.manifest.parts)
-        raise StoreError(f"{store.path}: SQL over this store does not work: {duck.first_line(fault)}") from None
+        reason = duck.first_line(fault) if isinstance(fault, duck.Error) else str(fault)
+        raise StoreError(f"{store.path}: SQL over this store does not work: {reason}") from None
 
 
 def _define_failing(connection: duck.Connection, store: Snapshot) -> None:

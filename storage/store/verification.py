@@ -20,6 +20,7 @@ from kinedex.ops.errors import KinedexError, Remedy, StoreError
 from kinedex.storage import duck
 from kinedex.storage.index.generations import (
     INDEX_VERSION,
+    RECORD,
     current_generation,
     file_digest,
     generations,
@@ -294,7 +295,7 @@ class _Verification:
         folder = f"index/{newest.name}"
         record = read_generation(newest)
         if record is None or record.index_version != INDEX_VERSION:
-            yield self._found("index", folder, "the index is damaged or of another version")
+            yield self._found("index", f"{folder}/{RECORD}", "the index is damaged or of another version")
         elif record.content == self.manifest.content_digest():
             for name, problem in wrong_sizes(newest, record):
                 yield self._found("index", f"{folder}/{name}", f"the index is damaged: the file {problem}")
