@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import StoreError
 from kinedex.storage import duck
-from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import RESULT_KINDS, result_schema
 from kinedex.storage.sql.read_parts import _reached
 from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
 from tests.storage.flipped import flip_bit
-from tests.storage.made_up import make_store
+from tests.storage.made_up import BODY, make_store
 
 
 @pytest.fixture
@@ -70,3 +73,18 @@ def test_views_and_macros_lead_to_every_view_in_their_bodies() -> None:
             words = body.replace("(", " ").replace(")", " ").replace(",", " ").split()
             named = {after for before, after in pairwise(words) if before in ("FROM", "JOIN")}
             assert named & {"frames", "takes", *RESULT_KINDS} <= set(_reached(connection, [name])), name
+
+
+def test_a_damaged_name_of_a_column_is_an_error_that_names_the_part(tmp_path: Path) -> None:
+    path = make_store(tmp_path / "store", {"a": 30})
+    row = {"run": "r", "take_id": 1, "take": "a", "class": "walk", "start": 3, "stop": 9, "confidence": 0.5}
+    with StoreWriter.open(path, BODY) as writer:
+        table = pa.Table.from_pylist([row], schema=result_schema("annotations"))
+        writer.put_results("annotations", table, stage="study/annotate", run="r")
+        writer.commit()
+        part = path / writer.manifest.results["annotations"][0].path
+    for place in re.finditer(b"confidence", part.read_bytes()):
+        flip_bit(part, place.start(), 7)
+        with pytest.raises(StoreError, match=f"{part.name}: the part is damaged"):
+            open_store(path).sql("FROM annotations")
+        flip_bit(part, place.start(), 7)
