@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -193,6 +193,11 @@ def _namesake(name: str, motion: SourceFile, paths: Sequence[str]) -> SourceErro
     return SourceError(
         motion.absolute, f"{many} takes would be named '{name}' (also {also}); rename {rename}, or set `name: {rule}`"
     )
+
+
+def _is_current(row: dict[str, Any], motion: SourceFile, recipe: str, damaged: Collection[int]) -> bool:
+    """Return if a take need not be read again."""
+    return row["recipe"] == recipe and row["take_id"] not in damaged and _same_content(row, motion)
 
 
 def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:

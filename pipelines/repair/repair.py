@@ -24,10 +24,13 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ingestion.file_batches import read_batch
 from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages, pipeline_text
 from kinedex.pipelines.repair.sources import Sources
+from kinedex.storage.disk import sync_file, whole_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import repair
+from kinedex.storage.repair.bit_flips import without_flip
+from kinedex.storage.repair.label_rows import restored_labels
 from kinedex.storage.repair.manifests import BadManifest, bad_manifests, newest_sound, set_aside
 from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Quarantine, quarantines
 from kinedex.storage.repair.take_rows import restored_rows, with_rows
@@ -126,6 +129,7 @@ class _Work:
         self.wait = wait
         self.quarantine = Quarantine.new(root)
         self.outcome = Repair(root)
+        self.mended: set[str] = set()
 
     def say(self, line: str) -> None:
         self.outcome.lines.append(line)
@@ -136,6 +140,8 @@ class _Work:
         require_current_format(self.root, newest_sound(self.root, bad))
         with Lock(self.root / "lock", "this repair", self.wait):
             self._manifests(bad)
+            self._flipped_bits()
+            self._labels()
             self._take_rows()
             self._leftovers()
         self._frames()
@@ -153,7 +159,7 @@ class _Work:
         store = Store(self.root, newest_sound(self.root, bad))
         for one in bad:
             self.say(f"{one.file} would go into the quarantine" + _lost_parts(one))
-        wrong = _parts(store.manifest.takes, self.outcome.found, "takes")
+        wrong = [part for part in store.manifest.takes if part.path in self._damaged("takes")]
         if wrong:
             rows = restored_rows(store, wrong)
             self.say(
@@ -186,10 +192,41 @@ class _Work:
             else:
                 self.say(f"{one.file} is damaged and lies in the quarantine; no newer version needs it")
 
+    def _flipped_bits(self) -> None:
+        """Give small files back their content where only a bit was flipped, which the checksum proves."""
+        parts = {part.path: part for part in open_store(self.root, at="newest").manifest.parts}
+        for one in list(self.outcome.found):
+            path = self.root / one.file
+            if one.file not in parts or not path.is_file() or path.stat().st_size != parts[one.file].bytes:
+                continue
+            content = without_flip(path.read_bytes(), parts[one.file].sha256)
+            if content is not None:
+                with write_errors(path), whole_file(path) as temporary:
+                    temporary.write_bytes(content)
+                    sync_file(temporary)
+                self.mended.add(one.file)
+                self.say(f"{one.file}: one bit was flipped, and is as it was")
+
+    def _labels(self) -> None:
+        """Restore labels of damaged parts; they are primary data, so the damaged part is kept in any case."""
+        store = open_store(self.root, at="newest")
+        wrong = [part for part in store.manifest.labels if part.path in self._damaged("labels")]
+        if not wrong:
+            return
+        for part in wrong:
+            self._keep(part.path, "the part of labels is damaged", f"{part.rows} labels", part.sha256)
+        restored = restored_labels(store, wrong)
+        self._publish(restored.manifest, {})
+        self.say(f"restored {counted(restored.restored, 'label')} from older versions; {restored.lost} are lost")
+
+    def _damaged(self, kind: str) -> set[str]:
+        """Return the files with findings of a kind that are still damaged."""
+        return {one.file for one in self.outcome.found if one.kind == kind} - self.mended
+
     def _take_rows(self) -> None:
         """Restore the rows of takes of damaged parts; a store without them cannot be written."""
         store = open_store(self.root, at="newest")
-        wrong = _parts(store.manifest.takes, self.outcome.found, "takes")
+        wrong = [part for part in store.manifest.takes if part.path in self._damaged("takes")]
         if not wrong:
             return
         restored = restored_rows(store, wrong)
@@ -231,17 +268,20 @@ class _Work:
     def _frames(self) -> None:
         """Read the takes of damaged parts of frames again."""
         store = open_store(self.root, at="newest")
-        wrong = _parts(store.manifest.frames, self.outcome.found, "frames")
+        wrong = [part for part in store.manifest.frames if part.path in self._damaged("frames")]
         single = {take for one in self.outcome.found if one.kind == "content" for take in one.takes}
         if not wrong and not single:
             return
+        # of a part whose takes have other lengths than their rows say, it is not known how many rows are dropped
+        wrong += [part for part in store.manifest.frames if part not in wrong and not single.isdisjoint(part.live)]
         with StoreWriter.open(self.root, store.feature_set, store.rate_hz, self.wait) as writer:
             sources = self._sources(writer.store)
-            for part in wrong:
-                self._read_again(writer, sources, part.live, part)
             rows = set(writer.store.take_frames)
+            for part in wrong:
+                self._read_again(writer, sources, rows.intersection(part.live), part)
+            single -= {take for part in wrong for take in part.live if take in rows}
             if single & rows:
-                self._read_again(writer, sources, sorted(single & rows), None)
+                self._read_again(writer, sources, single & rows, None)
             nameless = (single - rows) & set(writer.manifest.live_takes)
             if nameless:
                 writer.drop_takes(nameless)
@@ -358,7 +398,7 @@ class _Work:
 
     def _hit_stages(self, store: Store) -> dict[str, set[str]]:
         """Return the stages that have damaged results or reports, each with the paths of its damaged parts."""
-        wrong = {one.file for one in self.outcome.found if one.kind in ("results", "report")}
+        wrong = self._damaged("results") | self._damaged("report")
         found: dict[str, set[str]] = {}
         for parts in store.manifest.results.values():
             for part in parts:
@@ -374,11 +414,6 @@ class _Work:
 
     def _keep(self, file: str, why: str, held: str, sha256: str = "", stage: str = "") -> None:
         self.quarantine.keep(KeptFile(file, why, held, sha256, stage))
-
-
-def _parts(parts: Iterable[Part], findings: list[Finding], kind: str) -> list[Part]:
-    wrong = {one.file for one in findings if one.kind == kind}
-    return [part for part in parts if part.path in wrong]
 
 
 def _lost_parts(bad: BadManifest) -> str:

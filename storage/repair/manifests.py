@@ -86,6 +86,8 @@ def set_aside(quarantine: Quarantine, bad: list[BadManifest]) -> None:
         quarantine.keep(KeptFile(one.file, one.problem, f"the manifest of version {one.version}"))
         os.unlink(manifest_path(store, one.version))
         sync_folder(store / FOLDER)
+        for part in one.lost:
+            (store / part).unlink(missing_ok=True)
 
 
 def _unnamed(store: Path, sound: list[int]) -> tuple[str, ...]:

@@ -1,0 +1,33 @@
+"""A flipped bit of a small file: found by trying each, and proven by the checksum."""
+
+from __future__ import annotations
+
+import hashlib
+
+LARGEST = 24_000
+"""A file of more bytes is not tried: the time grows with the square of the size, to some seconds here."""
+
+
+def without_flip(content: bytes, sha256: str) -> bytes | None:
+    """Return the content that a file had before one of its bits was flipped; None if that is not what happened.
+
+    Parameters
+    ----------
+    content : bytes
+        The damaged content, at most `LARGEST` bytes.
+    sha256 : str
+        The checksum of the content before, in hexadecimal.
+    """
+    if len(content) > LARGEST:
+        return None
+    wanted, view = bytes.fromhex(sha256), memoryview(content)
+    before = hashlib.sha256()
+    for place, byte in enumerate(content):
+        for bit in range(8):
+            attempt = before.copy()
+            attempt.update(bytes([byte ^ 1 << bit]))
+            attempt.update(view[place + 1 :])
+            if attempt.digest() == wanted:
+                return content[:place] + bytes([byte ^ 1 << bit]) + content[place + 1 :]
+        before.update(view[place : place + 1])
+    return None
