@@ -390,6 +390,9 @@ class Store:
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> Connection:
         """Open a DuckDB connection with all views and macros, for tables and macros of your own.
 
+        The checksums of all parts of the store are compared first, because nobody sees what the connection will read;
+        `sql` compares only those of the parts that a query reads.
+
         Parameters
         ----------
         threads : int, optional
