@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -133,11 +133,8 @@ def compare(
             failures.append(failure(motion, fault))
     ids = writer.assign_take_ids(task.name for task in tasks)
     tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
-    vanished = [
-        row
-        for name, row in known.items()
-        if name not in names and row["source_root"] in former and not found.hidden(row["source"])
-    ]
+    absent = (row for name, row in known.items() if name not in names and row["source_root"] in former)
+    vanished = [row for row in absent if not found.hidden(row["source"])]
     called = {path: name for name, paths in names.items() for path in paths}
     renamed = [(row["take_id"], row["name"], called[row["source"]]) for row in vanished if row["source"] in called]
     gone = [row["take_id"] for row in vanished if row["source"] not in called]
@@ -193,11 +190,6 @@ def _namesake(name: str, motion: SourceFile, paths: Sequence[str]) -> SourceErro
     return SourceError(
         motion.absolute, f"{many} takes would be named '{name}' (also {also}); rename {rename}, or set `name: {rule}`"
     )
-
-
-def _is_current(row: dict[str, Any], motion: SourceFile, recipe: str, damaged: Collection[int]) -> bool:
-    """Return if a take need not be read again."""
-    return row["recipe"] == recipe and row["take_id"] not in damaged and _same_content(row, motion)
 
 
 def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:
