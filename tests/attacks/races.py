@@ -236,6 +236,8 @@ def read_all(store: Store, *, indexed: bool = True) -> int:
     """
     takes = len(store.manifest.live_takes)
     rows = store.takes()
+    if not takes:
+        return 1  # the version with which a store begins
     frames = int(rows["frames"].sum())
     words = store.words()
     found = {

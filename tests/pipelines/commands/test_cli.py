@@ -19,7 +19,12 @@ import pytest
 from typer.testing import CliRunner
 
 from docs.generators.json_documents import DOCUMENTS
+from kinedex.catalog.features import load_feature_set
 from kinedex.pipelines.commands.cli import app
+from kinedex.storage.lock import Lock
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import write_archive
 
 COMMANDS = ["demo", "run", "plan", "ingest", "inspect", "search", "sql", "takes", "verify", "synth", "version"]
@@ -370,3 +375,48 @@ def test_commands_import_nothing_that_only_posix_has() -> None:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert not posix & {*names, getattr(node, "module", None)}, path
+
+
+def test_commands_show_the_newest_version_with_its_index_and_report_a_newer_one(store: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(store, tmp_path / "store")
+    indexed = document("versions", copy)["versions"][-1]["version"]
+    with StoreWriter.open(copy, load_feature_set()) as writer:
+        writer.drop_takes([writer.manifest.live_takes[0]])
+        newest = writer.commit().version
+    before = document("takes", copy)["takes"]
+    done = kinedex("takes", copy, "--format", "csv")
+    assert (
+        f"version {indexed} of {copy} is shown, the newest with its index; version {newest} is the newest"
+        in done.stderr
+    )
+    assert kinedex("takes", copy, "--format", "csv", "--quiet").stderr == ""
+    after = document("takes", copy, "--at", "newest")["takes"]
+    assert len(after) == len(before) - 1
+    assert document("takes", copy, "--at", str(indexed))["takes"] == before
+    assert kinedex("sql", copy, "SELECT count(*) AS n FROM takes", "--format", "csv").stdout.split() == [
+        "n", str(len(before))
+    ]  # fmt: skip
+    for words in (["--at", "first"], ["--at", "99999"]):
+        wrong = kinedex("takes", copy, *words)
+        assert wrong.returncode == 1
+        assert "newest" in wrong.stderr or "it has no version 99999" in wrong.stderr
+    refused = kinedex("search", copy, "example", "--save", "x", "--at", str(indexed))
+    assert "give no --at" in refused.stderr
+
+
+def test_gc_keeps_young_versions_and_waits_no_longer_than_it_is_asked_to(store: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(store, tmp_path / "store")
+    assert document("gc", copy, "--keep", "1", "--older-than", "1d", "--dry-run")["removed"] == []
+    assert kinedex("gc", copy, "--older-than", "a day").returncode == 2
+    with Lock(copy / "lock", "this"):
+        late = kinedex("gc", copy, "--wait", "1s")
+    assert late.returncode == 1
+    assert "`--wait 10m` waits for it" in late.stderr
+    with open_store(copy) as opened:
+        version = opened.manifest.version
+        with StoreWriter.open(copy, load_feature_set()) as writer:
+            for run in ("one", "two", "three"):
+                writer.put_results("hits", result_schema("hits").empty_table(), stage="p/search", run=run)
+                writer.forget_stage(next(iter(writer.manifest.stages), ""))
+                writer.commit()
+        assert f"kept: version {version} is open in " in kinedex("gc", copy, "--keep", "1").stdout
