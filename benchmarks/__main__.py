@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from benchmarks import (
     annotating,
-    checking,
+    checksums,
     indexing,
     keyframes,
     learning,
@@ -26,7 +26,7 @@ from kinedex.storage.store.store import Store
 PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "startup": lambda opened: list(startup.figures(opened)),
     "reading": lambda _: list(reading.figures()),
-    "checking": lambda opened: list(checking.figures(opened)),
+    "checksums": lambda opened: list(checksums.figures(opened)),
     "indexing": indexing.figures,
     "searching": searching.figures,
     "sharing": sharing.figures,
