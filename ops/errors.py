@@ -10,6 +10,7 @@ from pathlib import Path
 
 _LONG_WORD = re.compile(r"\S{600,}")
 _LONGEST_MESSAGE = 1500
+_LONGEST_NAME, _MOST_NAMES = 200, 10_000
 
 
 @dataclass(frozen=True)
@@ -148,10 +149,12 @@ def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
         A clause to append to an error message; empty where no name is known.
     """
     names = sorted(set(known))
-    near = difflib.get_close_matches(name, names, n=1, cutoff=alike)
+    # the search takes time in proportion to the lengths of both names, and to the number of names
+    short = [known for known in names[:_MOST_NAMES] if len(known) <= _LONGEST_NAME]
+    near = difflib.get_close_matches(name, short, n=1, cutoff=alike) if len(name) <= _LONGEST_NAME else []
     if near:
         return f"; did you mean '{near[0]}'?"
     if not names:
         return ""
-    shown = ", ".join(names[:12])
+    shown = ", ".join(one[:_LONGEST_NAME] for one in names[:12])
     return f"; known: {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")

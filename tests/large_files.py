@@ -186,3 +186,13 @@ def measure(folder: Path, form: str, size: int) -> tuple[Path, dict[str, float]]
         cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True, timeout=600,
     )  # fmt: skip
     return large, json.loads(done.stdout.splitlines()[-1])
+
+
+def estimate_mb(path: Path) -> float:
+    """Return the memory that ingest expects to need for a file, in megabytes."""
+    from kinedex.pipelines.ingestion.memory_limit import needed_bytes
+    from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
+
+    asf = path.with_suffix(".asf") if path.suffix == ".amc" else None
+    settings = ReadSettings(rate_hz=120.0, body_model=str(path.parent / "model.npz"))
+    return needed_bytes(MotionFile(path, asf), load_feature_set(), 30.0, settings) / 1e6

@@ -86,6 +86,19 @@ def words(
     return out
 
 
+def words_bytes(rules: Sequence[Rule]) -> int:
+    """Return the most memory that `words` takes for a frame besides its input: terms, velocities and their vectors."""
+    left = Counter(key for rule in rules for key in _used(rule))
+    live: set[Term | Velocity] = set()
+    most = 0
+    for rule in rules:
+        live.update(_used(rule))
+        most = max(most, sum(8 if isinstance(key, Term) else 24 for key in live))
+        left.subtract(_used(rule))
+        live -= {key for key in _used(rule) if not left[key]}
+    return most + 120
+
+
 def _stretch(
     positions: F64,
     orientation: F64,
@@ -203,7 +216,7 @@ class _Body:
                 return x[j[0], 1] - p.lowest(x, self._joints(without=term.without))
             case "extent_y":
                 everything = self._joints()
-                return -p.lowest(-x, everything) - p.lowest(x, everything)
+                return p.highest(x, everything) - p.lowest(x, everything)
             case "extent_xz":
                 return p.widest_xz(x, np.array(j, dtype=np.int64))
             case "turn_rate":

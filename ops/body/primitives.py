@@ -133,6 +133,19 @@ def lowest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def highest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
+    """Return the highest Y over the given joints of positions (J, 3, T), NaN joints left out, (T,)."""
+    frames = positions.shape[2]
+    out = np.full(frames, -np.inf)
+    for j in joints:
+        for t in range(frames):
+            y = positions[j, 1, t]
+            if y > out[t]:
+                out[t] = y
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def widest_xz(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
     """Return the largest horizontal distance between any two of the given joints of positions (J, 3, T), (T,)."""
     frames = positions.shape[2]

@@ -64,9 +64,11 @@ def resample(
     share = at - left
     # A frame that is met exactly does not depend on its neighbours.
     left, right = np.where(share > 1.0 - _ON_A_FRAME, left + 1, left), np.where(share > _ON_A_FRAME, left + 1, left)
-    moved = positions[:, :, left] * (1.0 - share) + positions[:, :, right] * share
+    moved = np.empty((*positions.shape[:2], count))
+    for joint, track in enumerate(positions):
+        moved[joint] = track[:, left] * (1.0 - share) + track[:, right] * share
     turned = _slerp(orientation[:, left], orientation[:, right], share)
-    return Sampled(np.ascontiguousarray(moved), turned, None if valid is None else valid[left] & valid[right])
+    return Sampled(moved, turned, None if valid is None else valid[left] & valid[right])
 
 
 def _slerp(a: F64, b: F64, share: F64) -> F64:

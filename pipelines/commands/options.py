@@ -45,6 +45,12 @@ RateOption = Annotated[
     float | None,
     typer.Option("--rate", metavar="HZ", help="Frames per second of every file; overrides what the files contain."),
 ]
+MaxMemoryOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIZE", help="Most memory of all workers, such as 1.5GB; ingest refuses files that need more."
+    ),
+]
 WhereOption = Annotated[
     str | None, typer.Option(help="SQL filter over the columns of takes, for instance \"actor = 'bk'\".")
 ]

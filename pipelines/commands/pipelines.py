@@ -12,6 +12,7 @@ from kinedex.pipelines.commands.options import (
     ExecutorOption,
     ForceOption,
     JsonOption,
+    MaxMemoryOption,
     PipelineArgument,
     RateOption,
     SchedulerOption,
@@ -57,6 +58,7 @@ def run(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
+    max_memory: MaxMemoryOption = None,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -66,8 +68,11 @@ def run(
     """
     from kinedex.pipelines.engine.runner import run_pipeline
 
+    assignments = assignments_of(assign)
+    if max_memory is not None:
+        assignments["ingest.max_memory"] = max_memory
     outcome = run_pipeline(
-        pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
+        pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
         force=frozenset(force or ()), wait_seconds=wait or 0.0,
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
@@ -133,6 +138,7 @@ def ingest(
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    max_memory: MaxMemoryOption = None,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -149,6 +155,8 @@ def ingest(
             assignments[f"ingest.{name}"] = "true"
     if rate is not None:
         assignments["ingest.override_rate_hz"] = str(rate)
+    if max_memory is not None:
+        assignments["ingest.max_memory"] = max_memory
     outcome = run_pipeline(
         "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
         wait_seconds=wait or 0.0,

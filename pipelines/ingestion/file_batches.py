@@ -17,12 +17,15 @@ from kinedex.ops.errors import SourceError, StoreError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.failures import Failure, failure
-from kinedex.storage.formats.motion.reader import Body, ReadSettings, source_bytes
+from kinedex.pipelines.ingestion.memory_limit import MemoryShare
+from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings, source_bytes
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
+
+F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class Batch:
     given: ReadSettings
     strict: bool
     tasks: tuple[Task, ...]
+    memory: MemoryShare | None = None
 
     @property
     def subject(self) -> str:
@@ -73,9 +77,7 @@ def read_batch(batch: Batch) -> Written:
     try:
         for task in batch.tasks:
             try:
-                content, body = _read(batch, task)
-                frames = analyse(body, batch.feature_set, batch.rate_hz)
-                take = _take_row(batch, task, content, body, frames[2])
+                take, frames = _analysed(batch, task)
             except StoreError:
                 raise
             except Exception as fault:
@@ -88,6 +90,7 @@ def read_batch(batch: Batch) -> Written:
                 writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
             writer.add(task.take_id, *frames)
             takes.append(take)
+            del frames  # not to be there while the next file is read
         return Written(takes, writer.close() if writer is not None else None, failures)
     except BaseException:
         if writer is not None:
@@ -95,10 +98,19 @@ def read_batch(batch: Batch) -> Written:
         raise
 
 
+def _analysed(batch: Batch, task: Task) -> tuple[dict[str, Any], tuple[F64, F64, npt.NDArray[np.uint64]]]:
+    """Return the row of `takes` of a file, and its frames."""
+    content, body = _read(batch, task)
+    frames = analyse(body, batch.feature_set, batch.rate_hz)
+    return _take_row(batch, task, content, body, frames[2]), frames
+
+
 def _read(batch: Batch, task: Task) -> tuple[str, Body]:
     """Return the checksum of a file and its body, of the same bytes: read once if it is short, else unchanged since."""
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
     before = _stamp(motion)
+    if batch.memory is not None:
+        batch.memory.refuse_large(MotionFile(motion, asf), batch.feature_set, batch.rate_hz, batch.given)
     data = source_bytes(motion) if reader_of(motion).reads_whole and before[0] <= BLOCK else None
     # not before: it reads the whole file, which is work for many processes
     content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from kinedex.pipelines.ingestion.changes import Naming
+from kinedex.pipelines.ingestion.memory_limit import parse_size
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
 from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn
 
@@ -65,6 +66,18 @@ class IngestParameters(BaseModel):
     prune: bool = Field(False, description="drop takes whose file is no longer in the source")
     strict: bool = Field(False, description="stop at the first file that does not come in, and fail with its message")
     batch_mb: int = Field(64, ge=1, le=4096, description="most megabytes of raw files that one task reads")
+    max_memory: str | None = Field(
+        None,
+        description="most memory of all workers together, such as 1.5GB; a file that needs more than the share of one "
+        "worker is refused before it is read",
+    )
+
+    @field_validator("max_memory")
+    @classmethod
+    def _is_size(cls, size: str | None) -> str | None:
+        if size is not None:
+            parse_size(size)
+        return size
 
     @field_validator("patterns")
     @classmethod
@@ -80,9 +93,9 @@ class IngestParameters(BaseModel):
     def remembered(self) -> dict[str, Any]:
         """The parameters that a store remembers for a source, as JSON values with absolute paths of files.
 
-        Those that concern a single run (prune, strict, batch_mb) are not among them.
+        Those that concern a single run (prune, strict, batch_mb, max_memory) are not among them.
         """
-        values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb"})
+        values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb", "max_memory"})
         values |= {"source": os.path.realpath(Path(self.source).expanduser())}
         for name in ("skeleton", "features", "body_model"):
             if values[name] is not None and Path(values[name]).suffix:

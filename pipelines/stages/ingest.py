@@ -23,6 +23,7 @@ from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
 from kinedex.pipelines.ingestion.failures import Failure, failure, failure_messages, killer, log_table
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
+from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.task_batches import run_batches
 from kinedex.storage.formats.motion.body_models import model_digest
@@ -185,14 +186,15 @@ def _read_files(
         return 0
     if context.executor.workers > 1:
         _compile_kernels(context.feature_set)
-    frames = 0
+    frames, workers = 0, context.executor.workers
+    memory = MemoryShare.of(params.max_memory, workers) if params.max_memory is not None else None
     with context.progress("reading takes", len(tasks)) as progress:
         batches = [
             Batch(
                 context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.given,
-                params.strict, part,
+                params.strict, part, memory,
             )
-            for part in _batches(tasks, params.batch_mb * MEGABYTE, context.executor.workers)
+            for part in _batches(tasks, params.batch_mb * MEGABYTE, workers)
         ]  # fmt: skip
         with closing(run_batches(context.executor, read_batch, batches, _give_up)) as results:
             for batch, written in results:

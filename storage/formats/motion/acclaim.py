@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amc import AmcFile
 from kinedex.storage.formats.motion.asf import INCH_M, Skeleton, read_asf
-from kinedex.storage.formats.motion.mapped_body import mapped_orientation, posed, refuse_far, virtual_joint_warnings
-from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.mapped_body import (
+    mapped_orientation,
+    posed,
+    posed_bytes,
+    refuse_far,
+    virtual_joint_warnings,
+)
+from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
 
 
 class AcclaimReader(Reader):
@@ -24,6 +31,13 @@ class AcclaimReader(Reader):
         """Return the rate, the only setting that counts."""
         return settings.acclaim_hz
 
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Count the frames; the memory is that of the joints, and of a block of the text."""
+        skeleton = _skeleton_of(file)
+        motion = AmcFile(file.path, skeleton, file.data)
+        need = posed_bytes(motion.frames, file_size(file.path), len(skeleton.nodes), joints)
+        return Extent(motion.frames, need, settings.acclaim_hz)
+
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
         """Read an AMC file with its ASF skeleton.
 
@@ -32,18 +46,10 @@ class AcclaimReader(Reader):
         SourceError
             Either file is damaged, or no mapping fits; the error names file and line of the first fault.
         """
-        asf = file.skeleton
-        if asf is None:
-            raise SourceError(file.path, "an AMC file is read with its ASF skeleton; none is given")
-        try:
-            stat = asf.stat()
-            stamp = (stat.st_size, stat.st_mtime_ns)
-        except OSError:
-            stamp = (0, 0)
-        skeleton = _skeleton(str(asf), stamp, INCH_M)
-        fit = mappings.detect(asf, "acclaim", skeleton.bones)
+        skeleton = _skeleton_of(file)
+        fit = mappings.detect(Path(skeleton.path), "acclaim", skeleton.bones)
         if fit.mapping.unit_m not in (None, INCH_M):
-            skeleton = _skeleton(str(asf), stamp, fit.mapping.unit_m)
+            skeleton = _skeleton_of(file, fit.mapping.unit_m)
         motion = AmcFile(file.path, skeleton, file.data)
         positions, matrices = posed(motion, skeleton.nodes, 0, fit, joints)
         refuse_far(file.path, positions, joints, fit.unknown)
@@ -56,6 +62,18 @@ class AcclaimReader(Reader):
             unknown=fit.unknown,
             warnings=(*motion.warnings, *virtual_joint_warnings(fit)),
         )
+
+
+def _skeleton_of(file: MotionFile, unit_m: float = INCH_M) -> Skeleton:
+    asf = file.skeleton
+    if asf is None:
+        raise SourceError(file.path, "an AMC file is read with its ASF skeleton; none is given")
+    try:
+        stat = asf.stat()
+        stamp = (stat.st_size, stat.st_mtime_ns)
+    except OSError:
+        stamp = (0, 0)
+    return _skeleton(str(asf), stamp, unit_m)
 
 
 @lru_cache(maxsize=64)

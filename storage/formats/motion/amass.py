@@ -5,6 +5,7 @@ The places of the joints at rest come from a body model, a file of the user's ow
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,15 +26,17 @@ from kinedex.storage.formats.motion.body_models import (
     model_digest,
 )
 from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
-from kinedex.storage.formats.motion.numpy_arrays import array_names, load_arrays
+from kinedex.storage.formats.motion.numpy_arrays import array_names, array_shapes, load_arrays
 from kinedex.storage.formats.motion.position_files import ARRAYS
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     SLOWEST_HZ,
     Body,
+    Extent,
     MotionFile,
     Reader,
     ReadSettings,
+    body_bytes,
 )
 
 F64 = npt.NDArray[np.float64]
@@ -90,6 +93,19 @@ class AmassReader(Reader):
     def relevant_settings(self, settings: ReadSettings) -> object:
         """Return the rates, and the body model with size and time of its files."""
         return settings.rate_hz, settings.override_rate_hz, model_digest(settings.body_model)
+
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Read the headers of the arrays; the memory is that of all angles, and of the joints."""
+        shapes = array_shapes(file.path)
+        known = [shapes[key] for key in ("poses", "trans", "betas", "gender", *PARTS, *RATES) if key in shapes]
+        stored = sum(math.prod(shape) * kind.itemsize for shape, kind in known)
+        # read, as doubles where it is stored otherwise, and put together where it comes in parts
+        numbers = sum(math.prod(shape) * (0 if kind == np.float64 else 8) for shape, kind in known)
+        together = 0 if "poses" in shapes else 8 * sum(math.prod(shapes[key][0]) for key in PARTS if key in shapes)
+        frames = max((shape[0] for shape, _ in known if shape), default=0)
+        block = min(frames, _AT_ONCE) * (len(BODY) + len(HANDS) + len(FACE)) * 400
+        need = stored + numbers + together + block + body_bytes(frames, joints)
+        return Extent(frames, need, settings.override_rate_hz)
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
         """Read an AMASS file with the body model of the settings.

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.reader import source_bytes
+from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size, source_bytes
+from kinedex.storage.formats.motion.text_blocks import LONGEST
 
 INCH_M = 0.0254
 """Metres of an inch, the unit of Acclaim files."""
@@ -122,6 +123,9 @@ def read_asf(path: str | Path, unit_m: float = INCH_M) -> Skeleton:
         The file is damaged; the error names the line of the first fault.
     """
     asf = _Asf(Path(path))
+    size = file_size(asf.path)
+    if size > LONGEST:
+        raise asf.error(f"has {size / 1e6:.0f} MB; skeletons have at most {LONGEST >> 20} MB")
     # Real headers hold bytes of every code page; Latin-1 reads them all.
     lines = source_bytes(path).decode("latin-1").splitlines()
     section, bone = "", None
@@ -199,6 +203,8 @@ def _read_bone(asf: _Asf, bone: Bone | None, words: list[str], line: int) -> Bon
             raise asf.error("this bone has no name", bone.line)
         if bone.name in asf.bones or bone.name == "root":
             raise asf.error(f"a second bone named '{bone.name}'", bone.line)
+        if len(asf.bones) == MOST_POINTS:
+            raise asf.error(f"more than {MOST_POINTS} bones: this is no body", bone.line)
         asf.bones[bone.name] = bone
         return None
     if key == "name":

@@ -13,11 +13,12 @@ from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
     posed,
+    posed_bytes,
     refuse_far,
     to_metres,
     virtual_joint_warnings,
 )
-from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
 
 
 class BvhReader(Reader):
@@ -30,6 +31,12 @@ class BvhReader(Reader):
     def relevant_settings(self, settings: ReadSettings) -> object:
         """Return the rate that replaces the file's, the only setting that counts."""
         return settings.override_rate_hz
+
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Count the frames; the memory is that of the joints, and of a block of the text."""
+        bvh = BvhFile(file.path, file.data)
+        need = posed_bytes(bvh.frames, file_size(file.path), len(bvh.nodes), joints) + 1000 * len(bvh.nodes)
+        return Extent(bvh.frames, need, settings.rate_of(bvh.rate_hz, []))
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
         """Read a BVH file, which carries its own skeleton and rate.

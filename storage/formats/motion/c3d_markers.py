@@ -74,7 +74,7 @@ def parse_c3d(path: Path) -> Markers:
             path, f"takes {size:.1f} GB in memory; write shorter takes, of {MOST_BYTES / 1e9:.1f} GB at most"
         )
     positions = np.empty((layout.points, 3, layout.frames))
-    step = max(1, min(30_000, _AT_ONCE // layout.points))
+    step = _frames_at_once(layout)
     for start in range(0, layout.frames, step):
         stop = min(start + step, layout.frames)
         positions[:, :, start:stop] = _read_with_ezc3d(path, layout, start, stop)
@@ -89,6 +89,16 @@ def parse_c3d(path: Path) -> Markers:
         warnings.append(f"it begins with frame {layout.first} of its recording, which is source frame 0 here")
     rate_hz, unit_m, up = _rate(path, layout, warnings), _unit_m(path, layout), _up(layout, warnings)
     return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up)
+
+
+def ezc3d_bytes(layout: Layout) -> int:
+    """Return the memory of a block of frames, as a copy of the file and as ezc3d holds it."""
+    frames = min(layout.frames, _frames_at_once(layout))
+    return frames * (400 * layout.points + 2 * layout.size * (4 * layout.points + layout.analog))
+
+
+def _frames_at_once(layout: Layout) -> int:
+    return max(1, min(30_000, _AT_ONCE // layout.points))
 
 
 def _read_with_ezc3d(path: Path, layout: Layout, start: int, stop: int) -> F64:
@@ -163,12 +173,12 @@ def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ..
     ]
     if twice:
         warnings.append(f"several markers are called {', '.join(twice)}; none of them is used")
-    counted = Counter[str]()
+    counts, counted = Counter(labels), Counter[str]()
     names = []
     for label, there in zip(labels, seen, strict=True):
         counted[label] += 1
         alone = there and label not in twice
-        names.append(label if alone or labels.count(label) == 1 else f"{label} ({counted[label]})")
+        names.append(label if alone or counts[label] == 1 else f"{label} ({counted[label]})")
     return tuple(names)
 
 

@@ -13,6 +13,8 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.catalog.skeletons.units import guess_unit
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.reader import body_bytes
+from kinedex.storage.formats.motion.text_blocks import BLOCK
 
 F64 = npt.NDArray[np.float64]
 
@@ -70,7 +72,7 @@ def posed(
         The file is damaged, or was changed while it was read.
     """
     positions, turned = np.empty((len(joints), 3, motion.frames)), np.empty((9, motion.frames))
-    step = max(kinematics.BLOCK, _BLOCK_SIZE // len(nodes))
+    step = _step(len(nodes), len(joints))
     at = 0
     for channels in motion.blocks():
         for start in range(0, len(channels), step):
@@ -84,6 +86,19 @@ def posed(
     if at != motion.frames:
         raise SourceError(motion.path, "was changed while it was read; run again when it is whole")
     return positions, turned
+
+
+def _step(nodes: int, joints: int) -> int:
+    return max(kinematics.BLOCK, _BLOCK_SIZE // max(nodes, joints))
+
+
+def posed_bytes(frames: int, size: int, nodes: int, joints: int) -> int:
+    """Return the memory that `posed` takes for a text of `size` bytes.
+
+    Besides the result these are a block of text, its numbers, and nodes and joints of the frames in it.
+    """
+    in_block = min(frames, 1 + 2 * frames * BLOCK // max(size, 1), _step(nodes, joints))
+    return body_bytes(frames, joints) + 7 * min(size, BLOCK) + in_block * (24 * nodes + 96 * joints + 72)
 
 
 def to_metres(

@@ -47,6 +47,29 @@ def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArra
         raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
 
 
+def array_shapes(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """Return shape and type of every array of an NPZ file, or of that of an NPY file as "", by their headers.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read.
+    """
+    try:
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as file:
+                return {"": _header(file)}
+        found = {}
+        with zipfile.ZipFile(path) as packed:
+            for entry in packed.infolist():
+                if entry.filename.endswith(".npy"):
+                    with packed.open(entry) as part:
+                        found[entry.filename.removesuffix(".npy")] = _header(part)
+        return found
+    except Exception as fault:
+        raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
+
+
 def load_array(path: Path) -> npt.NDArray[Any]:
     """Return the array of an NPY file; a SourceError reports a file that cannot be read or is cut off."""
     try:
@@ -71,9 +94,7 @@ def array_names(path: Path) -> list[str]:
 
 def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
     """Return an array in the NPY format of `size` bytes in all, once its header is found to fit them."""
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read_header(file)
+    shape, dtype = _header(file)
     numbers = math.prod(shape)
     if numbers * dtype.itemsize != size - file.tell():
         raise SourceError(
@@ -91,6 +112,13 @@ def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any
     if dtype.kind == "U" and array.size and _letters(array).max(initial=0) > sys.maxunicode:
         raise SourceError(path, f"{what} has letters that are none: its texts are damaged")
     return array
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    return shape, dtype
 
 
 def _letters(texts: npt.NDArray[np.str_]) -> npt.NDArray[np.uint32]:

@@ -17,7 +17,7 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import Gap, fill_gaps
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import refuse_far, to_metres
-from kinedex.storage.formats.motion.reader import Body, ReadSettings
+from kinedex.storage.formats.motion.reader import Body, ReadSettings, body_bytes
 
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -60,6 +60,12 @@ class Points:
         """Return name → index of the points that are seen in any frame; `names` serve a file that has none."""
         seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
         return {name: i for i, name in enumerate(self.names or names) if seen[i]}
+
+
+def points_bytes(frames: int, points: int, joints: int) -> int:
+    """Return the memory of points, of the body that is made of them, and of what lies between them."""
+    masks, gaps = 4 * 3 * points * frames, 100 * frames
+    return 24 * points * frames + masks + gaps + body_bytes(frames, joints) + min(frames, _AT_ONCE) * 96 * joints
 
 
 def body_of_points(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.numpy_arrays import load_array, load_arrays
+from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array, load_arrays
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.position_tables import Lines, Table, cells_of, parse_number, whole_points
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ
@@ -24,6 +25,7 @@ NAMES = ("names", "joint_names", "keypoint_names")
 RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
 """The keys of an NPZ file: the positions (frames, joints, 3), the joints' names, and frames per second."""
 
+_READ = (*ARRAYS, *NAMES, *RATES)
 _AT_ONCE = 16_384  # frames that are converted at a time
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _AXIS = re.compile(r"(.+)_([xyzXYZ])")
@@ -63,6 +65,28 @@ def is_positions_csv(path: Path) -> bool:
     for found in columns:
         axes.setdefault(found[1], set()).add(found[2].lower())
     return any(len(found) == 3 for found in axes.values())
+
+
+def positions_extent(path: Path) -> tuple[int, int, int]:
+    """Return the frames and points of a file, and the memory that reading takes besides those of the points.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read.
+    """
+    ending = path.suffix.lower()
+    if ending in (".csv", ".trc"):
+        table = Table(path, *((",", 1) if ending == ".csv" else ("\t", 5)))
+        columns = table.columns
+        return table.rows, -(-columns // 3), 24 * table.rows + table.bytes
+    shapes = array_shapes(path)
+    size = sum(math.prod(shape) * kind.itemsize for name, (shape, kind) in shapes.items() if name in ("", *_READ))
+    key = next((key for key in ("", *ARRAYS) if key in shapes), None)
+    shape = shapes[key][0] if key is not None else ()
+    if len(shape) != 3:
+        return 0, 0, size
+    return shape[0], shape[1], size + 72 * shape[1] * min(shape[0], _AT_ONCE)
 
 
 def parse_csv(path: Path) -> Points:
@@ -154,7 +178,7 @@ def parse_arrays(path: Path) -> Points:
     if path.suffix.lower() == ".npy":
         arrays, others = {"positions": load_array(path)}, ["positions"]
     else:
-        arrays, others = load_arrays(path, (*ARRAYS, *NAMES, *RATES))
+        arrays, others = load_arrays(path, _READ)
     key = next((key for key in ARRAYS if key in arrays), None)
     if key is None:
         raise SourceError(path, f"has none of the arrays {', '.join(ARRAYS)}{did_you_mean('positions', others)}")

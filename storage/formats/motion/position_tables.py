@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.reader import file_size
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 
 F64 = npt.NDArray[np.float64]
@@ -53,7 +54,19 @@ class Table:
         except UnicodeDecodeError:
             self._encoding = "latin-1"
             self._count()
+        self._size = file_size(path)
         self.head = list(islice(self._lines(), first))
+
+    @property
+    def columns(self) -> int:
+        """The most columns that the header can name."""
+        return max((line.count(self.separator) + 1 for line in self.head), default=0)
+
+    @property
+    def bytes(self) -> int:
+        """The memory of rows that are held apart from the result, as text and as numbers."""
+        rows = min(self.rows, max(1, _NUMBERS // max(1, self.columns)))
+        return rows * (40 * self.columns + 200) + 200 * self.columns + 12 * min(self._size, BLOCK)
 
     def _count(self) -> None:
         self.lines = self.rows = 0

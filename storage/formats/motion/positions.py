@@ -7,9 +7,9 @@ from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
-from kinedex.storage.formats.motion.points import body_of_points
-from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions
-from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.points import body_of_points, points_bytes
+from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions, positions_extent
+from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
 
 class PositionsReader(Reader):
@@ -25,6 +25,12 @@ class PositionsReader(Reader):
     def relevant_settings(self, settings: ReadSettings) -> object:
         """Return the rates and the longest gap."""
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
+
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Count the rows of a table, or read the header of an array; the memory is that of all points."""
+        frames, points, more = positions_extent(file.path)
+        need = points_bytes(frames, points, joints) + more
+        return Extent(frames, need, settings.override_rate_hz or settings.rate_hz)
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
         """Read a file of joint positions (TRC, CSV, NPZ, NPY).

@@ -137,6 +137,30 @@ class MotionFile:
     data: bytes | None = None
 
 
+@dataclass(frozen=True)
+class Extent:
+    """The extent of a motion file, found without reading its frames.
+
+    Attributes
+    ----------
+    frames : int
+        Frames at the source rate; 0 if only the size of the file is known.
+    bytes : int
+        The most memory that `read` takes, the body that it returns included.
+    rate_hz : float, optional
+        Frames per second, where the file or the settings state them.
+    """
+
+    frames: int
+    bytes: int
+    rate_hz: float | None = None
+
+
+def body_bytes(frames: int, joints: int) -> int:
+    """Return the memory of the positions, orientation and rotations of a body."""
+    return frames * (24 * joints + 32 + 72)
+
+
 class Reader(ABC):
     """A reader of one format of motion files; subclasses set the attributes and define `read`.
 
@@ -168,6 +192,18 @@ class Reader(ABC):
         """Return the settings that can change a body, as JSON values: a take is read again when they change."""
         return astuple(settings)
 
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Return frames and memory of a file, by which `max_memory` refuses it before it is read.
+
+        A reader that does not define it takes at most ten times the size of its files.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read.
+        """
+        return Extent(0, 10 * file_size(file.path))
+
     @abstractmethod
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
         """Read a file as a body.
@@ -188,6 +224,14 @@ class Reader(ABC):
         SourceError
             The file cannot be read; the error names the file and the line, key or frame of the first fault.
         """
+
+
+def file_size(path: Path) -> int:
+    """Return the bytes of a file; a SourceError reports that it cannot be read."""
+    try:
+        return path.stat().st_size
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
 
 
 def source_bytes(path: str | Path, data: bytes | None = None) -> bytes:
