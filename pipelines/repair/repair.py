@@ -24,7 +24,7 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ingestion.file_batches import read_batch
 from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages, pipeline_text
 from kinedex.pipelines.repair.sources import Sources
-from kinedex.storage.disk import sync_file, whole_file, write_errors
+from kinedex.storage.disk import TEMPORARY, sync_file, whole_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
@@ -33,8 +33,11 @@ from kinedex.storage.repair.bit_flips import without_flip
 from kinedex.storage.repair.label_rows import restored_labels
 from kinedex.storage.repair.manifests import BadManifest, bad_manifests, newest_sound, set_aside
 from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Quarantine, quarantines
+from kinedex.storage.repair.sound_takes import sound_takes
 from kinedex.storage.repair.take_rows import restored_rows, with_rows
 from kinedex.storage.snapshot.manifest import Manifest, Part, now, publish, require_current_format
+from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.snapshot.schemas import frames_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import Finding, verify
 from kinedex.storage.store.writer import StoreWriter
@@ -261,6 +264,9 @@ class _Work:
         """Keep files aside that no version names, as far as they are not of killed runs, which a writer removes."""
         for one in self.outcome.found:
             if one.kind == "leftover" and (self.root / one.file).is_file():
+                if Path(one.file).name.startswith(TEMPORARY):
+                    (self.root / one.file).unlink()
+                    continue
                 self._keep(one.file, one.problem, "unknown")
                 (self.root / one.file).unlink(missing_ok=True)
                 self.say(f"{one.file} lies in the quarantine: {one.problem}")
@@ -306,6 +312,8 @@ class _Work:
             table = pa.Table.from_pylist([_same_row(sources, row) for row in written.takes], schema=writer.takes_schema)
             writer.add_takes(table, written.part)
         pool.close()
+        if lost and part is not None:
+            lost = self._salvaged(writer, sources, lost, part)
         if lost:
             self._give_up(writer, lost, part)
         writer.commit()
@@ -313,6 +321,23 @@ class _Work:
             self.say(f"read {counted(len(names), 'take')} again from their sources: {few(names)}")
         if found.otherwise:
             self.say(f"read otherwise than before, since kinedex or a mapping has changed: {few(found.otherwise)}")
+
+    def _salvaged(self, writer: StoreWriter, sources: Sources, lost: list[LostTake], part: Part) -> list[LostTake]:
+        """Put the rows of lost takes that are provably right into a part of their own, and return the other takes."""
+        manifest = writer.manifest
+        schema = frames_schema(manifest.feature_set, manifest.rate_hz)
+        frames = writer.store.take_frames
+        found = sound_takes(self.root / part.path, schema, [take.take_id for take in lost], frames)
+        if found:
+            with FramesWriter(self.root, manifest.feature_set, manifest.rate_hz) as file:
+                for take, rows in found.items():
+                    file.add_table(take, rows)
+                made = file.close()
+            table = pa.Table.from_pylist([sources.row(take) for take in found], schema=writer.takes_schema)
+            writer.add_takes(table, made)
+            names = [take.name for take in lost if take.take_id in found]
+            self.say(f"kept {counted(len(names), 'take')} of the damaged part whose rows are right: {few(names)}")
+        return [take for take in lost if take.take_id not in found]
 
     def _give_up(self, writer: StoreWriter, lost: list[LostTake], part: Part | None) -> None:
         """Drop takes that cannot be read again, once the damaged part and their names lie in the quarantine."""

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -185,7 +186,7 @@ class FramesWriter:
         table = pa.concat_tables(self._waiting) if self._waiting else self.schema.empty_table()
         with write_errors(self._folder):
             if self._writer is None:
-                self._writer = _parquet_writer(self._temporary, self.schema)
+                self._writer = frames_writer(self._temporary, self.schema)
             # what stays is at least one whole group, so that the last group of a part is not a small one
             while table.num_rows >= 2 * ROW_GROUP:
                 self._write_group(table.slice(0, ROW_GROUP))
@@ -213,12 +214,14 @@ class FramesWriter:
         self._temporary.unlink(missing_ok=True)
 
 
-def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+def frames_writer(sink: Path | BinaryIO, schema: pa.Schema) -> pq.ParquetWriter:
+    """Return the Parquet writer of a frames part, to a file or to memory."""
     floats = [
         f"{field.name}.{child.name}" for field in schema if pa.types.is_struct(field.type) for child in field.type
     ]
     return pq.ParquetWriter(
-        path.absolute(),  # a relative path that begins with ~ would be looked for in the home folder
+        # a relative path that begins with ~ would be looked for in the home folder
+        sink.absolute() if isinstance(sink, Path) else sink,
         schema,
         compression="zstd",
         compression_level=3,
