@@ -32,4 +32,4 @@ def upgrade(store: str | Path) -> Remedy:
 def upgrade_with_damage(store: str | Path) -> Remedy:
     """Return the remedy of damage in a store of an older format, which `kinedex repair` cannot write."""
     command = ("kinedex", "upgrade", str(store), "--keep-damaged")
-    return Remedy(f"or `{shlex.join(command)}` converts it with them, for `kinedex repair` to repair", command)
+    return Remedy(f"`{shlex.join(command)}` converts the store, and `kinedex repair` then repairs it", command)

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
-from kinedex.storage.remedies import build_index
+from kinedex.storage.remedies import build_index, upgrade
 from kinedex.storage.snapshot.manifest import Manifest, content_digest_of, json_checksum, read_version, versions
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 
 INDEX_VERSION = 5
 """Version of the index's tables and of its other files; an index of another version is built again."""
@@ -286,6 +287,12 @@ def file_digest(file: Path) -> str:
 
 def missing_index(store: Path, manifest: Manifest) -> StoreError:
     """Return the error for a version of a store whose index is missing or does not fit its takes."""
+    if manifest.format_version != FORMAT_VERSION:
+        return StoreError(
+            f"{store}: the index is missing, or is that of an older kinedex; it cannot be built in a store of format "
+            f"{manifest.format_version}, which is only read",
+            remedy=upgrade(store),
+        )
     newest = max(versions(store), default=0)
     if newest > manifest.version:
         version, generation = readable_version(store, read_version(store, newest))

@@ -140,7 +140,7 @@ def upgrade(
             shown = ", ".join(damaged[:3]) + (f" and {len(damaged) - 3} more" if len(damaged) > 3 else "")
             raise StoreError(
                 f"{root}: {len(damaged)} of {len(manifest.parts)} parts are damaged or missing: {shown}; nothing was "
-                "changed; bring the files back from a copy of the store",
+                "changed; bring the files back from a copy of the store, or accept the damage",
                 remedy=upgrade_with_damage(root),
             )
         columns, again = _group_columns(root, manifest, damaged)

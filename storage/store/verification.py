@@ -29,7 +29,7 @@ from kinedex.storage.index.generations import (
     wrong_sizes,
 )
 from kinedex.storage.index.verification import index_problems
-from kinedex.storage.remedies import repair
+from kinedex.storage.remedies import repair, upgrade, upgrade_with_damage
 from kinedex.storage.repair.quarantine import FOLDER as QUARANTINE
 from kinedex.storage.repair.quarantine import LIST, quarantines
 from kinedex.storage.snapshot.manifest import (
@@ -43,6 +43,7 @@ from kinedex.storage.snapshot.manifest import (
     versions,
 )
 from kinedex.storage.snapshot.schemas import (
+    FORMAT_VERSION,
     PART_FOLDERS,
     RESULT_KINDS,
     frames_schema,
@@ -127,7 +128,9 @@ class _Verification:
     def __init__(self, store: Snapshot) -> None:
         self.store = store
         self.manifest = store.manifest
-        self.remedy = repair(store.path)
+        self.is_current = store.manifest.format_version == FORMAT_VERSION
+        # a store of an older format is not repaired
+        self.remedy = repair(store.path) if self.is_current else upgrade_with_damage(store.path)
         self.counted: dict[int, int] = {}  # take → frames in the parts
         self.dropped: dict[str, int] = {}  # part → rows of dropped takes
 
@@ -294,7 +297,10 @@ class _Verification:
         newest = generations(self.store.path)[0]
         folder = f"index/{newest.name}"
         record = read_generation(newest)
-        if record is None or record.index_version != INDEX_VERSION:
+        if not self.is_current:
+            problem = "the index is damaged, or that of an older kinedex, which this one cannot read"
+            yield Finding(folder, problem, upgrade(self.store.path), "index", fault=False)
+        elif record is None or record.index_version != INDEX_VERSION:
             yield self._found("index", f"{folder}/{RECORD}", "the index is damaged or of another version")
         elif record.content == self.manifest.content_digest():
             for name, problem in wrong_sizes(newest, record):

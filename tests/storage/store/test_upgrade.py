@@ -153,6 +153,12 @@ def test_the_index_stays_valid(tmp_path: Path) -> None:
 def test_an_index_of_an_older_kinedex_is_built_again(old: Path) -> None:
     (old / "index" / "gen-000021").mkdir(parents=True)
     (old / "index" / "gen-000021" / "generation.json").write_text('{"index_version": 4}')
+    with pytest.raises(StoreError, match="of an older kinedex") as missing:
+        open_store(old).index_path()
+    assert missing.value.remedy is not None
+    assert missing.value.remedy.command == ("kinedex", "upgrade", str(old))
+    (finding,) = verify(open_store(old))
+    assert (finding.remedy, finding.fault) == (missing.value.remedy, False)
     assert upgrade(old).index_built
     assert verify(open_store(old)) == []
     assert open_store(old).sql("SELECT count(*) > 0 AS found FROM word_runs").to_pylist() == [{"found": True}]
