@@ -19,7 +19,7 @@ from kinedex.ops.errors import StoreError
 from kinedex.storage.lock import Lock, Wait
 from kinedex.storage.snapshot.manifest import (
     Manifest,
-    _checksum,
+    json_checksum,
     manifest_path,
     named_files,
     publish,
@@ -174,7 +174,7 @@ def test_take_ids_that_are_none_are_a_damaged_manifest(tmp_path: Path, wrong: ob
     content = json.loads(path.read_text())
     content["frames"][0]["take_ids"] = wrong
     del content["checksum"]
-    path.write_text(json.dumps({**content, "checksum": _checksum(content)}))
+    path.write_text(json.dumps({**content, "checksum": json_checksum(content)}))
     with pytest.raises(StoreError, match=r"the manifest is damaged: frames\.0\.take_ids: .* must be"):
         read_version(tmp_path, 2)
 
