@@ -7,10 +7,12 @@ DATA   ?=
 METHOD ?= thesis
 FUZZ_SECONDS ?= 20
 FUZZ_SEED    ?= 0
+# The time of every file in wheel and sdist, so that two builds have the same bytes.
+EPOCH        := 1580601600
 ATTACK  ?=
 NIGHTLY ?=
 
-.PHONY: setup demo test lint types check-kernels fuzz attack bench docs links wheel lock clean help
+.PHONY: setup demo test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -23,6 +25,8 @@ help:
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
 	@echo "make docs                  the site in build/site, every warning an error; make links checks links to other sites"
 	@echo "make wheel                 dist/kinedex-*.whl, installed into an environment of its own and tried"
+	@echo "make sbom                  what is installed for users: build/sbom.json (CycloneDX) and build/licenses.md"
+	@echo "make audit                 known vulnerabilities of the locked packages (needs the network)"
 	@echo "make lock                  resolve the dependencies anew (needs uv)"
 	@echo "make clean                 remove what make has built, .venv included"
 
@@ -94,11 +98,29 @@ links: setup $(VENV)/docs.stamp
 # Run where nothing of the checkout is on the path: the wheel must do with what is in it.
 wheel: setup
 	rm -rf dist build/tried
-	$(BIN)/python -m hatchling build
+	SOURCE_DATE_EPOCH=$(EPOCH) $(BIN)/python -m hatchling build
 	$(PYTHON) -m venv build/tried
 	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/kinedex-*.whl
 	cd build/tried && bin/kinedex version && bin/kinedex demo store --minutes 2 && bin/kinedex verify store
+
+# What is installed for users, and under which licences; one that is not in the list of pyproject.toml is an error.
+build/audit/run.stamp: requirements-audit.lock requirements.lock
+	@rm -rf build/audit build/locked
+	@$(PYTHON) -m venv build/audit
+	@$(PYTHON) -m venv --without-pip build/locked
+	@build/audit/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-audit.lock
+	@build/audit/bin/python -m pip --python build/locked/bin/python install --quiet --require-hashes -r requirements.lock
+	@touch $@
+
+sbom: build/audit/run.stamp
+	build/audit/bin/cyclonedx-py environment --output-reproducible --of JSON -o build/sbom.json build/locked/bin/python
+	build/audit/bin/pip-licenses --python build/locked/bin/python --output-file build/licenses.md
+
+# Needs the network: the known vulnerabilities of every locked package.
+audit: build/audit/run.stamp
+	build/audit/bin/pip-audit --require-hashes --disable-pip -r requirements.lock
+	build/audit/bin/pip-audit --require-hashes --disable-pip -r requirements-dev.lock
 
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements.lock

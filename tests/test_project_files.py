@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
 import typer
 import yaml
 
@@ -43,10 +44,13 @@ def test_the_image_runs_a_command_that_there_is() -> None:
     accepted(json.loads(command))
 
 
-def test_the_workflow_calls_targets_and_locks_that_there_are() -> None:
-    text = (ROOT / ".github" / "workflows" / "checks.yml").read_text(encoding="utf-8")
-    jobs = yaml.safe_load(text)["jobs"]
-    assert set(jobs) == {"lint", "test", "docs", "release"}
+@pytest.mark.parametrize(
+    ("name", "jobs"),
+    [("checks.yml", {"lint", "test", "docs", "release"}), ("audit.yml", {"sbom", "vulnerabilities"})],
+)
+def test_the_workflows_call_targets_and_locks_that_there_are(name: str, jobs: set[str]) -> None:
+    text = (ROOT / ".github" / "workflows" / name).read_text(encoding="utf-8")
+    assert set(yaml.safe_load(text)["jobs"]) == jobs
     targets = set(re.findall(r"^([\w-]+):", MAKEFILE, re.MULTILINE))
     for words in re.findall(r"run: make ([\w -]+)", text):
         assert set(words.split()) <= targets

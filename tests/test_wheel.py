@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -66,6 +69,32 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     target = folder / "installed"
     execute([*pip, "install", "--no-deps", "--no-index", "--target", str(target), *map(str, wheels)], folder)
     return Installed(target, sdist, wheels[0])
+
+
+def build_copy(folder: Path, umask: int, zone: str, seconds: int) -> dict[str, str]:
+    """Build wheel and sdist of a copy of the checkout with other rights and times, and return their checksums."""
+    unneeded = shutil.ignore_patterns(".git", ".venv", "build", "dist", "__pycache__", "shared", "tests", "studies")
+    copy, out = folder / "a copy", folder / "out"
+    shutil.copytree(ROOT, copy, symlinks=True, ignore=unneeded)
+    for path in copy.rglob("*"):
+        if not path.is_symlink():
+            path.chmod((0o777 if path.is_dir() else 0o666) & ~umask)
+            os.utime(path, (seconds, seconds))
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(out)]
+    (epoch,) = re.findall(r"^EPOCH +:= (\d+)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    env = os.environ | {"TZ": zone, "SOURCE_DATE_EPOCH": epoch}
+    done = subprocess.run(command, cwd=copy, env=env, umask=umask, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.iterdir()}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such rights on Windows")
+def test_two_builds_have_the_same_bytes(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "another place").mkdir()
+    first = build_copy(tmp_path / "one", 0o022, "UTC", 1_700_000_000)
+    assert len(first) == 2
+    assert build_copy(tmp_path / "another place", 0o077, "Asia/Tokyo", 1_800_000_000) == first
 
 
 @pytest.fixture
