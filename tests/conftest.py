@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The first call of a kernel compiles it, and tests run beside each other: time says nothing about correctness.
+# The first call of a kernel compiles it, and tests run beside each other: time proves nothing about correctness.
 settings.register_profile("kinedex", deadline=None)
 settings.load_profile("kinedex")
 

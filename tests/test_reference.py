@@ -1,4 +1,4 @@
-"""docs/reference.md is what the code says, and names everything that users can name."""
+"""docs/reference.md agrees with the code, and names everything that users can name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Configuration files: two readers of YAML that say the same, of which one is fast."""
+"""Configuration files: two readers of YAML with the same results, of which one is fast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped features in the mirror, and what is said of wrong pairs."""
+"""The shipped features in the mirror, and the errors about wrong pairs."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_the_words_of_a_motion_in_the_mirror_are_the_mirrored_words():
         matrix = bits(words, len(BODY.features))
         seen |= [(matrix == value).any(axis=0) for value in (0, 1)]
     paired = [number - 1 for pair in BODY.mirror for number in pair]
-    assert seen[:, paired].all()  # the above says nothing of a feature that never changes
+    assert seen[:, paired].all()  # the above proves nothing about a feature that never changes
 
 
 @given(st.lists(st.integers(0, (1 << 40) - 1) | st.just(int(NO_WORD)), max_size=20))
@@ -72,15 +72,15 @@ def test_twins_are_named_after_their_sides():
 
 
 @pytest.mark.parametrize(
-    ("pairs", "said"), [("[[1, 2], [2, 3]]", "feature 2 stands twice"), ("[[1, 41]]", "no feature 41"),
+    ("pairs", "message"), [("[[1, 2], [2, 3]]", "feature 2 stands twice"), ("[[1, 41]]", "no feature 41"),
                         ("[[7, 7]]", "feature 7 stands twice")]
 )  # fmt: skip
-def test_wrong_pairs_are_refused_with_their_line(tmp_path: Path, pairs: str, said: str):
+def test_wrong_pairs_are_refused_with_their_line(tmp_path: Path, pairs: str, message: str):
     text = config_path("features", "body40").read_text()
     start = text.index("mirror:")
     path = tmp_path / "mine.yaml"
     path.write_text(text[:start] + f"mirror: {pairs}\n" + text[text.index("features:\n", start) :])
-    with pytest.raises(ConfigError, match=rf"mine.yaml:\d+: mirror\[\d\]: {said}"):
+    with pytest.raises(ConfigError, match=rf"mine.yaml:\d+: mirror\[\d\]: {message}"):
         load_feature_set(path)
 
 
@@ -95,11 +95,12 @@ def test_the_words_digest_does_not_depend_on_the_mirror(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("window", "said"), [("-", "must be a number"), ("[]", "must be a number"), ("-5", "must be"), ("1e999", "must be")]
-)  # fmt: skip
-def test_a_window_that_is_no_time_is_refused_with_its_line(tmp_path: Path, window: str, said: str):
+    ("window", "message"),
+    [("-", "must be a number"), ("[]", "must be a number"), ("-5", "must be"), ("1e999", "must be")],
+)
+def test_a_window_that_is_no_time_is_refused_with_its_line(tmp_path: Path, window: str, message: str):
     text = config_path("features", "body40").read_text()
     path = tmp_path / "mine.yaml"
     path.write_text(re.sub(r"window_ms: \w+", f"window_ms: {window}", text, count=1))
-    with pytest.raises(ConfigError, match=rf"mine.yaml:\d+: .*window_ms {said}"):
+    with pytest.raises(ConfigError, match=rf"mine.yaml:\d+: .*window_ms {message}"):
         load_feature_set(path)

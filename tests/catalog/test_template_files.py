@@ -96,8 +96,12 @@ def test_the_ending_decides_the_format(tmp_path: Path):
     (again,) = read_templates(tmp_path / "squat.csv", BODY)
     assert again.name == "squat"
     same(squat.template, again.template)
-    for name, said in [("mine.txt", "ends in .yaml or .csv"), ("no.csv", "cannot be read"), ("no.yaml", "cannot be")]:
-        with pytest.raises(ConfigError, match=said):
+    for name, message in [
+        ("mine.txt", "ends in .yaml or .csv"),
+        ("no.csv", "cannot be read"),
+        ("no.yaml", "cannot be"),
+    ]:
+        with pytest.raises(ConfigError, match=message):
             read_templates(tmp_path / name, BODY)
 
 
@@ -120,9 +124,9 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("text", "line", "said"), WRONG)
-def test_an_error_names_the_line_of_an_invalid_file(text: str, line: int, said: str):
-    with pytest.raises(ConfigError, match=rf"mine.yaml:{line}: .*{said}"):
+@pytest.mark.parametrize(("text", "line", "message"), WRONG)
+def test_an_error_names_the_line_of_an_invalid_file(text: str, line: int, message: str):
+    with pytest.raises(ConfigError, match=rf"mine.yaml:{line}: .*{message}"):
         read(text)
 
 
@@ -141,7 +145,7 @@ WRONG_CSV = [
 ]
 
 
-@pytest.mark.parametrize(("text", "line", "said"), WRONG_CSV)
-def test_an_error_names_the_line_of_an_invalid_table(text: str, line: int, said: str):
-    with pytest.raises(ConfigError, match=rf"kick.csv:{line}: .*{said}"):
+@pytest.mark.parametrize(("text", "line", "message"), WRONG_CSV)
+def test_an_error_names_the_line_of_an_invalid_table(text: str, line: int, message: str):
+    with pytest.raises(ConfigError, match=rf"kick.csv:{line}: .*{message}"):
         read(text, "kick.csv")

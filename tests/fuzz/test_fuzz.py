@@ -70,12 +70,12 @@ def test_crashes_hangs_greed_and_wrong_results_are_found_and_can_be_looked_at_ag
     report = hunt(MISREAD, seed=0, seconds=60, folder=tmp_path, cases=6)
     assert (report.cases, report.read) == (6, 1)
     found = {finding.case: finding for finding in report.findings}
-    says = {1: "IndexError", 2: "Hang", 3: "SIGSEGV", 4: "MemoryError", 5: "Broken"}
-    for case, what in says.items():
+    expected = {1: "IndexError", 2: "Hang", 3: "SIGSEGV", 4: "MemoryError", 5: "Broken"}
+    for case, what in expected.items():
         assert what in found[case].what.splitlines()[-1]
         assert found[case].path.read_bytes() == mutant(MISREAD, 0, case)
         assert found[case].command in found[case].path.with_suffix(".txt.txt").read_text()
-    assert sorted(found) == sorted(says)
+    assert sorted(found) == sorted(expected)
 
 
 def test_a_reader_that_lets_infinity_through_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,14 +12,14 @@ def confusion(mine: list[Segment], true: list[Segment], frames: int) -> dict[tup
     """(what it is, what it is labelled) → frames; "-": no label, "+": a label more than the other side has."""
     found: dict[tuple[str, str], Fraction] = defaultdict(Fraction)
     for frame in range(frames):
-        is_, said = ({label for label, start, stop in side if start <= frame < stop} for side in (true, mine))
-        if not is_ and not said:
+        wanted, labelled = ({label for label, start, stop in side if start <= frame < stop} for side in (true, mine))
+        if not wanted and not labelled:
             found["-", "-"] += 1
-        for label in is_ & said:
+        for label in wanted & labelled:
             found[label, label] += 1
-        rows, columns = sorted(is_ - said), sorted(said - is_)
-        rows += ["+" if is_ else "-"] * (len(columns) - len(rows))
-        columns += ["+" if said else "-"] * (len(rows) - len(columns))
+        rows, columns = sorted(wanted - labelled), sorted(labelled - wanted)
+        rows += ["+" if wanted else "-"] * (len(columns) - len(rows))
+        columns += ["+" if labelled else "-"] * (len(rows) - len(columns))
         for row in rows:
             for column in columns:
                 found[row, column] += Fraction(1, len(rows))

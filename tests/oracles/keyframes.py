@@ -69,7 +69,7 @@ def algorithm_1(
     """The printed recursion: its matches (p_1, ..., p_K) with their ranges R(M), in the order found.
 
     Everything counts from 1 and both ends of a segment belong to it, as in the paper. R(M) is found as the
-    text says: its end is that of the intersection in the last list, its start comes from backtracking to the
+    text states: its end is that of the intersection in the last list, its start comes from backtracking to the
     first.
     """
     count = len(lists)

@@ -65,6 +65,6 @@ def write_archive(root: Path, takes: dict[str, int], first_seed: int = 0) -> Pat
 
 
 def context(store: Path, stage: str = "ingest", executor: str = "serial") -> StageContext:
-    """A stage context that says nothing on the terminal."""
+    """A stage context that prints nothing on the terminal."""
     terminal = Terminal(Console(file=io.StringIO()))
     return StageContext(store, load_feature_set(), "test", stage, "run-1", make_executor(executor), terminal)

@@ -80,7 +80,7 @@ class Line:
         self.store = store
         self.executor = make_executor(executor, 2)
         self.params: dict[str, BaseModel] = {}
-        self.said = io.StringIO()
+        self.printed = io.StringIO()
 
     def context(self, stage: str) -> StageContext:
         return StageContext(
@@ -90,7 +90,7 @@ class Line:
             stage=stage,
             run=f"run-{stage}",
             executor=self.executor,
-            terminal=Terminal(Console(file=self.said, soft_wrap=True, width=120)),
+            terminal=Terminal(Console(file=self.printed, soft_wrap=True, width=120)),
             uses=stage,
             inputs=dict(self.INPUTS[stage]),
             params=dict(self.params),

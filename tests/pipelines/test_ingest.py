@@ -1,4 +1,4 @@
-"""Ingest: what comes in, what is left out and said, what is not done twice, and what a killed run leaves."""
+"""Ingest: what comes in, what is excluded with a message, what is not done twice, and what a killed run leaves."""
 
 from __future__ import annotations
 

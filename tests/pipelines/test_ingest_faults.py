@@ -74,7 +74,7 @@ def meet(monkeypatch: pytest.MonkeyPatch, bad: str, fault: BaseException) -> Non
 
 
 @pytest.mark.parametrize(
-    ("fault", "error", "says"),
+    ("fault", "error", "text"),
     [
         (IndexError("list index out of range"), "IndexError", "this is a defect of kinedex"),
         (ZeroDivisionError("division by zero"), "ZeroDivisionError", "please report it"),
@@ -85,14 +85,14 @@ def meet(monkeypatch: pytest.MonkeyPatch, bad: str, fault: BaseException) -> Non
     ],
 )
 def test_whatever_one_file_brings_about_is_logged_and_the_others_come_in(
-    store: Path, source: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception, error: str, says: str
+    store: Path, source: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception, error: str, text: str
 ) -> None:
     meet(monkeypatch, "x_2.amc", fault)
     summary = bring_in(store, source)
     assert (summary["takes"], summary["read"], summary["left_out"]) == (4, 4, 1)
     (row,) = log(store)
     assert (row["source"], row["error"], row["file"]) == ("x_2.amc", error, str(source / "x_2.amc"))
-    assert says in row["message"]
+    assert text in row["message"]
     assert str(source / "x_2.amc") in row["message"]
     monkeypatch.undo()
     assert bring_in(store, source)["read"] == 1

@@ -1,4 +1,4 @@
-"""Ingest of mixed archives: formats side by side, skeletons told by their names, and what cannot be read is said."""
+"""Ingest of mixed archives: formats side by side, skeletons found by names, and reports of faults."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ AMASS = load_skeleton("smpl-amass", JOINTS)
 
 
 def bring_in(store: Path, source: Path, executor: str = "serial", **params: object) -> tuple[dict[str, object], str]:
-    """The stage's summary, and what it said on the terminal."""
-    said = io.StringIO()
-    stage = replace(context(store, executor=executor), terminal=Terminal(Console(file=said, width=400)))
-    return Ingest().run(stage, Ingest.parameters(source=str(source), **params)), said.getvalue()  # type: ignore[arg-type]
+    """The stage's summary, and its output on the terminal."""
+    output = io.StringIO()
+    stage = replace(context(store, executor=executor), terminal=Terminal(Console(file=output, width=400)))
+    return Ingest().run(stage, Ingest.parameters(source=str(source), **params)), output.getvalue()  # type: ignore[arg-type]
 
 
 def write_bvh(path: Path, frames: int, *, seed: int = 0, frame_time: str = "0.0333333") -> None:
@@ -87,7 +87,7 @@ def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tm
     (source / "cut.bvh").write_text(text[:-9])
     (source / "names.bvh").write_text(text.replace("mixamorig:LeftUpLeg", "Thigh.L"))
     (source / "roots.bvh").write_text(text.replace("MOTION", "ROOT other\n{\n  OFFSET 0 0 0\n}\nMOTION"))
-    summary, said = bring_in(tmp_path / "store", source)
+    summary, output = bring_in(tmp_path / "store", source)
     assert (summary["takes"], summary["left_out"]) == (3, 3)
     log = {row["source"]: row for row in open_store(tmp_path / "store").result("ingest_log").to_pylist()}
     assert "cut off in the middle of a frame" in log["cut.bvh"]["message"]
@@ -96,16 +96,16 @@ def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tm
         "the nearest, 'mixamo', finds 23 joints and lacks LeftUpLeg (for joint 'lhip')" in log["names.bvh"]["message"]
     )
     assert "a second root, 'other'" in log["roots.bvh"]["message"]
-    assert said.count("excluded:") == 3
+    assert output.count("excluded:") == 3
 
 
 def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, source: Path) -> None:
     (source / "b" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
     (source / "b" / "dance.HTR").write_bytes(b"[Header]")
-    summary, said = bring_in(tmp_path / "store", source)
+    summary, output = bring_in(tmp_path / "store", source)
     assert summary["not_read"] == 2
-    assert "1 file of a format not read (.fbx): convert it to BVH first" in said
-    assert "1 file of a format not read (.htr)" in said
+    assert "1 file of a format not read (.fbx): convert it to BVH first" in output
+    assert "1 file of a format not read (.htr)" in output
     (tmp_path / "only").mkdir()
     (tmp_path / "only" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
     with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh, .* below .* \(.fbx\): convert it to BVH"):

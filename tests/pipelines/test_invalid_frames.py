@@ -1,4 +1,4 @@
-"""Invalid frames from the marker file to the report: no word, no run, no hit, no annotation; exports say so."""
+"""Invalid frames from the marker file to the report: no word, no run, no hit, no annotation; exports mark them."""
 
 from __future__ import annotations
 

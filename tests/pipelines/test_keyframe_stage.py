@@ -163,11 +163,11 @@ def test_a_class_settles_when_its_outcome_no_longer_moves(store: Path, monkeypat
     summary = line.run(LearnKeyframes, **{**QUICK, "runs": 40})
     assert summary["settled"] == 4
     assert int(str(summary["runs"])) < 4 * 40
-    said = line.said.getvalue().splitlines()
-    assert said[0].strip() == "4 subclasses with 12 clips, in rounds of 2 runs each"
-    told = [text.strip() for text in said if "of at most 40 runs each" in text]
-    assert told[0] == "2 of at most 40 runs each: 0 of 4 subclasses settled"
-    assert told[-1] == f"{2 * len(told)} of at most 40 runs each: 4 of 4 subclasses settled"
+    message = line.printed.getvalue().splitlines()
+    assert message[0].strip() == "4 subclasses with 12 clips, in rounds of 2 runs each"
+    reports = [text.strip() for text in message if "of at most 40 runs each" in text]
+    assert reports[0] == "2 of at most 40 runs each: 0 of 4 subclasses settled"
+    assert reports[-1] == f"{2 * len(reports)} of at most 40 runs each: 4 of 4 subclasses settled"
 
 
 def test_the_outcome_is_that_of_the_best_round(store: Path) -> None:
@@ -249,9 +249,9 @@ def test_clips_that_are_left_out_or_cut_are_said(tmp_path: Path) -> None:
         "walk: clips with invalid frames at an end, which are cut off: al_walk_001",
         "kick: clips with invalid frames in the middle, excluded: al_kick_002",
     ):
-        assert text in line.said.getvalue()
+        assert text in line.printed.getvalue()
         assert text in page
-    assert "from 5 clips" in line.said.getvalue()
+    assert "from 5 clips" in line.printed.getvalue()
     assert "2 classes, 5 clips" in page
 
 
@@ -322,11 +322,13 @@ def test_own_queries_preselect_besides_learned_ones_of_the_same_name(store: Path
 
     learned = searched()
     assert max(learned.values()) < 1
-    assert "queries of files and learned ones" not in line.said.getvalue()
+    assert "queries of files and learned ones" not in line.printed.getvalue()
     own = tmp_path / "own.yaml"
     own.write_text('kick: {keyframes: [{set: upper, pattern: "**************"}]}\n')  # any pose
     assert searched(queries=str(own)) == {**learned, "kick": 1.0}
-    assert "with queries of files and learned ones, matched within the hits of either: kick" in (line.said.getvalue())
+    assert "with queries of files and learned ones, matched within the hits of either: kick" in (
+        line.printed.getvalue()
+    )
 
 
 def test_no_query_is_named_as_another_class(store: Path) -> None:
@@ -350,13 +352,13 @@ def test_runs_of_other_settings_and_beyond_those_asked_for_are_kept(
     summary = line.run(LearnKeyframes, **{**more, "runs": 4})
     assert summary["runs"] == 16
     assert {(one.key, one.number) for one in line.runs()} == everything
-    assert "16 of them known" in line.said.getvalue()
+    assert "16 of them known" in line.printed.getvalue()
     line.run(LearnKeyframes, **more, seed=1)
-    assert "known" not in line.said.getvalue().rsplit("subclasses from", 1)[1]
+    assert "known" not in line.printed.getvalue().rsplit("subclasses from", 1)[1]
     assert {(one.key, one.number) for one in line.runs()} > everything
     assert len(line.runs()) == 48
     line.run(LearnKeyframes, **more)
-    assert "24 of them known" in line.said.getvalue()
+    assert "24 of them known" in line.printed.getvalue()
     # other clips: nothing could use these runs
     line.run(LearnKeyframes, **more, where="class IN ('walk', 'kick')")
     assert len(line.runs()) == 12
@@ -367,4 +369,4 @@ def test_runs_of_other_code_do_not_count(store: Path, monkeypatch: pytest.Monkey
     line.run(LearnKeyframes, **QUICK)
     monkeypatch.setattr(learning, "_code", lambda: "other")
     line.run(LearnKeyframes, **QUICK)
-    assert "known" not in line.said.getvalue()
+    assert "known" not in line.printed.getvalue()

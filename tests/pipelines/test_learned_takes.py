@@ -52,9 +52,9 @@ class Archive:
         return self.file
 
     def run(self, **options: object) -> tuple[Outcome, str]:
-        said = io.StringIO()
-        terminal = Terminal(Console(file=said, width=200))
-        return run_pipeline(self.write(), self.store, terminal=terminal, **options), said.getvalue()  # type: ignore[arg-type]
+        message = io.StringIO()
+        terminal = Terminal(Console(file=message, width=200))
+        return run_pipeline(self.write(), self.store, terminal=terminal, **options), message.getvalue()  # type: ignore[arg-type]
 
     def templates(self) -> str:
         return open_store(self.store).manifest.stages["line/learn_templates"].run
@@ -77,11 +77,11 @@ def test_templates_stay_when_takes_come_that_are_not_learned_from(archive: Archi
     learned = archive.templates()
     archive.put("takes/x_cy_take3.amc", 77)
     archive.put("clips/kick/x_bo_kick_3_120.amc", 78)
-    outcome, said = archive.run()
+    outcome, message = archive.run()
     assert outcome.ran == ("ingest", "annotate")
     assert archive.kept_takes() == 2
     assert archive.templates() == learned
-    (line,) = [line for line in said.splitlines() if "learn_templates" in line and line.startswith("[")]
+    (line,) = [line for line in message.splitlines() if "learn_templates" in line and line.startswith("[")]
     assert "nothing to do, unchanged: 4 clips" in line
     assert archive.run()[0].ran == ()
 
@@ -105,9 +105,9 @@ def test_templates_are_learned_again_when_a_clip_comes_changes_goes_or_gets_anot
     for change in changes:
         change()
         learned = archive.templates()
-        outcome, said = archive.run()
+        outcome, message = archive.run()
         assert outcome.ran == ("ingest", "learn_templates", "annotate")
-        assert "learn_templates: the takes that it reads changed\n" in said
+        assert "learn_templates: the takes that it reads changed\n" in message
         assert archive.templates() != learned
 
 
@@ -154,19 +154,19 @@ LABELLED = [
 
 
 def learn(store: Path, **params: str) -> tuple[tuple[str, ...], str]:
-    said = io.StringIO()
+    message = io.StringIO()
     given = {f"learn_keyframes.{key}": value for key, value in {**QUICK, **params}.items()}
-    terminal = Terminal(Console(file=said, width=200))
-    return run_pipeline("keyframes", store, assignments=given, terminal=terminal).ran, said.getvalue()
+    terminal = Terminal(Console(file=message, width=200))
+    return run_pipeline("keyframes", store, assignments=given, terminal=terminal).ran, message.getvalue()
 
 
 def test_queries_stay_when_takes_come_that_are_not_learned_from(tmp_path: Path) -> None:
     store = write_store(tmp_path / "store", [*LABELLED, long_take("cy_1", "cy", "walk", "kick")])
     assert learn(store)[0] == ("learn_keyframes",)
     write_store(store, [long_take("cy_2", "cy", "wave", "kick")])
-    ran, said = learn(store)
+    ran, message = learn(store)
     assert ran == ()
-    assert "nothing to do, unchanged: 6 clips" in said
+    assert "nothing to do, unchanged: 6 clips" in message
     write_store(store, [clip("kick", "cy", 4)])
     assert learn(store)[0] == ("learn_keyframes",)
 

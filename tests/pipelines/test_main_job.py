@@ -20,13 +20,13 @@ pytestmark = pytest.mark.slow
 
 
 MINUTES = 15.0
-"""Of synthetic motion: half of what the demo makes unless told otherwise, as most of its time goes into making it."""
+"""Of synthetic motion: half of what the demo makes unless asked otherwise, as most of its time goes into making it."""
 
 
 def demo(store: Path, data: Path | None) -> tuple[Outcome, str]:
-    said = io.StringIO()
-    outcome = run_demo(store, data, MINUTES, "processes", None, Console(file=said, width=160))
-    return outcome, said.getvalue()
+    message = io.StringIO()
+    outcome = run_demo(store, data, MINUTES, "processes", None, Console(file=message, width=160))
+    return outcome, message.getvalue()
 
 
 def metrics(store: Path, name: str = "metrics") -> dict[str, Any]:
@@ -42,10 +42,10 @@ def synthetic(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome, 
 
 
 def test_the_demo_annotates_what_it_has_not_seen(synthetic: tuple[Path, Outcome, str]) -> None:
-    store, outcome, said = synthetic
+    store, outcome, message = synthetic
     assert outcome.left_out == 0
     assert metrics(store)["pooled"]["f1"] >= 0.85
-    assert "leave one actor out" in said
+    assert "leave one actor out" in message
     (left_out,) = metrics(store, "leave_one_out.methods")["splits"]
     assert left_out["methods"]["annotate"]["pooled"]["f1"] >= 0.8
     assert verify(open_store(store, at="newest")) == []
@@ -75,11 +75,11 @@ def test_the_demo_ends_with_one_page_that_needs_nothing_else(synthetic: tuple[Pa
 
 def test_a_second_demo_does_nothing(synthetic: tuple[Path, Outcome, str]) -> None:
     store, first, _ = synthetic
-    outcome, said = demo(store, None)
+    outcome, message = demo(store, None)
     assert outcome.ran == ()
     assert outcome.skipped == first.ran
-    assert said.count("nothing to do") == len(first.ran)
-    assert "made before" in said
+    assert message.count("nothing to do") == len(first.ran)
+    assert "made before" in message
 
 
 @pytest.mark.shared

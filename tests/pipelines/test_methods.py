@@ -244,9 +244,9 @@ def test_what_is_to_be_known_of_thresholds_is_told_once(line: Comparing) -> None
     training = "class IS NOT NULL AND (actor = 'ann' OR class = 'walk')"
     method = {**THESIS, "name": "calibrated", "tau": "calibrated"}
     found = line.compare([method, BEST], [{"name": "eve", "train": training}])["splits"][0]
-    (said,) = [one for one in found["remarks"] if "τ of all classes together" in one]
-    assert said.endswith("their clips are of one actor: kick, wave (calibrated)")
-    for text in (line.file("html"), line.file("md"), line.said.getvalue()):
+    (output,) = [one for one in found["remarks"] if "τ of all classes together" in one]
+    assert output.endswith("their clips are of one actor: kick, wave (calibrated)")
+    for text in (line.file("html"), line.file("md"), line.printed.getvalue()):
         assert "their clips are of one actor: kick, wave" in text
 
 
@@ -293,8 +293,8 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
 
 def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
     line.compare([{**BEST, "name": "best of all, with a long name"}, THESIS], [{"name": "eve"}])
-    said = line.said.getvalue()
-    assert "2 takes with 4 manual segments" in said
+    output = line.printed.getvalue()
+    assert "2 takes with 4 manual segments" in output
     result = line.compare([{**BEST, "name": "best of all, with a long name"}, THESIS], [{"name": "eve"}], metrics=[])
     assert set(result["splits"][0]["methods"]) == {"best of all, with a long name", "thesis"}
     study = Study("", "", "", "", "", "", 30.0, ("a",), {}, "actor", METRICS, (), (small_split(),))

@@ -1,4 +1,4 @@
-"""Real BVH archives: one take in two formats is one motion, and another skeleton's takes say what their names say."""
+"""Real BVH archives: one take in two formats is one motion, and the names of another skeleton's takes are right."""
 
 from __future__ import annotations
 

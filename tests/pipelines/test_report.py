@@ -1,4 +1,4 @@
-"""A page shows what was found, needs nothing but itself, and says what is missing."""
+"""A page shows what was found, needs nothing but itself, and reports what is missing."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from tests.pipelines.study import FRAMES, MOMENT, Reading
 
 
 def table(schema: pa.Schema, rows: list[dict[str, object]]) -> pa.Table:
-    """Rows of a schema; what they do not say is null."""
+    """Rows of a schema; columns that they lack are null."""
     return pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema)
 
 

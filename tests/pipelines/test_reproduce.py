@@ -1,4 +1,4 @@
-"""The command that a report gives for making its results again says just what was done."""
+"""The command that a report gives for making its results again repeats just what was done."""
 
 from __future__ import annotations
 

@@ -59,9 +59,9 @@ def test_hits_do_not_depend_on_the_number_of_shards(store: Store) -> None:
     found = []
     for shard_frames in (10**9, 1):
         generation = build_index(store, threads=1, shard_frames=shard_frames)
-        says = read_generation(generation)
-        assert says is not None
-        found.append((len(says.shards), search_store(open_store(store.path, at="newest"), QUERIES)))
+        described = read_generation(generation)
+        assert described is not None
+        found.append((len(described.shards), search_store(open_store(store.path, at="newest"), QUERIES)))
         (generation / "generation.json").unlink()
     (one, whole), (many, divided) = found
     assert (one, many) == (1, 3)

@@ -44,9 +44,9 @@ def run(*words: object, code: int = 0) -> str:
 
 
 def test_all_templates_are_listed(store: Path):
-    said = run("list", store)
-    assert said.count("kick") >= 2
-    assert "walk, then kick with 3 columns of anything" in " ".join(said.split())
+    message = run("list", store)
+    assert message.count("kick") >= 2
+    assert "walk, then kick with 3 columns of anything" in " ".join(message.split())
     rows = run("list", store, "--format", "csv").splitlines()
     assert rows[0] == "stage,subclass,kind,columns,seconds,clips,rounds,last_cost,wildcards,origin,remarks"
     assert len(rows) == 1 + 2 * 3
@@ -54,21 +54,21 @@ def test_all_templates_are_listed(store: Path):
 
 
 def test_a_template_is_shown_with_its_features_by_name(store: Path):
-    said = run("show", store, "kick").splitlines()
-    assert said[0].startswith("kick, soft: 25 columns (0.83 s); 3 clips, ")
-    assert "largest cost between two clips, round by round: 0.000 → 0.000 (settled)" in said
-    first = next(line for line in said if "rhand_forwards  1" in line)
+    message = run("show", store, "kick").splitlines()
+    assert message[0].startswith("kick, soft: 25 columns (0.83 s); 3 clips, ")
+    assert "largest cost between two clips, round by round: 0.000 → 0.000 (settled)" in message
+    first = next(line for line in message if "rhand_forwards  1" in line)
     signs = "".join("█" if word & 1 else "·" for word in POSES["kick"].tolist() for _ in range(5))
     assert first.split()[-2:] == [signs, "100%"]
-    assert sum("%" in line for line in said) == 40
+    assert sum("%" in line for line in message) == 40
     assert "did you mean 'kick'" in run("show", store, "kik", code=1)
     assert "expected soft or hard" in run("show", store, "kick", "--kind", "firm", code=1)
 
 
 def test_what_distinguishes_two_classes_is_said_in_words(store: Path):
-    said = run("diff", store, "kick", "walk")
-    assert "kick and walk contradict each other in" in said
-    assert "on in kick, off in walk" in said
+    message = run("diff", store, "kick", "walk")
+    assert "kick and walk contradict each other in" in message
+    assert "on in kick, off in walk" in message
     assert "contradict each other in 0.0%" in run("diff", store, "kick", "kick")
 
 
@@ -103,14 +103,14 @@ def test_a_template_goes_to_a_file_and_one_example_makes_one(store: Path, tmp_pa
 
 
 def test_an_example_that_cannot_be_one_is_explained(store: Path):
-    for words, said in [
+    for words, message in [
         (("ann_kick_002", 5, 99), "has 25 frames"),
         (("ann_kick_002", "x"), "START must be a frame"),
         (("ann_kick_oo2",), "did you mean"),
         (("dan_take",), "frame 12 is invalid, in the middle"),
         (("dan_take", 0, 2), "are invalid"),
     ]:
-        assert said in run("from-clip", store, *words, code=1)
+        assert message in run("from-clip", store, *words, code=1)
     assert "frames 2 to 12 of dan_take" in run("from-clip", store, "dan_take", 0, 12)
 
 
@@ -119,10 +119,10 @@ def test_a_store_without_templates_says_so(tmp_path: Path):
 
 
 def test_a_folder_that_is_not_there_is_named_and_no_other_file(store: Path, tmp_path: Path):
-    said = run("from-clip", store, "ann_kick_002", "-o", tmp_path / "nodir" / "ann_kick_002.csv", code=1)
-    assert "does not exist; create it" in said
-    assert "mkdir -p" in said
-    assert ".ann_kick_002" not in said
+    message = run("from-clip", store, "ann_kick_002", "-o", tmp_path / "nodir" / "ann_kick_002.csv", code=1)
+    assert "does not exist; create it" in message
+    assert "mkdir -p" in message
+    assert ".ann_kick_002" not in message
 
 
 def test_feature_weights_are_shown(tmp_path: Path):

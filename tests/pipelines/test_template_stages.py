@@ -51,7 +51,7 @@ def test_templates_do_not_depend_on_the_executor(line: Line, monkeypatch: pytest
 
 def test_a_single_clip_is_used_and_said_and_no_clip_at_all_is_explained(line: Line):
     line.run(LearnTemplates, where="name LIKE '%003'", methods=["soft"])
-    assert "kick, walk, wave: one clip only, which then is the template" in line.said.getvalue()
+    assert "kick, walk, wave: one clip only, which then is the template" in line.printed.getvalue()
     with pytest.raises(KinedexError, match=r"`actor = 'eve'` selects none of the 11 takes, 9 of which have a class"):
         line.run(LearnTemplates, where="actor = 'eve'")
     with pytest.raises(KinedexError, match=r"2 takes to learn from that have no class, such as bob_take01"):
@@ -80,7 +80,7 @@ def test_takes_are_annotated_and_agree_with_the_ground_truth(line: Line):
     metrics = open_store(line.store).result("metrics")
     assert metrics.column("scope").to_pylist() == ["pooled"] + ["class"] * 3 + ["take"] * 2
     assert open_store(line.store).result("ground_truth").num_rows == 4
-    assert "2 takes against ground truth" in line.said.getvalue()
+    assert "2 takes against ground truth" in line.printed.getvalue()
 
 
 def test_exactly_the_takes_that_were_annotated_are_evaluated(line: Line):
@@ -153,11 +153,11 @@ def test_hard_templates_and_classes_of_a_file_are_a_matter_of_parameters(line: L
     assert set(store.result("annotations").column("class").to_pylist()) == {"legs"}
     assert set(store.result("annotations").column("subclass").to_pylist()) == {"walk", "kick"}
     assert store.result("distance_curves").num_rows == 0
-    assert "in no class and not annotated: wave" in line.said.getvalue()
+    assert "in no class and not annotated: wave" in line.printed.getvalue()
     with pytest.raises(SourceError, match=r"ground_truth.csv:4: 'wave' is neither a class nor a subclass"):
         line.run(Evaluate)
     line.run(Evaluate, unknown_labels="ignore")
-    assert "labels of no class, excluded: wave" in line.said.getvalue()
+    assert "labels of no class, excluded: wave" in line.printed.getvalue()
 
 
 def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metrics(line: Line):
@@ -173,7 +173,7 @@ def test_templates_that_say_nothing_are_told_on_the_terminal_and_with_the_metric
     line.leave_out()
     remark = "templates of wildcards alone, which would fit anything, excluded: blur"
     assert summary["remarks"] == [remark]
-    assert line.said.getvalue().count(remark) == 3  # once for all, once for each of two actors
+    assert line.printed.getvalue().count(remark) == 3  # once for all, once for each of two actors
     assert json.loads((line.store / "results/reports/test/metrics.json").read_text())["remarks"] == [remark]
     assert "blur" not in open_store(line.store).result("distance_curves").column("class").to_pylist()
 
@@ -218,8 +218,8 @@ def test_nothing_is_evaluated_where_nobody_has_labels_but_a_pattern_that_was_giv
     line.run(LearnTemplates)
     line.run(Annotate)
     assert line.run(Evaluate) == {"evaluated_takes": 0}
-    said = line.said.getvalue()
-    assert "no ground truth, nothing to evaluate: the source has no file '**/ground_truth.csv'" in said
+    message = line.printed.getvalue()
+    assert "no ground truth, nothing to evaluate: the source has no file '**/ground_truth.csv'" in message
     assert line.leave_out() == {"splits": 0, "methods": 1}
     assert line.run(Evaluate, source=str(tmp_path / "archive")) == {"evaluated_takes": 0}
     with pytest.raises(KinedexError, match=r"no file '\*\*/ground_truth.csv' below .*archive"):
@@ -263,8 +263,8 @@ def test_each_actor_is_left_out_once_and_their_clips_are_not_learned_from(line: 
     plain = line.run(Evaluate)
     summary = line.leave_out()
     assert summary["folds"] == 2
-    said = line.said.getvalue()
-    assert "cat: no training clip is of actor cat, so all are learned from" in said
+    message = line.printed.getvalue()
+    assert "cat: no training clip is of actor cat, so all are learned from" in message
     rows = {(row["scope"], row["name"]): row for row in open_store(line.store).result("metrics").to_pylist()[6:]}
     assert rows["pooled", "all"]["evaluation"] == "leave one actor out"
     assert rows["fold", "bob"]["frames_manual"] + rows["fold", "cat"]["frames_manual"] == 24 + 30 + 20 + 25
@@ -281,7 +281,7 @@ def test_left_out_values_that_leave_nothing_to_learn_from_are_said(line: Line):
     assert line.leave_out()["folds"] == 1
     assert (
         "bob: all training clips are of actor bob, so there is no such fold; not annotated: 1 take"
-        in line.said.getvalue()
+        in line.printed.getvalue()
     )
     with pytest.raises(KinedexError, match="takes have no column 'actr'; did you mean 'actor'"):
         line.leave_out("actr")

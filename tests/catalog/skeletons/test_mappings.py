@@ -1,4 +1,4 @@
-"""Skeleton mappings: which one fits a skeleton, what it makes of it, and what it says when it does not fit."""
+"""Skeleton mappings: which one fits a skeleton, what it makes of it, and the message when it does not fit."""
 
 from __future__ import annotations
 
@@ -108,11 +108,11 @@ def test_a_skeleton_of_strange_names_is_near_to_no_mapping() -> None:
 @pytest.mark.parametrize(("prefix", "pattern"), [("Bip_", "Bip_"), ("a.b-", r"a\.b\-"), ("Bob", "Bob")])
 def test_names_that_only_a_prefix_keeps_from_a_mapping_are_told_so(tmp_path: Path, prefix: str, pattern: str) -> None:
     nodes = {f"{prefix}{name}": i for name, i in nodes_of("bandai").items()}
-    said = f"; without '{prefix}' its names fit 'bandai': copy {load_skeleton('bandai', JOINTS).path}"
+    output = f"; without '{prefix}' its names fit 'bandai': copy {load_skeleton('bandai', JOINTS).path}"
     for mappings in (AUTO, load_mappings("bandai", JOINTS)):
         with pytest.raises(SourceError) as caught:
             mappings.detect("a.bvh", "bvh", nodes)
-        assert f"{said}, with `strip_prefix: '{pattern}'`" in str(caught.value)
+        assert f"{output}, with `strip_prefix: '{pattern}'`" in str(caught.value)
     own = user_file(tmp_path, "bandai", ("format: bvh", f"format: bvh\nstrip_prefix: '{pattern}'"))
     assert not load_skeleton(own, JOINTS).fit(nodes).missing
 

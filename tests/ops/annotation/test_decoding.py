@@ -74,7 +74,7 @@ def test_no_explanation_has_a_greater_value(
     edges = [edge for one in found for edge in (one.start, one.stop)]
     assert edges == sorted(edges)
     assert all(one.value > 0 and one.start < one.stop for one in found)
-    # each segment alone is an explanation of its frames, of the value it is said to have
+    # each segment alone is an explanation of its frames, of the value that is stated
     for one in found:
         alone = oracle.best_value(
             [columns[one.template]], postures, as_bits(words[one.start : one.stop]), 0.05, entry, skip, gain, stay

@@ -16,14 +16,14 @@ LIMITS = st.floats(-1e300, 1e300)
 @given(LIMITS, LIMITS, st.floats(allow_infinity=False))
 def test_bounds_hold_what_the_comparison_holds(low: float, high: float, x: float) -> None:
     for near in (x, low, high, float(np.nextafter(low, np.inf)), float(np.nextafter(low, -np.inf))):
-        says = {
+        expected = {
             ABOVE: near > low,
             AT_LEAST: near >= low,
             BELOW: near < low,
             AT_MOST: near <= low,
             WITHIN: low <= near <= high,
         }
-        for comparison, holds in says.items():
+        for comparison, holds in expected.items():
             least, greatest = p.bounds(comparison, low, high)
             assert (least <= near <= greatest) == holds
 

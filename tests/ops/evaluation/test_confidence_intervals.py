@@ -1,4 +1,4 @@
-"""Intervals are wide where little is known, and hold the truth as often as they say."""
+"""Intervals are wide where little is known, and hold the truth as often as they state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Synthetic actors move as people can, and do what the labels say."""
+"""Synthetic actors move as people can, and do what they are labelled with."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def test_a_take_that_was_exported_without_a_segment_is_evaluated(line: Line, tmp
     line.run(Annotate)
     summary = line.run(Evaluate, ground_truth=f"**/*.{form}")
     assert (summary["evaluated_takes"], summary["p1"], summary["r1"]) == (2, 0, None)
-    assert "in which nothing is to be found: cat_1, cat_2" in line.said.getvalue()
+    assert "in which nothing is to be found: cat_1, cat_2" in line.printed.getvalue()
 
 
 def test_the_same_labels_in_two_files_count_once(line: Line, tmp_path: Path):
@@ -90,9 +90,9 @@ def test_the_same_labels_in_two_files_count_once(line: Line, tmp_path: Path):
     summary = line.run(Evaluate, ground_truth="gt.[cj]*")
     assert (summary["segments"], summary["f1"]) == (segments, 1)
     archive = tmp_path / "archive"
-    said = line.said.getvalue()
-    assert f"counted once: {segments} in {archive / 'gt.json'} that {archive / 'gt.csv'} has as well" in said
-    assert "differently" not in said
+    message = line.printed.getvalue()
+    assert f"counted once: {segments} in {archive / 'gt.json'} that {archive / 'gt.csv'} has as well" in message
+    assert "differently" not in message
 
 
 def test_a_folder_with_a_dot_in_its_name_needs_a_format_or_a_slash(line: Line, tmp_path: Path):

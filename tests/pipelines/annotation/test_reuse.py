@@ -61,7 +61,7 @@ def test_new_takes_alone_are_annotated_and_all_is_as_if_annotated_at_once(tmp_pa
     line = annotated(tmp_path / "grown", *OLD, method=method, executor=executor)
     write_store(line.store, NEW)
     assert line.run(Annotate, method=method)["kept_takes"] == 2
-    assert "; 2 takes kept as they were, 2 annotated" in line.said.getvalue()
+    assert "; 2 takes kept as they were, 2 annotated" in line.printed.getvalue()
     grown = open_store(line.store)
     for kind in ("annotations", "distance_curves"):
         assert results(grown, kind).equals(results(whole, kind))

@@ -165,7 +165,7 @@ def test_the_stage_calibrates_on_what_its_templates_were_learned_from(tmp_path: 
         assert best["tau_by_class"] == {}
         remark = "`tau: calibrated` and `tau_by_class` have no effect with `method: best`, which uses no thresholds"
         assert best["remarks"] == [remark]
-        assert remark in line.said.getvalue()
+        assert remark in line.printed.getvalue()
         with_classes = line.run(Annotate, tau="calibrated", classes=str(tmp_path / "classes.yaml"))
         assert set(with_classes["tau_by_class"]) == {"kick", "walk"}  # type: ignore[call-overload]
         assert with_classes["remarks"] == []

@@ -34,9 +34,9 @@ def typed(store: Store, *lines: str | type[BaseException]) -> str:
             return line
         raise line
 
-    said = io.StringIO()
-    run_prompt(store, Console(file=said, width=140), read)
-    return said.getvalue()
+    printed = io.StringIO()
+    run_prompt(store, Console(file=printed, width=140), read)
+    return printed.getvalue()
 
 
 def test_a_statement_ends_with_a_semicolon(store: Store) -> None:
@@ -47,15 +47,15 @@ def test_a_statement_ends_with_a_semicolon(store: Store) -> None:
 
 def test_a_semicolon_in_a_text_or_a_comment_ends_nothing(store: Store) -> None:
     assert "a;b" in typed(store, "SELECT 'a;", "x' AS t, -- not yet;", "'a;b' AS u;")
-    said = typed(store, "SELECT 40 + 1 AS x; SELECT 40 + 2 AS y; -- both", "SELECT 40 +", "3;")
-    assert all(number in said for number in ("41", "42", "43"))
+    printed = typed(store, "SELECT 40 + 1 AS x; SELECT 40 + 2 AS y; -- both", "SELECT 40 +", "3;")
+    assert all(number in printed for number in ("41", "42", "43"))
     assert "syntax error" not in typed(store, ";", "", " ;;", "/* a", "comment; */ SELECT 1;")
 
 
 def test_ctrl_c_drops_what_was_typed_and_stops_what_runs(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = typed(store, "SELECT 'never',", KeyboardInterrupt, "SELECT 42;")
-    assert "42" in said
-    assert "never" not in said
+    printed = typed(store, "SELECT 'never',", KeyboardInterrupt, "SELECT 42;")
+    assert "42" in printed
+    assert "never" not in printed
     monkeypatch.setattr(Store, "answer", interrupted)
     assert "stopped" in typed(store, "SELECT 1; SELECT 2;")
 
@@ -71,9 +71,9 @@ def test_dot_commands_list_views_and_columns(store: Store) -> None:
     assert "stored_" not in typed(store, ".tables")
     assert "runs_where" in typed(store, ".tables;")
     assert "min_seconds: shortest duration that counts (default 0)" in typed(store, ".schema runs_where")
-    said = typed(store, ".help vocabulary", ".help pattern")
-    assert "SELECT feature_set, count(*) AS words FROM vocabulary" in said
-    assert "pattern(poses_in_order, within_seconds := 1)" in said
+    printed = typed(store, ".help vocabulary", ".help pattern")
+    assert "SELECT feature_set, count(*) AS words FROM vocabulary" in printed
+    assert "pattern(poses_in_order, within_seconds := 1)" in printed
 
 
 def test_names_are_completed() -> None:
@@ -82,11 +82,13 @@ def test_names_are_completed() -> None:
 
 
 def test_a_mistake_is_said_and_the_prompt_goes_on(store: Store) -> None:
-    said = typed(store, "SELECT nam FROM takes;", ".tabels", ".schema nothing", "DROP TABLE takes;", "SELECT 41 + 1;")
-    assert "nam" in said
-    assert "did you mean '.tables'?" in said
-    assert "no view or macro 'nothing'" in said
-    assert "42" in said
+    printed = typed(
+        store, "SELECT nam FROM takes;", ".tabels", ".schema nothing", "DROP TABLE takes;", "SELECT 41 + 1;"
+    )
+    assert "nam" in printed
+    assert "did you mean '.tables'?" in printed
+    assert "no view or macro 'nothing'" in printed
+    assert "42" in printed
 
 
 def test_long_answers_say_that_there_is_more(store: Store) -> None:

@@ -121,11 +121,11 @@ def test_a_long_line_that_is_said_goes_on_below_between_two_words_in_a_terminal_
     for terminal, lines in ((True, 2), (False, 1)):
         out = io.StringIO()
         Terminal(Console(file=out, width=60, soft_wrap=True, force_terminal=terminal, color_system=None)).say(MESSAGE)
-        said = out.getvalue().splitlines()
-        assert len(said) == lines
+        message = out.getvalue().splitlines()
+        assert len(message) == lines
         assert " ".join(out.getvalue().split()) == MESSAGE
-        assert said[0].startswith("    /an/archive")
-        assert all(line.startswith(" " * 8) for line in said[1:])
+        assert message[0].startswith("    /an/archive")
+        assert all(line.startswith(" " * 8) for line in message[1:])
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Pipeline files: what they say, what the user sets, and how wrong ones are refused."""
+"""Pipeline files: their content, what the user sets, and how wrong ones are refused."""
 
 from __future__ import annotations
 

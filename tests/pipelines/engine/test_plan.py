@@ -131,9 +131,9 @@ def test_a_command_that_cannot_succeed_is_not_advised(
     assert fails_with(archive, monkeypatch, NewStoreError("use another")) == "stage index: use another"
     fault = KinedexError("no luck")
     fault.way_out = ("luck", "good")
-    said = fails_with(archive, monkeypatch, fault)
-    assert "continue with:\n    kinedex run ingest" in said
-    assert said.endswith("--force index --set index.luck=good")
+    message = fails_with(archive, monkeypatch, fault)
+    assert "continue with:\n    kinedex run ingest" in message
+    assert message.endswith("--force index --set index.luck=good")
 
 
 def test_a_store_is_not_made_before_something_goes_in(tmp_path: Path) -> None:
@@ -155,18 +155,18 @@ def test_a_stop_after_everything_is_recorded_is_none(
 
 def test_what_another_pipeline_has_done_is_not_called_undone(archive: tuple[Path, Path]) -> None:
     store, source = archive
-    said = io.StringIO()
+    message = io.StringIO()
     pipeline = store.parent / "other.yaml"
     pipeline.write_text(
         (shipped_configs() / "pipelines" / "ingest.yaml").read_text().replace("name: ingest", "name: x")
     )
     run_pipeline(
-        pipeline, store, assignments={"source": str(source)}, terminal=Terminal(Console(file=said, soft_wrap=True))
+        pipeline, store, assignments={"source": str(source)}, terminal=Terminal(Console(file=message, soft_wrap=True))
     )
-    lines = said.getvalue().splitlines()
+    lines = message.getvalue().splitlines()
     assert lines[0].endswith("ingest: not run yet by the pipeline 'x' (but by another)")
     assert "0 to read, 2 unchanged" in lines[1]
-    assert "for which 0 of 18 frames were indexed anew" in said.getvalue()
+    assert "for which 0 of 18 frames were indexed anew" in message.getvalue()
     other = load_pipeline("annotate", {"source": str(source)})
     assert make_plan(other, store)[2].reason == "has not run yet"
 

@@ -36,7 +36,7 @@ def material(training: pl.DataFrame, tested: pl.DataFrame) -> Material:
     return Material(training, clips, tested, CLASSES, place, "actor")
 
 
-def said(folds: list[Fold]) -> list[str]:
+def message(folds: list[Fold]) -> list[str]:
     return list(dict.fromkeys(remark for fold in folds for remark in fold.remarks))
 
 
@@ -47,7 +47,7 @@ def test_a_fold_without_a_clip_to_learn_from_is_told_with_its_takes() -> None:
     assert [fold.name for fold in folds] == ["bob"]
     assert (
         "ann: all training clips are of actor ann, so there is no such fold; not annotated: 1 take (ann_long)"
-        in said(folds)
+        in message(folds)
     )
 
 
@@ -56,7 +56,7 @@ def test_takes_without_a_value_of_what_is_left_out_are_told() -> None:
     tested = takes(("ann_long", "ann", None), ("stray", None, None), ("bob_long", "bob", None))
     folds = make_folds(Split(name="x", leave_out="actor"), material(training, tested))
     assert [fold.name for fold in folds] == ["ann", "bob"]
-    assert said(folds) == ["1 take without actor, in no fold and not annotated: stray"]
+    assert message(folds) == ["1 take without actor, in no fold and not annotated: stray"]
 
 
 LAID_OUT = {"name": "x", "clips_as_takes": True, "clips_a_take": 3, "orders": 2, "most_clips": 2}
@@ -74,7 +74,7 @@ def test_clips_that_are_not_used_are_told() -> None:
     used = Counter(take_id for fold in folds for test_take in fold.test_takes for take_id in test_take.take_ids)
     assert max(used) < 100
     assert sum(used.values()) == 2 * 2 * 2 * 2  # actors, orders, classes, most_clips
-    assert said(folds)[:2] == [
+    assert message(folds)[:2] == [
         "2 clips of no class, excluded: of dance; 1 without a subclass",
         f"{len(used)} of 12 clips are used, each {16 / len(used):.1f} times on average (orders: 2, most_clips: 2)",
     ]

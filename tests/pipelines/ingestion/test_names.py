@@ -25,9 +25,9 @@ def test_of_many_takes_of_one_name_two_are_named_and_each_name_is_said_once(tmp_
         f"{source}/b/x_1.amc: 4 takes would be named 'x_1' (also a/x_1.amc, c/x_1.amc and 1 more); rename them, or "
         "set `name: path`"
     )
-    said = place.terminal.console.file.getvalue()  # type: ignore[attr-defined]
-    assert said.count("would be named 'x_1'") == said.count("would be named 'x_2'") == 1
-    assert "more: SELECT" not in said
+    message = place.terminal.console.file.getvalue()  # type: ignore[attr-defined]
+    assert message.count("would be named 'x_1'") == message.count("would be named 'x_2'") == 1
+    assert "more: SELECT" not in message
 
 
 def test_takes_that_another_pipeline_has_named_are_not_read_again_under_other_names(tmp_path: Path) -> None:

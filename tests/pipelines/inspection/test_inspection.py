@@ -1,4 +1,4 @@
-"""Inspect: what is said of a file that comes in, and all the more of one that does not."""
+"""Inspect: the report on a file that comes in, and all the more on one that does not."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.pipelines.archives import write_archive
 JOINTS = load_feature_set().joints
 
 
-def said(found: Inspection, what: str) -> str:
+def message(found: Inspection, what: str) -> str:
     return " | ".join(text for name, text in found.lines if name == what)
 
 
@@ -58,15 +58,15 @@ def inks(path: Path, left: float = 0.0, right: float = 1.0) -> dict[str, int]:
 def test_a_bvh_file_that_comes_in_is_described_and_drawn(tmp_path: Path) -> None:
     found = inspect_file(write_bvh(tmp_path / "wave.bvh"))
     assert found.fault is None
-    assert said(found, "format") == "BVH"
-    assert said(found, "nodes").startswith("25: mixamorig:Hips, mixamorig:LeftUpLeg")
-    assert said(found, "mapping").startswith("mixamo (found by the names of the joints)")
-    assert (said(found, "rate"), said(found, "length")) == ("30 Hz", "40 frames, 1.33 s")
-    assert said(found, "unit") == "0.01 m (guessed)"
-    assert said(found, "height").startswith("1.78 m")
-    assert "lfingers (-0.25 lelbow +1.25 lwrist)" in said(found, "warnings")
-    assert "F13 rhand_fast 100%" in said(found, "features on")
-    assert "F39" in said(found, "never on")
+    assert message(found, "format") == "BVH"
+    assert message(found, "nodes").startswith("25: mixamorig:Hips, mixamorig:LeftUpLeg")
+    assert message(found, "mapping").startswith("mixamo (found by the names of the joints)")
+    assert (message(found, "rate"), message(found, "length")) == ("30 Hz", "40 frames, 1.33 s")
+    assert message(found, "unit") == "0.01 m (guessed)"
+    assert message(found, "height").startswith("1.78 m")
+    assert "lfingers (-0.25 lelbow +1.25 lwrist)" in message(found, "warnings")
+    assert "F13 rhand_fast 100%" in message(found, "features on")
+    assert "F39" in message(found, "never on")
     assert write_picture(found, tmp_path / "wave.png")
     assert all(count > 300 for count in inks(tmp_path / "wave.png").values())
 
@@ -88,8 +88,8 @@ def test_the_skeleton_of_an_amc_file_is_found_above_it_up_to_the_source(tmp_path
     for source in (None, root):
         found = inspect_file(root / "a" / "b" / "x_1.amc", source=source)
         assert found.fault is None
-        assert said(found, "skeleton file") == str(root / "x.asf")
-        assert said(found, "rate") == "120 Hz (assumed: Acclaim files do not contain it)"
+        assert message(found, "skeleton file") == str(root / "x.asf")
+        assert message(found, "rate") == "120 Hz (assumed: Acclaim files do not contain it)"
     found = inspect_file(root / "a" / "b" / "x_1.amc", source=root / "a")
     assert "no ASF skeleton whose name begins like 'x_1'" in str(found.fault)
     assert not write_picture(found, tmp_path / "no.png")
@@ -101,9 +101,9 @@ def test_a_skeleton_that_no_mapping_fits_is_told_all_that_is_missing_and_drawn_a
     changes = {"LeftUpLeg": "ThighL", "RightUpLeg": "ThighR"}
     found = inspect_file(write_bvh(tmp_path / "odd.bvh", **changes))
     assert isinstance(found.fault, SourceError)
-    assert said(found, "mapping").startswith("none fits; the nearest is 'mixamo'")
-    assert said(found, "") == "lacks LeftUpLeg, for joint 'lhip' | lacks RightUpLeg, for joint 'rhip'"
-    assert said(found, "length") == "40 frames, 1.33 s"
+    assert message(found, "mapping").startswith("none fits; the nearest is 'mixamo'")
+    assert message(found, "") == "lacks LeftUpLeg, for joint 'lhip' | lacks RightUpLeg, for joint 'rhip'"
+    assert message(found, "length") == "40 frames, 1.33 s"
     assert write_picture(found, tmp_path / "odd.png")
     assert inks(tmp_path / "odd.png")[MIDDLE] > 1000
 
@@ -113,11 +113,11 @@ def test_a_skeleton_that_is_near_to_none_or_to_one_but_for_a_prefix_is_told_so(t
     text = write_bvh(tmp_path / "own.bvh").read_text()
     names = re.findall(r"(?:ROOT|JOINT) (\S+)", text)
     strange.write_text(re.sub(r"(ROOT|JOINT) (\S+)", lambda found: f"{found[1]} n{names.index(found[2])}", text))
-    assert said(inspect_file(strange), "mapping") == "none fits; no mapping has any of the names"
+    assert message(inspect_file(strange), "mapping") == "none fits; no mapping has any of the names"
     strange.write_text(re.sub(r"(ROOT|JOINT) (?:mixamorig:)?(\S+)", r"\1 Bob_\2", text))
     found = inspect_file(strange)
-    assert said(found, "mapping").startswith("none fits; without 'Bob_' its names fit 'mixamo': copy ")
-    assert "mixamo.yaml, with `strip_prefix: 'Bob_" in said(found, "mapping")
+    assert message(found, "mapping").startswith("none fits; without 'Bob_' its names fit 'mixamo': copy ")
+    assert "mixamo.yaml, with `strip_prefix: 'Bob_" in message(found, "mapping")
 
 
 def test_a_number_out_of_this_world_is_said_and_not_drawn(tmp_path: Path) -> None:
@@ -135,27 +135,27 @@ def test_positions_are_described_with_their_gaps_and_drawn_as_dots_until_they_co
     track[3:5, JOINTS.index("lknee")] = np.nan
     np.savez(tmp_path / "a.npz", positions=track, names=np.array(JOINTS))
     found = inspect_file(tmp_path / "a.npz")
-    assert said(found, "length") == "30 frames; the rate is not in the file"
-    assert said(found, "gaps") == "1 in 1 points, the longest of 2 frames"
-    assert said(found, "mapping").startswith("named-positions")
+    assert message(found, "length") == "30 frames; the rate is not in the file"
+    assert message(found, "gaps") == "1 in 1 points, the longest of 2 frames"
+    assert message(found, "mapping").startswith("named-positions")
     assert "give `rate_hz`, or --rate" in str(found.fault)
     assert write_picture(found, tmp_path / "dots.png")
     found = inspect_file(tmp_path / "a.npz", given=ReadSettings(override_rate_hz=30.0, fill_gap_frames=2))
     assert found.fault is None
-    assert said(found, "rate") == "30 Hz (given)"
-    assert "lknee 2 frames" in said(found, "warnings")
+    assert message(found, "rate") == "30 Hz (given)"
+    assert "lknee 2 frames" in message(found, "warnings")
 
 
 def test_markers_are_described_and_drawn_in_frames_that_are_whole(tmp_path: Path) -> None:
     points = standing_markers(90)
     points[LABELS.index("LKNE"), :, 30:] = np.nan
     found = inspect_file(write_c3d(tmp_path / "a.c3d", 1000 * z_up(points)))
-    assert said(found, "format") == "C3D, markers"
-    assert said(found, "nodes").startswith("30: LFWT, ")
-    assert said(found, "mapping").startswith("hdm05-c3d")
-    assert said(found, "gaps") == "1 in 1 points, the longest of 60 frames"
-    assert said(found, "valid frames") == "30 of 90; the other frames are invalid"
-    assert "LKNE 60 frames" in said(found, "warnings")
+    assert message(found, "format") == "C3D, markers"
+    assert message(found, "nodes").startswith("30: LFWT, ")
+    assert message(found, "mapping").startswith("hdm05-c3d")
+    assert message(found, "gaps") == "1 in 1 points, the longest of 60 frames"
+    assert message(found, "valid frames") == "30 of 90; the other frames are invalid"
+    assert "LKNE 60 frames" in message(found, "warnings")
     assert found.figure is not None
     assert found.figure.times[-1] == "0.24 s (frame 29)"
     assert write_picture(found, tmp_path / "a.png")
@@ -198,9 +198,9 @@ def test_features_that_miss_a_joint_say_which() -> None:
 def test_joint_angles_are_described_with_and_without_a_body_model(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", poses=np.zeros((9, 156)), trans=np.zeros((9, 3)), mocap_framerate=120)
     found = inspect_file(tmp_path / "a.npz")
-    assert said(found, "format") == "NPZ, joint angles (AMASS)"
-    assert said(found, "mapping").startswith("smpl-amass")
-    assert said(found, "figure") == "neutral, 0 numbers of shape"
+    assert message(found, "format") == "NPZ, joint angles (AMASS)"
+    assert message(found, "mapping").startswith("smpl-amass")
+    assert message(found, "figure") == "neutral, 0 numbers of shape"
     assert "give `body_model`" in str(found.fault)
 
 

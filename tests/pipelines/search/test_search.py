@@ -155,8 +155,8 @@ def test_alternatives_and_names_show_in_the_explanation(store: Store) -> None:
 
 def test_keyframes_are_explained_by_the_names_of_their_features(store: Store) -> None:
     text = "q: {keyframes: [{on: [rhand_above_neck], off: [lhand_above_neck, rhand_forwards]}]}"
-    (said,) = (row["features"] for row in explain_search(store, parse_queries(text, BODY)).to_pylist() if row["set"])
-    assert said == "rhand_above_neck, not rhand_forwards, not lhand_above_neck"
+    (message,) = (row["features"] for row in explain_search(store, parse_queries(text, BODY)).to_pylist() if row["set"])
+    assert message == "rhand_above_neck, not rhand_forwards, not lhand_above_neck"
 
 
 def test_keyframes_are_numbered_as_written(store: Store) -> None:

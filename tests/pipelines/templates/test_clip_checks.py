@@ -11,13 +11,13 @@ def test_nothing_is_said_of_clips_that_are_alike():
 
 def test_one_and_two_clips_are_few():
     assert clip_remarks(["a"], [30], [0.0]) == ("one clip only, which then is the template",)
-    (said,) = clip_remarks(["a", "b"], [30, 31], [0.1, 0.1])
-    assert said.startswith("2 clips only")
+    (message,) = clip_remarks(["a", "b"], [30, 31], [0.1, 0.1])
+    assert message.startswith("2 clips only")
 
 
 def test_lengths_beyond_what_a_distance_curve_can_stretch_are_named():
-    (said,) = clip_remarks("abcd", [30, 30, 61, 14], [0.1] * 4)
-    assert said == "clips of very different length, the median being 30 frames: c (61 frames), d (14 frames)"
+    (message,) = clip_remarks("abcd", [30, 30, 61, 14], [0.1] * 4)
+    assert message == "clips of very different length, the median being 30 frames: c (61 frames), d (14 frames)"
     assert clip_remarks("abcd", [30, 30, 60, 15], [0.1] * 4) == ()
 
 

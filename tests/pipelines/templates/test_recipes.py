@@ -88,7 +88,7 @@ def test_a_template_of_a_file_takes_the_place_of_a_learned_one(line: Line, tmp_p
     assert rows["kick"]["values"] == by_hand["kick"].learned.template.values.ravel().tolist()
     assert (rows["kick"]["origin"], rows["kick"]["clips"], rows["kick"]["costs"]) == ("from mine.yaml", [], [])
     assert set(templates_by_name(line, "hard")) == {"kick", "walk", "wave"}
-    assert "templates from files, so their clips are not learned from: kick" in line.said.getvalue()
+    assert "templates from files, so their clips are not learned from: kick" in line.printed.getvalue()
     line.run(Annotate)
     assert line.run(Evaluate)["f2"] == 1
     assert line.leave_out()["folds"] == 2
@@ -110,9 +110,9 @@ def test_features_can_be_weighted_by_name(line: Line):
     line.run(Annotate)
     line.run(Evaluate)
     line.leave_out()
-    for weights, said in [({"F41": 1}, "no feature F41"), ({"F1": 1, "rhand_forwards": 2}, "are the same feature"),
+    for weights, message in [({"F41": 1}, "no feature F41"), ({"F1": 1, "rhand_forwards": 2}, "are the same feature"),
                           ({name.name: 0 for name in BODY.features}, "at least one feature must count")]:  # fmt: skip
-        with pytest.raises(KinedexError, match=said):
+        with pytest.raises(KinedexError, match=message):
             line.run(LearnTemplates, weights=weights)
 
 
@@ -132,7 +132,7 @@ def test_invalid_frames_are_cut_off_or_the_clip_is_left_out_and_both_are_said(li
         "clips with invalid frames in the middle, excluded: dan_kick_hole",
         "clips with invalid frames at an end, which are cut off: dan_kick_ends",
     ]
-    assert "warning: kick: clips with invalid frames in the middle, excluded: dan_kick_hole" in line.said.getvalue()
+    assert "warning: kick: clips with invalid frames in the middle, excluded: dan_kick_hole" in line.printed.getvalue()
     with pytest.raises(KinedexError, match=r"subclass kick is left without a clip .*\(dan_kick_hole\)"):
         line.run(LearnTemplates, where="name = 'dan_kick_hole'")
 

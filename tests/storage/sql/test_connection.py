@@ -1,4 +1,4 @@
-"""SQL over a store: it reads, it cannot write, and its errors say what is there."""
+"""SQL over a store: it reads, it cannot write, and its errors list what is there."""
 
 from __future__ import annotations
 

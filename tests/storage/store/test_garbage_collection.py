@@ -69,11 +69,11 @@ def test_the_newest_version_alone_needs_only_its_own_parts(store: Store) -> None
 
 def test_a_dry_run_says_the_same_and_removes_nothing(store: Store) -> None:
     before = files(store.path)
-    said = collect(store.path, keep=1, dry_run=True).removed
+    message = collect(store.path, keep=1, dry_run=True).removed
     assert files(store.path) == before
-    assert collect(store.path, keep=1).removed == said
-    assert sum(item.bytes for item in said if item.kind == "old version") > 0
-    assert summary(said)[0].startswith("9 old versions, ")
+    assert collect(store.path, keep=1).removed == message
+    assert sum(item.bytes for item in message if item.kind == "old version") > 0
+    assert summary(message)[0].startswith("9 old versions, ")
 
 
 def test_what_kinedex_has_not_made_is_not_touched(store: Store) -> None:

@@ -61,7 +61,7 @@ def rewritten(store: Store, change: Callable[[pa.Table], pa.Table]) -> Store:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda table: table.slice(0, 10), "take 1 has 10 frames, takes records 30"),
         (lambda table: table.take([1, 0, *range(2, 50)]), "take 1 lacks frame 0"),
@@ -71,8 +71,8 @@ def rewritten(store: Store, change: Callable[[pa.Table], pa.Table]) -> Store:
         (lambda table: table.set_column(0, "take_id", pa.array([1] * 30 + [9] * 20)), "holds take 9"),
     ],
 )
-def test_rows_that_are_not_as_they_should_be_are_found(store: Store, change, said: str) -> None:
-    assert said in problems(rewritten(store, change))
+def test_rows_that_are_not_as_they_should_be_are_found(store: Store, change, message: str) -> None:
+    assert message in problems(rewritten(store, change))
 
 
 def test_a_take_that_is_live_twice_is_found(store: Store) -> None:
@@ -92,7 +92,7 @@ def without(parts: tuple[Part, ...], take: int) -> tuple[Part, ...]:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda m: replace(m, takes=without(m.takes, 1)), "take 1 has no row in takes"),
         (lambda m: replace(m, frames=without(m.frames, 1)), "take 1 has no frames"),
@@ -100,9 +100,9 @@ def without(parts: tuple[Part, ...], take: int) -> tuple[Part, ...]:
     ],
 )
 def test_takes_and_frames_that_differ_are_found(
-    store: Store, change: Callable[[Manifest], Manifest], said: str
+    store: Store, change: Callable[[Manifest], Manifest], message: str
 ) -> None:
-    assert said in problems(Store(store.path, change(store.manifest)))
+    assert message in problems(Store(store.path, change(store.manifest)))
 
 
 def test_leftovers_and_a_stale_index_are_notes(store: Store) -> None:

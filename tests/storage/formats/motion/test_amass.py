@@ -1,4 +1,4 @@
-"""AMASS files: joint angles old and new, the body models that they need, and what is said where one is missing."""
+"""AMASS files: joint angles old and new, the body models that they need, and the message where one is missing."""
 
 from __future__ import annotations
 

@@ -131,15 +131,15 @@ def test_a_take_begins_with_the_first_frame_that_is_there(tmp_path: Path) -> Non
     np.testing.assert_array_equal(body.positions, read(walking(tmp_path / "b.c3d", 5)).positions)
 
 
-@pytest.mark.parametrize("said", [True, False])
-def test_more_frames_than_a_word_can_count(tmp_path: Path, said: bool) -> None:
+@pytest.mark.parametrize("output", [True, False])
+def test_more_frames_than_a_word_can_count(tmp_path: Path, output: bool) -> None:
     points = np.broadcast_to(np.arange(1, 70_001) / 100, (3, 3, 70_000)).copy()
-    more = {"LONG_FRAMES": [70_000.0]} if said else {}
+    more = {"LONG_FRAMES": [70_000.0]} if output else {}
     markers = parse_c3d(write_c3d(tmp_path / "a.c3d", points, ("a", "b", "c"), **more))
     assert markers.positions.shape == (3, 3, 70_000)
     np.testing.assert_allclose(markers.positions, points, rtol=1e-6)
     warning = "the file states 65535 frames, the most that it can state, and holds 70000"
-    assert markers.warnings == ([] if said else [warning])
+    assert markers.warnings == ([] if output else [warning])
 
 
 def test_analog_channels_cost_nothing_and_stretches_have_no_seam(

@@ -156,9 +156,9 @@ def test_long_gaps_make_frames_invalid_and_short_ones_are_closed(tmp_path: Path)
 
 def test_rates_that_contradict_each_other_are_said_and_missing_ones_asked_for(tmp_path: Path) -> None:
     walk = keypoints(COCO, 8)
-    said = read(write(tmp_path / "a.trc", trc(1000 * walk, COCO, step=1 / 50)), ReadSettings())
-    assert said.rate_hz == 60.0
-    assert "it is read at 60 Hz, but by the times in the file it is 50 Hz" in said.warnings
+    output = read(write(tmp_path / "a.trc", trc(1000 * walk, COCO, step=1 / 50)), ReadSettings())
+    assert output.rate_hz == 60.0
+    assert "it is read at 60 Hz, but by the times in the file it is 50 Hz" in output.warnings
     other = read(tmp_path / "a.trc", ReadSettings(override_rate_hz=50.0))
     assert (other.rate_hz, other.warnings[-1]) == (50.0, "the file states 60 Hz; it is read at 50 Hz, which was given")
     with pytest.raises(SourceError, match="does not state its frames per second: give `rate_hz`"):
