@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -95,33 +96,36 @@ def _angle(u: Vector, v: Vector) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, _dot(u, v) / size)))) if size > 0 else math.nan
 
 
-def quantities(body: Body) -> list[tuple[list[float], str, tuple[float, ...], tuple[float, ...]]]:
+Quantity = tuple[list[float], str, tuple[float, ...], tuple[float, ...]]
+
+
+class _Quantities:
+    """A list of quantities that grows in the order of the features."""
+
+    def __init__(self) -> None:
+        self.found: list[Quantity] = []
+
+    def add(self, values: list[float], compare: str, weak: float, strong: float) -> None:
+        self.found.append((values, compare, (weak,), (strong,)))
+
+    def both(self, make: Callable[[str], list[float]], compare: str, weak: float, strong: float) -> None:
+        for side in "rl":
+            self.add(make(side), compare, weak, strong)
+
+
+def quantities(body: Body) -> list[Quantity]:
     """For F1 to F40: the quantity in every frame, the comparison, the weak and the strong threshold."""
+    return [*_upper(body), *_lower(body), *_mix(body)]
+
+
+def _upper(body: Body) -> list[Quantity]:
+    """F1 to F14."""
     humerus = body.dist("rshoulder", "relbow")
     humerus_l = body.dist("lshoulder", "lelbow")
     shoulders = body.dist("rshoulder", "lshoulder")
-    hips = body.dist("rhip", "lhip")
     chest_len = body.dist("chest", "neck")
-    chain = ["rankle rknee", "rknee rhip", "root belly", "belly chest", "chest neck", "neck head", "head headtop"]
-    size = sum(body.dist(*pair.split()) for pair in chain)
-    frames = range(body.frames)
-    out: list[tuple[list[float], str, tuple[float, ...], tuple[float, ...]]] = []
-
-    def add(values: list[float], compare: str, weak: float, strong: float) -> None:
-        out.append((values, compare, (weak,), (strong,)))
-
-    def both(make: object, *rest: object) -> None:
-        for side in "rl":
-            add(make(side), *rest)  # type: ignore[operator, arg-type]
-
-    def fingers_above(s: str) -> list[float]:
-        y = body.p(s + "fingers")[:, 1]
-        return [float(y[t]) - body.ymin(t, (s + "fingers", s + "wrist")) for t in frames]
-
-    def toes_above(s: str) -> list[float]:
-        y = body.p(s + "toes")[:, 1]
-        return [float(y[t]) - body.ymin(t) for t in frames]
-
+    listed = _Quantities()
+    add, both = listed.add, listed.both
     both(lambda s: body.vplane("neck", "rhip", "lhip", s + "wrist", 250), ">", 1.3 * humerus_l, 1.8 * humerus_l)
     both(lambda s: body.nplane("chest", "neck", "neck", s + "wrist"), ">=", 0.0, 0.2 * chest_len)
     both(lambda s: body.vnplane("chest", "neck", "neck", s + "wrist", 250), ">", 1.3 * humerus_l, 1.8 * humerus_l)
@@ -135,6 +139,19 @@ def quantities(body: Body) -> list[tuple[list[float], str, tuple[float, ...], tu
     add(body.vnplane("lwrist", "rwrist", "rwrist", "lwrist", 100), ">=", 1.2 * humerus, 1.4 * humerus)
     both(lambda s: body.vnplane(s + "wrist", "root", s + "wrist", "root", 0), ">=", 1.2 * humerus, 1.4 * humerus)
     both(lambda s: body.speed(s + "fingers", 100), ">=", 2 * humerus, 2.5 * humerus)
+    return listed.found
+
+
+def _lower(body: Body) -> list[Quantity]:
+    """F15 to F26."""
+    humerus, hips = body.dist("rshoulder", "relbow"), body.dist("rhip", "lhip")
+    listed = _Quantities()
+    add, both = listed.add, listed.both
+
+    def toes_above(s: str) -> list[float]:
+        y = body.p(s + "toes")[:, 1]
+        return [float(y[t]) - body.ymin(t) for t in range(body.frames)]
+
     add(body.plane("root", "lhip", "lankle", "rankle"), ">=", 0, 0.375 * humerus)
     add(body.plane("root", "rankle", "rhip", "lankle"), ">=", 0, 0.375 * humerus)
     both(toes_above, ">=", humerus, 1.2 * humerus)
@@ -151,11 +168,27 @@ def quantities(body: Body) -> list[tuple[list[float], str, tuple[float, ...], tu
         lambda s: [min(a, b) for a, b in zip(body.speed(s + "toes", 100), body.speed(s + "ankle", 100), strict=True)],
         ">=", 2 * humerus, 2.5 * humerus,
     )  # fmt: skip
+    return listed.found
+
+
+def _mix(body: Body) -> list[Quantity]:
+    """F27 to F40."""
+    humerus, humerus_l = body.dist("rshoulder", "relbow"), body.dist("lshoulder", "lelbow")
+    chain = ["rankle rknee", "rknee rhip", "root belly", "belly chest", "chest neck", "neck head", "head headtop"]
+    size = sum(body.dist(*pair.split()) for pair in chain)
+    frames = range(body.frames)
+    listed = _Quantities()
+    add, both = listed.add, listed.both
+
+    def fingers_above(s: str) -> list[float]:
+        y = body.p(s + "fingers")[:, 1]
+        return [float(y[t]) - body.ymin(t, (s + "fingers", s + "wrist")) for t in frames]
+
     both(lambda s: body.segments("neck", "root", s + "elbow", s + "shoulder"), "<", 155, 150)
     both(lambda s: body.segments("neck", "root", s + "hip", s + "knee"), ">", 45, 50)
     add(body.plane("lankle", "neck", "rankle", "root"), "<", -0.35 * humerus, -0.5 * humerus)
     spine = [_angle(n - r, np.array([0.0, 1.0, 0.0])) for n, r in zip(body.p("neck"), body.p("root"), strict=True)]
-    out.append((spine, "within", (60, 120), (70, 110)))
+    listed.found.append((spine, "within", (60, 120), (70, 110)))
     both(fingers_above, "<", 1.4 * humerus, 1.2 * humerus)
     s_left, s_right = (body.plane("rhip", "lhip", "neck", side + "shoulder") for side in "lr")
     s = [a - b for a, b in zip(s_left, s_right, strict=True)]
@@ -167,7 +200,7 @@ def quantities(body: Body) -> list[tuple[list[float], str, tuple[float, ...], tu
     add([max(row) for row in xz], ">=", 3 * humerus, 3.25 * humerus)
     add(body.speed("root", 0), ">=", 2 * humerus, 2.3 * humerus)
     add(_turning(body), ">=", 50, 100)
-    return out
+    return listed.found
 
 
 def _turning(body: Body) -> list[float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
@@ -32,6 +32,26 @@ def table(schema: pa.Schema, rows: list[dict[str, object]]) -> pa.Table:
     return pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema)
 
 
+def put_takes(writer: StoreWriter, features: FeatureSet, names: dict[str, str | None]) -> dict[str, int]:
+    """Add takes of these names and classes, and return their ids."""
+    ids = writer.assign_take_ids(names)
+    takes = [
+        {"take_id": ids[name], "name": name, "source": f"{name}.amc", "source_root": "/archive", "rate_hz": 30.0,
+         "frames": FRAMES, "seconds": 3.0, "invalid_frames": 0, "actor": "ann", "class": label, "groups": "{}",
+         "warnings": ["odd header"] if name == "long_1" else []}
+        for name, label in names.items()
+    ]  # fmt: skip
+    point, turn = dict.fromkeys("xyz", 0.0), dict(zip("wxyz", (1.0, 0.0, 0.0, 0.0), strict=True))
+    joints = dict.fromkeys(features.joints, point)
+    frames = [
+        {"take_id": i, "frame": f, **joints, "root_orientation": turn, "word": 0}
+        for i in sorted(ids.values())
+        for f in range(FRAMES)
+    ]
+    writer.add_takes(table(takes_schema(), takes), table(frames_schema(features, 30.0), frames))
+    return ids
+
+
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
     """A store with two annotated takes and one clip, as the pipeline `study` would leave it."""
@@ -39,21 +59,7 @@ def store(tmp_path: Path) -> Path:
     path = tmp_path / "store"
     names = {"clip_a": "squat1Reps", "long_1": None, "long_2": None}
     with StoreWriter.open(path, features) as writer:
-        ids = writer.assign_take_ids(names)
-        takes = [
-            {"take_id": ids[name], "name": name, "source": f"{name}.amc", "source_root": "/archive", "rate_hz": 30.0,
-             "frames": FRAMES, "seconds": 3.0, "invalid_frames": 0, "actor": "ann", "class": label, "groups": "{}",
-             "warnings": ["odd header"] if name == "long_1" else []}
-            for name, label in names.items()
-        ]  # fmt: skip
-        point, turn = dict.fromkeys("xyz", 0.0), dict(zip("wxyz", (1.0, 0.0, 0.0, 0.0), strict=True))
-        joints = dict.fromkeys(features.joints, point)
-        frames = [
-            {"take_id": i, "frame": f, **joints, "root_orientation": turn, "word": 0}
-            for i in sorted(ids.values())
-            for f in range(FRAMES)
-        ]
-        writer.add_takes(table(takes_schema(), takes), table(frames_schema(features, 30.0), frames))
+        ids = put_takes(writer, features, names)
 
         def put(kind: str, stage: str, rows: list[dict[str, object]]) -> None:
             schema = result_schema(kind)
