@@ -64,6 +64,11 @@ class _ClassEntry(BaseModel):
     subclasses: list[str] = []
 
 
+def class_files(classes: str | Path) -> list[Path]:
+    """Return the file that `load_classes` reads; none for 'own'."""
+    return [] if classes == OWN else [config_path("classes", classes)]
+
+
 def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes:
     """Sort the subclasses of an archive into the classes of a file.
 

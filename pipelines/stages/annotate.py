@@ -11,8 +11,7 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from kinedex.catalog.classes import OWN, Classes
-from kinedex.catalog.configs import config_path
+from kinedex.catalog.classes import Classes, class_files
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import query_file_paths
@@ -55,10 +54,7 @@ class Annotate(Stage[AnnotationParameters]):
 
     def external_digest(self, params: AnnotationParameters, store: Store | None) -> str:
         """Return a hash of the class file and the query files."""
-        files = query_file_paths(params.query_files)
-        if params.classes != OWN:
-            files.append(config_path("classes", params.classes))
-        return files_digest(files)
+        return files_digest([*query_file_paths(params.query_files), *class_files(params.classes)])
 
     def named_parts(self, params: AnnotationParameters) -> Sequence[tuple[Plugins[Any], str]]:
         """Return the annotation method."""

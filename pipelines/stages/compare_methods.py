@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 
 import pyarrow as pa
 
-from kinedex.catalog.classes import OWN
-from kinedex.catalog.configs import config_path
+from kinedex.catalog.classes import class_files
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.pipelines.annotation.methods import METHODS
@@ -45,9 +44,7 @@ class CompareMethods(Stage[ComparisonParameters]):
 
     def external_digest(self, params: ComparisonParameters, store: Store | None) -> str:
         """Return a hash of the class file, the query files and the ground truth."""
-        files = query_file_paths(params.query_files)
-        if params.classes != OWN:
-            files.append(config_path("classes", params.classes))
+        files = [*query_file_paths(params.query_files), *class_files(params.classes)]
         return files_digest(files) + ground_truth_digest(params, store)
 
     def named_parts(self, params: ComparisonParameters) -> Sequence[tuple[Plugins[Any], str]]:

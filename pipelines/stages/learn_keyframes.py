@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.classes import OWN, load_classes
-from kinedex.catalog.configs import config_path
+from kinedex.catalog.classes import class_files, load_classes
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.consensus import AtLeast
 from kinedex.pipelines.console.wording import counted, few
@@ -32,7 +31,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
 
     def external_digest(self, params: KeyframeParameters, store: Store | None) -> str:
         """Return a hash of the class file."""
-        return files_digest([] if params.classes == OWN else [config_path("classes", params.classes)])
+        return files_digest(class_files(params.classes))
 
     def run(self, context: StageContext, params: KeyframeParameters) -> dict[str, object]:
         """Learn and store the queries and all runs; runs that were finished before are not done again."""
