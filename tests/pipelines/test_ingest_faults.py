@@ -307,6 +307,6 @@ def test_the_parts_of_many_batches_are_compacted_at_the_end_and_a_few_more_files
     assert verify(first) == []
     write_archive(source, {"x_90.amc": 33, "x_91.amc": 33})
     assert bring_in(store, source)["read"] == 2
-    later = open_store(store)
+    later = open_store(store, at="newest")
     assert first.manifest.frames[0] in later.manifest.frames
     assert len(later.manifest.frames) == 3

@@ -68,7 +68,7 @@ def test_changes_of_each_version_are_recorded(path: Path) -> None:
 
 
 def test_all_versions_are_listed_also_old_and_damaged_ones(path: Path) -> None:
-    build_index(open_store(path))
+    build_index(open_store(path, at="newest"))
     with StoreWriter.open(path, BODY) as writer:
         add(writer, {"tr_new": 10})
         writer.commit()
