@@ -226,7 +226,7 @@ def _size(folder: Path) -> int:
 
 def _remove(path: Path) -> None:
     with write_errors(path):
-        if path.is_dir():
+        if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)

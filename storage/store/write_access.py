@@ -15,12 +15,20 @@ from kinedex.storage.snapshot.schemas import PART_FOLDERS
 FOLDERS = (FOLDER, "frames", "takes", "labels", "index", "results")
 """The folders of a store."""
 
+DUCKDB_SIGNS = "?\\"
+"""Characters that DuckDB does not take as they stand in the path of a file."""
+
 _CLOCK_SECONDS = 2.0
 """Accuracy of the times of files in some file systems."""
 
 
 def refuse_foreign(root: Path) -> None:
-    """Raise a StoreError if a directory holds other things than a store."""
+    """Raise a StoreError if a directory holds other things than a store, or has a path that DuckDB cannot open."""
+    if os.name != "nt" and set(DUCKDB_SIGNS).intersection(str(root.absolute())):
+        raise StoreError(
+            f"{root}: the path of a store cannot have a ? or a backslash in it, which DuckDB reads as signs of its "
+            "own; name another directory"
+        )
     if root.exists() and not root.is_dir():
         raise StoreError(f"{root} is a file; a store is a directory")
     if not root.exists() or versions(root):
