@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.storage.index.generations import current_generation
+from kinedex.storage.index.generations import INDEX_VERSION, generations, read_generation, wrong_sizes
 from kinedex.storage.snapshot.manifest import read_newest, read_version, versions
 
 COUNTS = (
@@ -100,6 +100,7 @@ def list_versions(store: Path) -> list[Version]:
     found = []
     if not versions(store):
         read_newest(store)
+    indexed = _indexed_contents(store)
     for number in versions(store):
         try:
             manifest = read_version(store, number)
@@ -115,10 +116,20 @@ def list_versions(store: Path) -> list[Version]:
                 manifest.command,
                 manifest.changes,
                 len(manifest.live_takes),
-                current_generation(store, manifest) is not None,
+                manifest.content_digest() in indexed,
             )
         )
     return found
+
+
+def _indexed_contents(store: Path) -> set[str]:
+    """Return the `Manifest.content_digest` of the takes that there are indexes of."""
+    records = ((generation, read_generation(generation)) for generation in generations(store))
+    return {
+        record.content
+        for generation, record in records
+        if record is not None and record.index_version == INDEX_VERSION and not any(wrong_sizes(generation, record))
+    }
 
 
 def versions_table(found: Iterable[Version]) -> pa.Table:
