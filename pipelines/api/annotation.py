@@ -18,6 +18,7 @@ from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words,
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.annotation.tables import annotations_table
+from kinedex.pipelines.api.arguments import checked
 from kinedex.pipelines.api.query import Query, resolved_queries
 from kinedex.pipelines.api.store import Store
 from kinedex.pipelines.api.take import Take
@@ -29,6 +30,7 @@ from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.store.store import data_frame
 
 
+@checked
 def annotate(
     takes: Store | Take | Iterable[Take],
     templates: Template | str | Iterable[Template | str],
@@ -268,6 +270,7 @@ class Evaluation:
         return self.table._repr_html_()
 
 
+@checked
 def evaluate(
     annotations: pl.DataFrame,
     ground_truth: pl.DataFrame | str | Path | Sequence[str | Path],

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.api.arguments import checked
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.engine.runner import run_pipeline as run_stages
@@ -18,6 +19,7 @@ from kinedex.pipelines.engine.runner import run_pipeline as run_stages
 Executor = Literal["serial", "processes", "dask"]
 
 
+@checked
 def run_pipeline(
     pipeline: str | Path,
     store: str | os.PathLike[str],
@@ -92,6 +94,7 @@ def run_pipeline(
         raise
 
 
+@checked
 def ingest(
     store: str | os.PathLike[str],
     folder: str | os.PathLike[str],

@@ -13,6 +13,7 @@ import numpy as np
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
+from kinedex.pipelines.api.arguments import checked, checked_methods
 from kinedex.pipelines.api.take import F32, U64, Frames, Take
 from kinedex.storage.store.store import Store as StoredTakes
 from kinedex.storage.store.store import data_frame
@@ -36,6 +37,7 @@ _SHOWN_TAKES = 10
 _BESIDE_HITS = ("run", "saved_as")
 
 
+@checked
 def open_store(
     path: str | os.PathLike[str],
     files: Iterable[str | os.PathLike[str]] = (),
@@ -76,6 +78,7 @@ def open_store(
     return Store(open_stored_takes(Path(path), [Path(folder) for folder in files], at))
 
 
+@checked_methods
 class Store:
     """One version of a store, read-only; `open_store` opens it.
 

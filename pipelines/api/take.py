@@ -14,6 +14,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import NO_WORD, bits
+from kinedex.pipelines.api.arguments import checked, checked_methods
 
 if TYPE_CHECKING:
     import polars as pl
@@ -79,6 +80,7 @@ class LoadedFrames:
         return LoadedFrames(Frames(positions[start:stop], orientation[start:stop], words[start:stop]))
 
 
+@checked_methods
 class Take:
     """One recorded motion, at the analysis rate of 30 frames per second.
 
@@ -356,6 +358,7 @@ class Take:
         return frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
 
 
+@checked
 def read(
     path: str | Path,
     mapping: str | Path | None = None,
@@ -415,6 +418,7 @@ def read(
     return take_of_body(file.stem, body, features, about)
 
 
+@checked
 def features(
     positions: npt.ArrayLike,
     rate: float,

@@ -15,6 +15,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import Contrast, contrast
 from kinedex.ops.templates.templates import Kind, Learned, learn
 from kinedex.ops.words import U64
+from kinedex.pipelines.api.arguments import checked_methods
 from kinedex.pipelines.api.take import ANALYSIS_RATE_HZ, FEATURES, Take
 from kinedex.pipelines.templates.learning import SubclassTemplate, learned_template, usable_clips
 from kinedex.pipelines.templates.template_text import contrast_lines, heading
@@ -32,6 +33,7 @@ def _no_examples() -> dict[str, U64]:
     return {}
 
 
+@checked_methods
 class Template:
     """A motion template: what the examples of a class have in common, column by column.
 

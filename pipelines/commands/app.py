@@ -9,8 +9,8 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -184,7 +184,8 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         configure_messages(quiet=quiet, to_stderr=as_json)
         try:
             configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
-            function(**arguments)
+            with _logged(function.__name__.replace("_", "-")):
+                function(**arguments)
         except KinedexError as fault:
             code = _CODES.get(type(fault).__name__, FAILED)
             print_error(str(fault), type(fault).__name__, code, as_json, fault.remedy)
@@ -219,6 +220,23 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         **{one.name: one.annotation for one in common},
     }
     return guarded
+
+
+@contextmanager
+def _logged(command: str) -> Iterator[None]:
+    """Log the begin and the end of a command; the terminal shows its errors, so that they are events."""
+    import logging
+    import time
+
+    log = logging.getLogger("kinedex.commands")
+    begin = time.perf_counter()
+    log.info("%s: begins", command, extra={"event": "command", "arguments": sys.argv[1:]})
+    try:
+        yield
+    except (KinedexError, OSError, KeyboardInterrupt) as fault:
+        log.error("%s: %s", command, str(fault) or type(fault).__name__, extra={"event": "error"})
+        raise
+    log.info("%s: done", command, extra={"event": "done", "seconds": round(time.perf_counter() - begin, 3)})
 
 
 def _is_closed_pipe(fault: OSError) -> bool:

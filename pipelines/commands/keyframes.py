@@ -54,7 +54,10 @@ def learn(
     force: ForceOption = None,
     wait: WaitOption = None,
 ) -> None:
-    """Learn a keyframe query for each class; an interruption loses at most 20 seconds of finished runs."""
+    """Learn a keyframe query for each class.
+
+    An interruption loses at most 20 seconds of finished runs.
+    """
     from kinedex.pipelines.engine.runner import run_pipeline
     from kinedex.storage.store.store import open_store
 
@@ -75,7 +78,7 @@ def show(
     output: OutputOption = None,
     at: AtOption = None,
 ) -> None:
-    """Show learned queries: how well they separate the training clips, and what they ask for.
+    """Show learned queries and how well they separate the training clips.
 
     Precision and recall are those of all queries of a class together and stand on its first row only.
     """
@@ -105,7 +108,7 @@ def export(
     ] = None,
     at: AtOption = None,
 ) -> None:
-    """Write learned queries as a query file with named features, to read, edit and search with."""
+    """Write learned queries as a query file, to edit and to search with."""
     from kinedex.catalog.queries.query_writer import write_queries
     from kinedex.pipelines.keyframes.learning import keyframe_queries
     from kinedex.pipelines.report.page_files import write_page

@@ -41,7 +41,7 @@ def export(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     at: AtOption = None,
 ) -> None:
-    """Write annotations as label files: one per take into a folder, or one file."""
+    """Write annotations as label files, one per take or one for all."""
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_of
     from kinedex.pipelines.console.wording import counted, few
     from kinedex.storage.formats.labels.formats import write_labels

@@ -29,7 +29,7 @@ from kinedex.pipelines.commands.output import print_json, show_outcome
 @command(RUN)
 def demo(
     store: Annotated[
-        Path, typer.Argument(metavar="[STORE]", help="Directory of the store; created where it is missing.")
+        Path, typer.Argument(metavar="STORE", help="Directory of the store; created where it is missing.")
     ] = Path("build/demo-store"),
     data: Annotated[
         Path | None, typer.Option(help="Archive of motion files; a synthetic one is made unless given.")
@@ -81,7 +81,9 @@ def run(
 @command(RUN)
 def plan(
     pipeline: PipelineArgument,
-    store: StoreOption,
+    store: Annotated[
+        Path, typer.Option("--store", metavar="DIR", help="Directory of the store; nothing is written into it.")
+    ],
     assign: SetOption = None,
     force: ForceOption = None,
     as_json: JsonOption = False,

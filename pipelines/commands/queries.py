@@ -112,7 +112,7 @@ def from_clip(
     ] = None,
     at: AtOption = None,
 ) -> None:
-    """Propose a keyframe query for an example: commented YAML, to be edited."""
+    """Propose a keyframe query for an example, as YAML to be edited."""
     from kinedex.pipelines.search.query_proposal import propose_query
     from kinedex.pipelines.templates.stored_templates import clip_range
 

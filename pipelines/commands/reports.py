@@ -33,7 +33,7 @@ def compare(
         Path | None, typer.Option("--output", "-o", help="Write to this file: .md, .html or .json.")
     ] = None,
 ) -> None:
-    """List what improved and what got worse from A to B, by class and by take.
+    """List the classes and takes that improved or got worse from A to B.
 
     Two methods of one evaluation: kinedex report compare STORE::thesis STORE::best
     """

@@ -227,7 +227,7 @@ def encode(table: pa.Table, form: str) -> bytes:
     if form == "csv":
         rows = ([_nested(value) if isinstance(value, dict | list) else value for value in row] for row in _rows(table))
         return "".join(map(csv_line, [table.column_names, *rows])).encode()
-    raise KinedexError(f"no output format '{form}'; expected one of {', '.join(FORMATS)}{did_you_mean(form, FORMATS)}")
+    raise KinedexError(f"no output format '{form}'{did_you_mean(form, FORMATS)}")
 
 
 def _rows(table: pa.Table) -> Iterator[tuple[Any, ...]]:

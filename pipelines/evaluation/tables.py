@@ -81,7 +81,8 @@ def described(result: SplitResult) -> str:
         f", {len(result.folds)} folds: {', '.join(one.name for one in result.folds)}" if len(result.folds) > 1 else ""
     )
     segments = sum(len(test_take.truth) for test_take in result.test_takes)
-    return f"{result.split.kind}; {parts}{counted(takes, 'take')} with {counted(segments, 'manual segment')}{folds}"
+    kind = "" if result.split.kind == result.split.name else f"{result.split.kind}; "
+    return f"{kind}{parts}{counted(takes, 'take')} with {counted(segments, 'manual segment')}{folds}"
 
 
 def overlap_notes(study: Study) -> list[str]:

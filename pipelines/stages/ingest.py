@@ -139,7 +139,7 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
     context.say(
         f"{counted(len(found.motions), 'motion file')} below {params.source}: "
         f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
-        + (f", {len(plan.failures)} that cannot be placed" if plan.failures else "")
+        + (f", {len(plan.failures)} excluded" if plan.failures else "")
     )
     for line in found.unread_lines():
         context.say(line)
