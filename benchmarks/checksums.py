@@ -48,9 +48,9 @@ def figures(source: Store) -> Iterator[Figure]:
     yield Figure(f"check a part of {work}", part.bytes / 1e9, "GB", seconds(check, MANY), "reading it", seconds(read))
     spent = _processor(check, MANY)
     yield Figure(
-        "its share of reading all columns", 100 * spent / _processor(read, 10), "%", None, "at most", None, 2.0
+        "its share of reading all columns", 100 * spent / _processor(read, 10), "%", None, "at most 2 %", None, 2.0
     )
-    yield Figure("its share of FROM frames", 100 * spent / _processor(sql, 5), "%", None, "at most", None, 2.0)
+    yield Figure("its share of FROM frames", 100 * spent / _processor(sql, 5), "%", None, "at most 2 %", None, 2.0)
 
     def opened(*, sound: bool) -> Callable[[], object]:
         def work() -> object:
@@ -66,7 +66,7 @@ def figures(source: Store) -> Iterator[Figure]:
     without, checked = _processor(opened(sound=True), MANY), _processor(opened(sound=False), MANY)
     yield Figure(f"open one take of {work}: processors", 1, "takes", checked, "without the check", without)
     added = 1000 * (checked - without)
-    yield Figure("one take: added by the check", added, "ms", None, "at most", None, 20.0)
+    yield Figure("one take: added by the check", added, "ms", None, "at most 20 ms", None, 20.0)
     again = seconds(lambda: [store.checked.part(part) for _ in range(1000)]) / 1000
     yield Figure("check a part that was checked before", 1, "parts", again, "a call of os.stat", _stat(file))
     sent = pickle.dumps(store)
