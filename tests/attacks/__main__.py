@@ -12,7 +12,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.attacks import flips, fuzz, kills, power_loss, races, sql_writes
+from tests.attacks import flips, fuzz, kills, names, power_loss, races, sql_writes
 from tests.attacks.outcome import Attack, Options, Outcome
 
 ATTACKS: dict[str, Attack] = {
@@ -22,6 +22,7 @@ ATTACKS: dict[str, Attack] = {
     "power": power_loss.run,
     "races": races.run,
     "fuzz": fuzz.run,
+    "names": names.run,
 }
 """All attacks by name, in the order in which they run."""
 
