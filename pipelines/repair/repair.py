@@ -188,8 +188,9 @@ class _Work:
         set_aside(self.quarantine, bad)
         for one in bad:
             if one.version > newest.version:
+                changes = f": {one.changes}" if one.changes else ""
                 self.say(
-                    f"version {one.version} is lost, whose manifest is damaged; the store is at version "
+                    f"version {one.version} is lost, whose manifest is damaged{changes}; the store is at version "
                     f"{newest.version} of {newest.created}{_lost_parts(one)}"
                 )
             else:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,11 +35,14 @@ class BadManifest:
         The damage.
     lost : tuple of str
         Paths of the parts that no other version names, which are lost with it.
+    changes : str
+        The changes of the version and the command that made it, as far as the damaged manifest can be read.
     """
 
     version: int
     problem: str
     lost: tuple[str, ...] = ()
+    changes: str = ""
 
     @property
     def file(self) -> str:
@@ -65,7 +70,27 @@ def bad_manifests(store: Path) -> list[BadManifest]:
             raise StoreError(f"{store}: no manifest is sound; ingest the sources into a new store")
         raise StoreError(f"{store} is no kinedex store (it has no manifest)")
     unnamed = _unnamed(store, sound) if found else ()
-    return [BadManifest(version, problem, unnamed if version > sound[-1] else ()) for version, problem in found.items()]
+    return [
+        BadManifest(version, problem, unnamed if version > sound[-1] else (), _changes(manifest_path(store, version)))
+        for version, problem in found.items()
+    ]
+
+
+def _changes(path: Path) -> str:
+    """Return what a damaged manifest states of its changes; empty if that cannot be read."""
+    try:
+        # the lines of a manifest are JSON each, so that most of them outlive a damage
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return ""
+    stated = {}
+    for line in lines:
+        name, colon, value = line.strip().rstrip(",").partition(": ")
+        if colon and name in ('"changes"', '"command"'):
+            with suppress(ValueError):
+                stated[name.strip('"')] = json.loads(value)
+    changes = ", ".join(f"{fact} {value}" for fact, value in dict(stated.get("changes") or {}).items())
+    return f"{changes} (by `{stated['command']}`)" if stated.get("command") and changes else changes
 
 
 def newest_sound(store: Path, bad: list[BadManifest]) -> Manifest:

@@ -231,6 +231,7 @@ def test_a_damaged_newest_manifest_gives_way_to_the_version_before(store: Path, 
     damaged(manifest_path(store, newest), how)
     said = carry_out(remedy_of(store))
     assert f"version {newest} is lost" in said
+    assert ("labels 8" in said) == (how == "flip"), "a manifest that was cut short does not state its changes"
     assert "1 part that only it names" in said
     assert open_store(store).manifest.version == newest - 1
     assert open_store(store).labels(history=True).to_pylist() == kept
