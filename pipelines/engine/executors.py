@@ -165,8 +165,13 @@ class ProcessExecutor(Executor):
     def abort(self) -> None:
         """End the workers at once, in the middle of their tasks."""
         if self._pool is not None:
-            for process in list((self._pool._processes or {}).values()):
+            processes = list((self._pool._processes or {}).values())
+            for process in processes:
                 process.terminate()
+            deadline = time.monotonic() + ANSWER_SECONDS
+            for process in processes:
+                process.join(max(0.0, deadline - time.monotonic()))
+                process.kill()
             self.close()
 
     def _start(self) -> ProcessPoolExecutor:
@@ -260,9 +265,12 @@ class DaskExecutor:
                 raise self._without_workers()
 
     def _slots(self) -> int:
-        """Return the number of tasks that the workers do at a time; 0 if there are none, or the scheduler is gone."""
+        """Return the number of tasks that the workers do at a time; 0 without any, or without an answer."""
         try:
-            return sum(worker["nthreads"] for worker in self._client.scheduler_info(n_workers=-1)["workers"].values())
+            found = self._client.sync(
+                self._client.scheduler.identity, n_workers=-1, callback_timeout=min(ANSWER_SECONDS, PATIENCE_SECONDS)
+            )
+            return sum(worker["nthreads"] for worker in found["workers"].values())
         except (OSError, ValueError, KeyError):
             return 0
 

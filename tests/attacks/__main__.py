@@ -12,11 +12,12 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.attacks import flips, fuzz, kills, names, power_loss, races, sql_writes
+from tests.attacks import bombs, flips, fuzz, kills, names, power_loss, races, sql_writes
 from tests.attacks.outcome import Attack, Options, Outcome
 
 ATTACKS: dict[str, Attack] = {
     "sql": sql_writes.run,
+    "bombs": bombs.run,
     "flips": flips.run,
     "kills": kills.run,
     "power": power_loss.run,

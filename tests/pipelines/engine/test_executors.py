@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -273,6 +274,49 @@ def test_a_worker_that_dies_with_a_finished_result_does_not_stop_the_run_for_eve
         cluster.add_worker()
         monkeypatch.setattr(executors, "PATIENCE_SECONDS", 30.0)
         assert list(executor.map(square, [3, 4])) == [9, 16]
+        executor.close()
+    finally:
+        cluster.close()
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_its_workers_ends_in_an_error_in_every_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster = Cluster(tmp_path)
+    try:
+        for seconds in (0.0, 0.05, 0.2, 0.7):
+            monkeypatch.setattr(executors, "PATIENCE_SECONDS", 60.0)
+            monkeypatch.setattr(executors, "ANSWER_SECONDS", 60.0)
+            worker = cluster.add_worker()
+            executor = DaskExecutor(1, cluster.address)
+            monkeypatch.setattr(executors, "PATIENCE_SECONDS", 1.0)
+            killer = threading.Timer(seconds, worker.kill)
+            killer.start()
+            with pytest.raises(KinedexError, match=r"has no workers|did not arrive"):
+                list(executor.map(square, range(1000)))
+            killer.join()
+            worker.wait()
+            executor.close()
+    finally:
+        cluster.close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="processes cannot be stopped here")
+def test_a_scheduler_that_hangs_ends_in_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executors, "ANSWER_SECONDS", 60.0)
+    cluster = Cluster(tmp_path)
+    try:
+        cluster.add_worker()
+        executor = DaskExecutor(1, cluster.address)
+        results = executor.map(square, range(1000))
+        assert next(results) == 0
+        monkeypatch.setattr(executors, "PATIENCE_SECONDS", 1.0)
+        cluster.processes[0].send_signal(signal.SIGSTOP)
+        with pytest.raises(KinedexError, match=r"has no workers|did not arrive"):
+            list(results)
+        cluster.processes[0].send_signal(signal.SIGCONT)
         executor.close()
     finally:
         cluster.close()

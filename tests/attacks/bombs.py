@@ -1,0 +1,180 @@
+"""Bombs: small or lying files that would take time or memory without end; each is read by a process of its own."""
+
+from __future__ import annotations
+
+import io
+import struct
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tests.attacks.outcome import Options, Outcome
+from tests.bvh_files import bvh_text, dance, mixamo
+from tests.pipelines.archives import human_amc, human_asf
+from tests.storage.formats.labels.test_limits import CUE, EAF
+
+ROOT = Path(__file__).resolve().parents[2]
+SECONDS = 300
+"""A bomb may take so long on a loaded machine, the start of a process included."""
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.formats.labels.formats import FORMATS, read_labels
+from kinedex.storage.formats.motion.reader_table import read_body
+from tests.large_files import peak_mb
+path = Path(sys.argv[1])
+joints = load_feature_set().joints
+mappings = load_mappings("auto", joints)
+before = peak_mb()
+ending = path.suffix[1:]
+try:
+    if ending in FORMATS and "motion" not in path.stem:
+        read_labels(path)
+    else:
+        read_body(path, path.with_name("x.asf") if ending == "amc" else None, mappings, joints)
+    print("read", end=" ")
+except KinedexError as fault:
+    print("refused", end=" ")
+print(peak_mb() - before)
+"""
+
+
+def _npz(shape: tuple[int, ...], stored: int) -> bytes:
+    """Return a packed array whose header states a shape, and that has so many bytes of zeros."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file, file.open("positions.npy", "w") as entry:
+        entry.write(header.getvalue())
+        for _ in range(stored >> 20):
+            entry.write(bytes(1 << 20))
+    return packed.getvalue()
+
+
+def _bvh(claimed: int, rows: int = 2) -> bytes:
+    return bvh_text(mixamo(), dance(mixamo(), rows), claimed=claimed).encode()
+
+
+def _deep_bvh(depth: int) -> bytes:
+    joints = "".join(f"{'JOINT' if i else 'ROOT'} j{i} {{ OFFSET 0 1 0 CHANNELS 1 Yrotation\n" for i in range(depth))
+    return f"HIERARCHY {joints}{'}' * depth} MOTION\nFrames: 1\nFrame Time: 0.01\n{'0 ' * depth}\n".encode()
+
+
+def _many_bones() -> bytes:
+    """Return a skeleton of a hundred thousand bones that no frame has to move."""
+    bones = "".join(f" begin\n name b{i}\n direction 0 1 0\n length 1\n axis 0 0 0 XYZ\n end\n" for i in range(100_000))
+    names = "".join(f" root b{i}\n" for i in range(100_000))
+    return f":units\n length 1\n:root\n order\n axis XYZ\n:bonedata\n{bones}:hierarchy\n begin\n{names} end\n".encode()
+
+
+def _c3d_counts() -> bytes:
+    header = bytearray(512)
+    header[0:2] = bytes((2, 0x50))
+    struct.pack_into("<4H", header, 2, 0xFFFF, 0xFFFF, 1, 0xFFFF)
+    return bytes(header) + bytes((1, 0x50, 1, 84)) + bytes(508) + bytes(4096)
+
+
+def _points(count: int) -> bytes:
+    return ",".join(f"p{i}_{axis}" for i in range(count) for axis in "xyz").encode()
+
+
+def _attributes(count: int) -> str:
+    return " ".join(f'a{i}="1"' for i in range(count))
+
+
+def _entries(count: int) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as file:
+        for number in range(count):
+            file.writestr(f"{number}.npy", b"")
+    return packed.getvalue()
+
+
+def _laughs() -> bytes:
+    entities = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10 if i else "ha"}">' for i in range(12))
+    text = EAF.format(tier="t", value="&a11;")
+    return text.replace("<ANNOTATION_DOCUMENT>", f"<!DOCTYPE a [{entities}]><ANNOTATION_DOCUMENT>").encode()
+
+
+TEN_TO_12 = 10**12
+LONG_LINE = b"1 " * 40_000_000
+BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "a BVH header of 10^12 frames": ("bvh", lambda: _bvh(TEN_TO_12)),
+    "a deep hierarchy": ("bvh", lambda: _deep_bvh(9_000)),
+    "a deeper hierarchy": ("bvh", lambda: _deep_bvh(200_000)),
+    "a hierarchy of comments": ("bvh", lambda: b"HIERARCHY\n" + b"#\n" * 3_000_000),
+    "a line of 80 MB in BVH": ("bvh", lambda: _bvh(2) + LONG_LINE),
+    "a line of 80 MB in AMC": ("amc", lambda: human_amc(2, 0).encode() + LONG_LINE),
+    "a header of 80 MB in AMC": ("amc", lambda: b":" + LONG_LINE),
+    "frames without numbers": ("many.amc", lambda: b"".join(b"%d\nroot\n" % i for i in range(1, 200_000))),
+    "line ends alone": ("bvh", lambda: _bvh(2) + b"\n" * 30_000_000),
+    "a CSV of 10,000 points": (
+        "motion.csv",
+        lambda: _points(10_000) + b"\n" + b"1," * 29_999 + b"1",
+    ),
+    "a CSV of 200,000 points": (
+        "motion.csv", lambda: _points(200_000) + b"\n1",
+    ),
+    "a CSV line of 80 MB": ("motion.csv", lambda: b"a_x,a_y,a_z\n" + LONG_LINE),
+    "an NPZ header of 10^12 frames": ("npz", lambda: _npz((TEN_TO_12, 24, 3), 1 << 20)),
+    "an NPZ of 2.4 GB in 2 MB": ("npz", lambda: _npz((4_096_000, 24, 3), 2250 << 20)),
+    "an NPZ of 100,000 entries": ("npz", lambda: _entries(100_000)),
+    "C3D counts of 65,535": ("c3d", _c3d_counts),
+    "an annotation of 50 MB": ("eaf", lambda: EAF.format(tier="t", value="x" * 50_000_000).encode()),
+    "text between elements": ("eaf", lambda: EAF.format(tier="t", value="x\n<b/>" * 1_000_000).encode()),
+    "a billion laughs": ("eaf", _laughs),
+    "levels of XML": ("eaf", lambda: EAF.format(tier="t", value="<b>" * 5_000_000).encode()),
+    "attributes": ("eaf", lambda: EAF.format(tier="t", value="<b " + _attributes(10**6)).encode()),
+    "a label file of 100 MB": ("vtt", lambda: b"WEBVTT\n\n" + b"\n" * 100_000_000),
+    "blank lines of 60 MB": ("vtt", lambda: b"WEBVTT\n\n" + b"\n" * 60_000_000),
+    "a reference of 10^6 digits": ("vtt", lambda: CUE.format(text="&#" + "9" * 10**6 + ";").encode()),
+    "unclosed tags": ("vtt", lambda: CUE.format(text="<" * 10**7).encode()),
+    "levels of JSON": ("json", lambda: b"[" * 60_000_000),
+    "lists of JSON": ("json", lambda: b'{"takes":[' + b"[]," * 20_000_000 + b"0]}"),
+    "a number of 10^7 digits": ("json", lambda: b'{"takes":[' + b"9" * 10**7 + b"]}"),
+    "a million columns": ("csv", lambda: b"take,class,start,stop" + b",a" * 10**6 + b"\n" + b"," * 10**7),
+    "a cell of 60 MB": ("csv", lambda: b'take,class,start,stop\n"' + b"\n" * 60_000_000),
+    "tabs": ("txt", lambda: b"\t" * 60_000_000),
+}  # fmt: skip
+"""Name → ending of the file, and the function that makes its bytes."""
+
+
+def most_mb(size: int) -> float:
+    """Return the memory that a file of some bytes may take: in proportion to its size, and bounded."""
+    return min(1500.0, 150.0 + 40.0 * size / 1e6)
+
+
+def run(folder: Path, options: Options) -> Outcome:
+    """Let a process read each bomb; it must end in a body, in labels or in an error, in time and within its memory."""
+    outcome = Outcome()
+    for name, (ending, make) in BOMBS.items():
+        if options.case not in (None, name):
+            continue
+        data = make()
+        path = folder / (ending if "." in ending else f"bomb.{ending}")
+        path.write_bytes(data)
+        (folder / "x.asf").write_bytes(_many_bones() if ending == "many.amc" else human_asf().encode())
+        command = [sys.executable, "-c", PROGRAM, str(path)]
+        try:
+            done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SECONDS, check=False)
+        except subprocess.TimeoutExpired:
+            outcome.fail(name, f"takes more than {SECONDS} s")
+            continue
+        outcome.count("bombs")
+        if done.returncode:
+            outcome.fail(name, f"ends with {done.returncode}: {done.stderr[-300:]}")
+            continue
+        how, peak = done.stdout.split()
+        outcome.count(how)
+        if float(peak) > most_mb(len(data)):
+            outcome.fail(name, f"takes {float(peak):.0f} MB, more than {most_mb(len(data)):.0f}")
+        path.unlink()
+    return outcome
