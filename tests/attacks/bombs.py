@@ -52,7 +52,10 @@ def _npz(shape: tuple[int, ...], stored: int) -> bytes:
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
     packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file, file.open("positions.npy", "w") as entry:
+    with (
+        zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file,
+        file.open("positions.npy", "w", force_zip64=True) as entry,
+    ):
         entry.write(header.getvalue())
         for _ in range(stored >> 20):
             entry.write(bytes(1 << 20))
