@@ -21,7 +21,7 @@ from numba.core.dispatcher import Dispatcher
 
 import kinedex
 
-ANSWER_SECONDS = 120.0
+ANSWER_SECONDS = 400.0
 """A forked child that takes longer than this is ended."""
 
 Kernel = tuple[str, str]
@@ -49,7 +49,7 @@ class Workers:
                 busy[pipe] = left.pop()
                 pipe.send((function, busy[pipe]))
         while busy:
-            ready = wait(list(busy), timeout=5 * ANSWER_SECONDS)
+            ready = wait(list(busy), timeout=3 * ANSWER_SECONDS)
             if not ready:
                 raise TimeoutError(f"no answer about {[case[1] for case in busy.values()]}")
             for pipe in ready:
