@@ -24,6 +24,7 @@ from kinedex.pipelines.commands.options import (
 )
 from kinedex.pipelines.commands.output import print_json
 from kinedex.pipelines.console.escapes import visible, visible_lines
+from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
     from kinedex.storage.store.verification import Finding
@@ -135,17 +136,21 @@ def repair(
                 "faults": len(done.remaining),
             }
         )
-        if done.remaining:
+        if done.remaining or done.failed_runs:
             raise typer.Exit(FAILED)
         return
     for finding in done.found if dry_run else done.remaining:
-        print(f"{'✗' if finding.fault else '·'} {finding.file}: {finding.problem}")
+        print(visible_lines(f"{'✗' if finding.fault else '·'} {finding.file}: {finding.problem}"))
     for run in done.failed_runs:
-        print(f"to make the results of {', '.join(run.stages)} again: {shlex.join(run.command(store))}")
+        print(visible_lines(f"to make the results of {', '.join(run.stages)} again: {shlex.join(run.command(store))}"))
     if done.remaining:
-        raise KinedexError(f"{store}: {len(done.remaining)} parts or files are still damaged")
+        raise KinedexError(f"{store}: {counted(len(done.remaining), 'file')} could not be repaired")
+    if done.failed_runs:
+        count = sum(len(run.stages) for run in done.failed_runs)
+        raise KinedexError(f"{store}: repaired, but the results of {counted(count, 'stage')} are missing")
     if not dry_run:
-        print(f"{store}: {'repaired' if done.found else 'nothing is damaged'}")
+        lost = f", but {counted(len(done.lost), 'take')} could not be read again" if done.lost else ""
+        print(f"{store}: {f'repaired{lost}' if done.found else 'nothing is damaged'}")
 
 
 @command(MAINTAIN)

@@ -23,6 +23,7 @@ from kinedex.pipelines.commands.options import (
 )
 from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
+from kinedex.pipelines.console.wording import counted
 
 
 class _SqlCommand(Command):
@@ -149,7 +150,7 @@ def takes(
         return
     show_table(table.select(wanted), form, output)
     if form == "table" and output is None:
-        print_message(f"{table.num_rows} takes, {seconds / 60:.1f} minutes")
+        print_message(f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes")
 
 
 @command(ASK)

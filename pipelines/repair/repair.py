@@ -408,8 +408,8 @@ class _Work:
         """Run a pipeline, and return whether it could."""
         try:
             run_pipeline(
-                self.root / run.file, self.root, executor=self.executor, workers=self.workers, terminal=self.terminal,
-                wait_seconds=self.wait.seconds,
+                self.root / run.file, self.root, assignments={}, executor=self.executor, workers=self.workers,
+                terminal=self.terminal, wait_seconds=self.wait.seconds,
             )  # fmt: skip
         except KinedexError as fault:
             self.outcome.failed_runs.append(run)

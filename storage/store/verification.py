@@ -313,7 +313,7 @@ class _Verification:
             folder = f"{QUARANTINE}/{one.name}"
             look = Remedy(f"{LIST} there lists them; remove the folder once nothing of it is needed")
             if one.files or one.takes:
-                problem = f"keeps {len(one.files)} damaged files, and the names of {len(one.takes)} lost takes"
+                problem = f"keeps {len(one.files)} files that were damaged and lists {len(one.takes)} takes as lost"
                 yield Finding(folder, problem, look, "quarantine", fault=False)
             for run in one.runs:
                 if not run.done:
