@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ COUNTED = 1_000_000
 
 _BATCH = 20_000
 _MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
+_ELSEWHERE = re.compile(r"Cannot access (?:file|directory) \"(.*?)\" - file system operations are disabled")
 _DAMAGE = re.compile(r"(IO|Serialization|INTERNAL|FATAL) Error: |Corrupt database file: ")
 
 
@@ -91,8 +93,20 @@ def read_query(
     except duckdb.Error as fault:
         if _DAMAGE.match(str(fault)):
             raise Unreadable(message(fault)) from None
-        missing = _MISSING.search(str(fault))
-        raise (UnknownName(missing[1], message(fault)) if missing else KinedexError(message(fault))) from None
+        if missing := _MISSING.search(str(fault)):
+            raise UnknownName(missing[1], message(fault)) from None
+        raise KinedexError(_explained(message(fault))) from None
+
+
+def _explained(text: str) -> str:
+    """Return a message of DuckDB, or one with the way out where a query meets a file outside of the store."""
+    if found := _ELSEWHERE.search(text):
+        # a file that a link leads to counts by its own place
+        return (
+            f"{os.path.realpath(found[1])}: SQL reads the store and folders that were opened for it, and this file is "
+            "in neither; open its folder with `--allow-files DIR`, or `files=[…]` of `open_store`"
+        )
+    return text
 
 
 def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
@@ -108,7 +122,7 @@ def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
                 return Answer(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
     except OSError as fault:  # Arrow's reader raises DuckDB's errors in this class
         text = message(duckdb.Error(str(fault)))
-        raise (Unreadable if _DAMAGE.match(str(fault)) else KinedexError)(text) from None
+        raise (Unreadable(text) if _DAMAGE.match(str(fault)) else KinedexError(_explained(text))) from None
     finally:
         # a connection with an open result runs no other statement
         reader.close()

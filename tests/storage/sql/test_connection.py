@@ -127,9 +127,20 @@ def test_queries_read_other_files_only_in_folders_that_were_opened(store: Store,
             store.sql(query.format(opened))
         with open_store(store.path, files=[opened]) as other:
             assert other.sql(query.format(opened)).to_pylist() == wanted
-            with pytest.raises(KinedexError, match=r"disabled by configuration|Cannot access"):
+            with pytest.raises(KinedexError, match=r"closed.*--allow-files DIR"):
                 other.sql(query.format(closed))
             assert pickle.loads(pickle.dumps(other)).sql(query.format(opened)).to_pylist() == wanted
+
+
+def test_a_folder_of_the_store_that_is_a_link_is_opened_by_name(store: Store, tmp_path: Path) -> None:
+    copy, moved = tmp_path / "store", tmp_path / "other-disk"
+    shutil.copytree(store.path, copy)
+    shutil.move(copy / "frames", moved)
+    (copy / "frames").symlink_to(moved)
+    with open_store(copy) as other, pytest.raises(KinedexError, match=r"other-disk.*--allow-files DIR"):
+        other.sql("SELECT count(*) FROM frames")
+    with open_store(copy, files=[moved]) as other:
+        assert other.sql("SELECT count(*) AS n FROM frames").to_pylist()[0]["n"] > 0
 
 
 def test_a_name_is_never_a_variable_of_the_program(store: Store) -> None:
