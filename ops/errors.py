@@ -115,7 +115,15 @@ def _config_error(path: str, reason: str, line: int | None, key: str | None) -> 
 
 
 class StoreError(KinedexError):
-    """A store is missing, locked, damaged, of another format version, or lacks what is asked for."""
+    """A store is missing, locked, damaged, of another format version, or lacks what is asked for.
+
+    Parameters
+    ----------
+    message : str
+        What was found and what was expected.
+    remedy : Remedy, optional
+        The way out, which ends the message; None where the message contains it.
+    """
 
 
 class NewStoreError(StoreError):
