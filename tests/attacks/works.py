@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -11,6 +12,7 @@ import yaml
 
 import kinedex
 from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.keyframes import runs
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.pipelines.stages import ingest
 from kinedex.storage.index.builder import build_index
@@ -130,6 +132,8 @@ def _staged(count: int, folder: Path) -> None:
 
 
 def _stages(count: int, folder: Path, store: Path) -> None:
+    # saves by the clock would make more versions on a slow machine than the undisturbed run made
+    runs.SAVE_SECONDS = math.inf
     source = str(folder / "source")
     stages: dict[str, dict[str, object]] = {"ingest": {"source": source, "patterns": PATTERNS}, "index": {}}
     stages |= dict(list(STAGES.items())[:count])
