@@ -96,4 +96,6 @@ def test_long_answers_say_that_there_is_more(store: Store) -> None:
 
 
 def test_quit_leaves(store: Store) -> None:
-    assert "42" not in typed(store, ".quit", "SELECT 42;")
+    after_quit = "SELECT 'an answer after the prompt was left' AS sentence;"
+    assert "an answer after" in typed(store, after_quit)
+    assert "an answer after" not in typed(store, ".quit", after_quit)
