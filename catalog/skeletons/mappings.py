@@ -17,6 +17,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
+from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
 from kinedex.ops.errors import SourceError, did_you_mean
 
@@ -89,10 +90,23 @@ class Mappings:
         """Return a hash of the mappings of one format, on which the takes read with them depend."""
         return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
 
-    def detect(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit:
+    def detect(
+        self, source: str | Path, form: Format, nodes: Mapping[str, int], evidence: Evidence | None = None
+    ) -> Fit:
         """Return the fit of the mapping whose nodes all occur in a skeleton and that supplies the most joints.
 
         If the format has only one mapping, it is used, and any node that it lacks is an error.
+
+        Parameters
+        ----------
+        source : str or Path
+            The file that errors name.
+        form : str
+            The format of the mappings to try.
+        nodes : Mapping[str, int]
+            Node name → index.
+        evidence : Evidence, optional
+            Tree and places of the nodes, by which a body is recognised that no mapping fits.
 
         Raises
         ------

@@ -196,6 +196,12 @@ class Fit:
         The alternatives for a named joint, in order, in frames where some of its nodes are not visible.
     prefix : str
         The prefix that was ignored, if the names fit no mapping with it.
+    estimated : Mapping[str, str]
+        The joints that the file does not hold and that are estimated, each with a phrase that describes how.
+    reasons : tuple of str
+        Sentences on how the body was recognised, for `kinedex inspect`; empty for a mapping that the names fit exactly.
+    confidence : float
+        From 0 to 1; 1 for a mapping that the names fit exactly.
     """
 
     mapping: SkeletonMapping
@@ -204,6 +210,9 @@ class Fit:
     missing: dict[str, str]
     instead: dict[str, tuple[Mix, ...]] = field(default_factory=dict)
     prefix: str = ""
+    estimated: Mapping[str, str] = field(default_factory=dict)
+    reasons: tuple[str, ...] = ()
+    confidence: float = 1.0
 
     @property
     def called(self) -> str:

@@ -58,6 +58,12 @@ class Body:
     valid : bool array (T,), optional
         The frames in which all joints but the unknown ones are known; None if all are. The other frames are invalid:
         they get no word, and their positions are NaN where they are not known.
+    estimated : tuple of str
+        The joints that the file does not hold and that are estimated.
+    confidence : float
+        From 0 to 1, how surely the body was recognised; 1 for a mapping that the names fit exactly.
+    evidence : tuple of str
+        Sentences on how body, axes and unit were found, for `kinedex inspect`.
     """
 
     positions: npt.NDArray[np.float64]
@@ -68,6 +74,9 @@ class Body:
     unknown: tuple[str, ...]
     warnings: tuple[str, ...]
     valid: npt.NDArray[np.bool_] | None = None
+    estimated: tuple[str, ...] = ()
+    confidence: float = 1.0
+    evidence: tuple[str, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -130,11 +139,14 @@ class MotionFile:
         Its skeleton file, for formats that keep the skeleton apart (Acclaim's ASF).
     data : bytes, optional
         Its content, if it has been read already; only for readers with `reads_whole`.
+    person : str
+        The person to read, one of the reader's `persons`; empty for a file of one person.
     """
 
     path: Path
     skeleton: Path | None = None
     data: bytes | None = None
+    person: str = ""
 
 
 @dataclass(frozen=True)
@@ -203,6 +215,18 @@ class Reader(ABC):
             The file cannot be read.
         """
         return Extent(0, 10 * file_size(file.path))
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of the persons in a file, each of whom becomes a take; empty for a file of one person.
+
+        A reader that does not define it reads files of one person.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read.
+        """
+        return ()
 
     @abstractmethod
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
