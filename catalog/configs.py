@@ -20,6 +20,7 @@ from kinedex.ops.errors import ConfigError, did_you_mean
 
 KINDS = {
     "skeletons": "skeleton mapping",
+    "names": "vocabulary of names",
     "features": "feature set",
     "classes": "class file",
     "queries": "query file",

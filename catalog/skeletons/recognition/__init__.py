@@ -1,0 +1,1 @@
+"""Recognition of bodies by names, structure and geometry, where no skeleton mapping fits the names."""
