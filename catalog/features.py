@@ -57,6 +57,9 @@ class FeatureSet:
     ----------
     mirror : tuple[tuple[int, int], ...]
         Pairs of feature numbers that swap when left and right are exchanged; all other features stay.
+    ground : tuple[tuple[str, ...], ...]
+        Groups of joints. Where one joint of each is known, so is the lowest point of the body; without groups all
+        joints must be known.
     """
 
     name: str
@@ -67,6 +70,7 @@ class FeatureSet:
     features: tuple[Feature, ...]
     sets: dict[str, WordSet]
     mirror: tuple[tuple[int, int], ...] = ()
+    ground: tuple[tuple[str, ...], ...] = ()
 
     @cached_property
     def mirror_order(self) -> npt.NDArray[np.int64]:
@@ -198,18 +202,41 @@ class FeatureSet:
         Returns
         -------
         tuple[tuple of Feature, tuple of Feature]
-            First the features that name one of the joints, or are scaled by a length that ends there, which are
-            never on; then those over several joints of which only the known ones count, such as the lowest point.
+            First the features that are unknown: they name one of the joints, are scaled by a length that ends there, or
+            measure heights above the lowest joint of a body whose lowest joints are among them. Then those that measure
+            from the lowest or highest joint, and are known but use the remaining joints only.
         """
-        lost = {self.joints.index(joint) for joint in joints if joint in self.joints}
+        lost = {joint for joint in joints if joint in self.joints}
+        numbers = {self.joints.index(joint) for joint in lost}
+        standing = bool(self.ground) and all(set(group) - lost for group in self.ground)
         off, narrowed = [], []
         for feature in self.features:
             fixed, several = feature.rule.joints(range(len(self.joints)))
-            if lost & fixed:
+            if numbers & fixed or (numbers & several and not standing):
                 off.append(feature)
-            elif lost & several:
+            elif numbers & several:
                 narrowed.append(feature)
         return tuple(off), tuple(narrowed)
+
+    @property
+    def every_bit(self) -> int:
+        """The mask of all features, with the bits of a word."""
+        return (1 << len(self.features)) - 1
+
+    def known(self, unknown: Iterable[str]) -> int:
+        """Return the mask of the features that are known of a body without some joints, with the bits of a word.
+
+        Parameters
+        ----------
+        unknown : iterable of str
+            The joints that the body lacks.
+        """
+        off, _ = self.without(unknown)
+        return self.every_bit & ~sum(1 << (feature.number - 1) for feature in off)
+
+    def named(self, mask: int) -> list[str]:
+        """Return the names of the features of a mask, in the order of their numbers."""
+        return [feature.name for feature in self.features if mask >> (feature.number - 1) & 1]
 
     def set_of(self, number: int) -> WordSet:
         """Return the word set that a feature belongs to.
@@ -236,6 +263,7 @@ class _FeatureFile(BaseModel):
     lengths: dict[str, list[tuple[str, str]]]
     sets: dict[str, tuple[int, int]]
     mirror: list[tuple[int, int]] = []
+    ground: list[list[str]] = []
     features: dict[int, dict[str, Any]]
 
 
@@ -294,12 +322,13 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
         features=features,
         sets=_sets(located, parsed, len(features)),
         mirror=_mirror(located, parsed, len(features)),
+        ground=_ground(located, parsed),
     )
 
 
 def _digest(parsed: _FeatureFile) -> str:
-    """Return a hash of what the words depend on; comments, layout and the mirror pairs do not count."""
-    text = json.dumps(parsed.model_dump(exclude={"mirror"}), sort_keys=True, separators=(",", ":"))
+    """Return a hash of what the words of a whole body depend on; comments, layout, mirror and ground do not."""
+    text = json.dumps(parsed.model_dump(exclude={"mirror", "ground"}), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -330,6 +359,13 @@ def _mirror(located: Located, parsed: _FeatureFile, count: int) -> tuple[tuple[i
                 raise located.error(f"feature {number} stands twice; a feature has one twin at most", "mirror", place)
             seen.add(number)
     return tuple(parsed.mirror)
+
+
+def _ground(located: Located, parsed: _FeatureFile) -> tuple[tuple[str, ...], ...]:
+    for place, group in enumerate(parsed.ground):
+        for joint in group:
+            _joint(located, parsed, joint, "ground", place)
+    return tuple(tuple(group) for group in parsed.ground)
 
 
 def _feature(located: Located, parsed: _FeatureFile, number: int) -> Feature:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ and no hit. A word has at most 63 features, so none equals it, and `cut` leaves 
 MOST_FEATURES = 63
 """The most features a word can have."""
 
+ALL_KNOWN = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
+"""The mask of a take whose body has all joints: every feature is known."""
+
 
 @dataclass(frozen=True)
 class TakeWords:
@@ -32,22 +35,28 @@ class TakeWords:
         Take i has the frames offsets[i] to offsets[i + 1] − 1.
     words : uint64 array (N,)
         Bit i − 1 is feature F_i; `NO_WORD` where the frame is invalid.
+    known : uint64 array (T,), optional
+        The mask of the features that each take has the joints for, with the bits of a word. The other bits are 0 in its
+        words and state nothing. None: every take knows all features.
 
     Raises
     ------
     ParameterError
-        If the offsets do not fit the takes or the words.
+        If the offsets do not fit the takes or the words, or there is not one mask for each take.
     """
 
     take_ids: I64
     offsets: I64
     words: U64
+    known: U64 | None = None
 
     def __post_init__(self) -> None:
         if len(self.offsets) != len(self.take_ids) + 1:
             raise ParameterError("offsets", "one longer than take_ids", len(self.offsets))
         if self.offsets[-1] != len(self.words):
             raise ParameterError("offsets", f"ending at the {len(self.words)} words", int(self.offsets[-1]))
+        if self.known is not None and len(self.known) != len(self.take_ids):
+            raise ParameterError("known", "one mask for each take", len(self.known))
 
     def __len__(self) -> int:
         return len(self.take_ids)
@@ -60,6 +69,35 @@ class TakeWords:
     def frames(self) -> I64:
         """The number of frames of each take, int64 (T,)."""
         return np.diff(self.offsets)
+
+    @property
+    def masks(self) -> list[int]:
+        """The different masks of known features, the largest first; `ALL_KNOWN` alone where no take lacks any."""
+        return [int(ALL_KNOWN)] if self.known is None else np.unique(self.known)[::-1].tolist()
+
+    def knowing(self, mask: int) -> tuple[I64, TakeWords]:
+        """Return the takes whose known features are those of a mask, all of one kind, so that the mask goes.
+
+        Parameters
+        ----------
+        mask : int
+            One of `masks`.
+
+        Returns
+        -------
+        places : int64 array
+            The positions of the takes.
+        words : TakeWords
+            Their words, laid end to end: a copy, unless these are all takes.
+        """
+        if self.known is None:
+            return np.arange(len(self)), self
+        places = np.flatnonzero(self.known == np.uint64(mask))
+        if len(places) == len(self):
+            return places, replace(self, known=None)
+        offsets = np.concatenate(([0], np.cumsum(self.frames[places])))
+        words = np.concatenate([np.empty(0, np.uint64), *map(self.take, places.tolist())])
+        return places, TakeWords(self.take_ids[places], offsets, words)
 
 
 def cut(words: U64, first_feature: int, features: int) -> U64:

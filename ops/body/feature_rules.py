@@ -84,14 +84,11 @@ class Rule:
     length: tuple[tuple[int, int], ...] = ()
 
     def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
-        """Return the joints that the rule requires, and those of `body` that it uses where they are known."""
+        """Return the joints that the rule requires, and those of `body` whose lowest or highest it uses."""
         fixed = {joint for pair in self.length for joint in pair}
         several: set[int] = set()
         for term in self.terms:
-            if term.primitive == "extent_xz":
-                several |= set(term.joints)
-            else:
-                fixed |= set(term.joints)
+            fixed |= set(term.joints)
             if term.primitive in ("height", "extent_y"):
                 several |= set(body) - set(term.without)
         return fixed, several - fixed

@@ -463,9 +463,10 @@ def features(
 
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
     """Analyse a body as ingest does, and return it as a take."""
-    from kinedex.pipelines.ingestion.analysis import analyse, blind
+    from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 
     positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
+    known = known_features(feature_set, body)
     frames = Frames(
         np.ascontiguousarray(positions.transpose(2, 0, 1), np.float32),
         np.ascontiguousarray(orientation.T, np.float32),
@@ -483,6 +484,7 @@ def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[
         "seconds": body.frames / body.rate_hz,
         "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
         "warnings": [*body.warnings, *blind(feature_set, body)],
+        "known": None if known == feature_set.every_bit else known,
     }
     return Take(name, LoadedFrames(frames), len(words), feature_set, ANALYSIS_RATE_HZ, info)
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.resample import feature_rate, resample
+from kinedex.ops.words import NO_WORD
 from kinedex.storage.formats.motion.reader import Body
 
 F64 = npt.NDArray[np.float64]
@@ -32,26 +33,40 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
     orientation : float64 array (4, T)
         The orientation of the root, as quaternions.
     words : uint64 array (T,)
-        `NO_WORD` in invalid frames.
+        `NO_WORD` in invalid frames; 0 in the bits of unknown features.
     """
     rate = feature_rate(body.rate_hz, rate_hz)
     at_rate = resample(body.positions, body.orientation, body.rate_hz, rate, body.valid)
     words = features.words(
         at_rate.positions, at_rate.orientation, rate, feature_set.rules, at_rate.valid, feature_set.plugin_primitives
     )
+    known = known_features(feature_set, body)
+    if known != feature_set.every_bit:
+        words = np.where(words == NO_WORD, NO_WORD, words & np.uint64(known))
     step = round(rate / rate_hz)
     return at_rate.positions[:, :, ::step], at_rate.orientation[:, ::step], words[::step]
 
 
+def known_features(feature_set: FeatureSet, body: Body) -> int:
+    """Return the mask of the features that are known of a body, with the bits of a word."""
+    known = feature_set.known(body.unknown)
+    if np.isnan(body.orientation).all():
+        turns = [one.number for one in feature_set.features if any(t.primitive == "turn_rate" for t in one.rule.terms)]
+        known &= ~sum(1 << (number - 1) for number in turns)
+    return known
+
+
 def blind(feature_set: FeatureSet, body: Body) -> list[str]:
-    """Return warnings on joints that a skeleton lacks: features that are off, or use the other joints only."""
-    if not body.unknown:
+    """Return warnings on joints that a skeleton lacks: features that are unknown, or use the other joints only."""
+    known = known_features(feature_set, body)
+    if not body.unknown and known == feature_set.every_bit:
         return []
-    off, narrowed = feature_set.without(body.unknown)
+    unknown = [f"F{one.number} {one.name}" for one in feature_set.features if not known >> (one.number - 1) & 1]
+    lacks = f"has no {', '.join(body.unknown)}" if body.unknown else "does not give the orientation of the root"
     warnings = [
-        f"skeleton mapping '{body.skeleton}' has no {', '.join(body.unknown)}; these features are off: "
-        + (", ".join(f"F{feature.number} {feature.name}" for feature in off) or "none")
+        f"skeleton mapping '{body.skeleton}' {lacks}; these features are unknown: {', '.join(unknown) or 'none'}"
     ]
+    _, narrowed = feature_set.without(body.unknown)
     if narrowed:
         names = ", ".join(f"F{feature.number} {feature.name}" for feature in narrowed)
         warnings.append(f"without {', '.join(body.unknown)} these features use the other joints only: {names}")

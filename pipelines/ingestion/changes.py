@@ -16,7 +16,7 @@ from kinedex.catalog.features import PRIMITIVES, FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugin_digest
-from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
 from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
@@ -161,7 +161,7 @@ def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings)
 
     The format of an .npz is known when it is read: settings that count for any reader of an ending count for all.
     """
-    code = code_digest(read_body, analyse, blind)
+    code = code_digest(read_body, analyse, blind, known_features)
     return {
         ending[1:]: digest(
             [features_digest(feature_set), code, *(_reader_recipe(reader, mappings, settings) for reader in readers)]

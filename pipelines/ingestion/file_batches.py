@@ -15,7 +15,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings, source_bytes
@@ -130,6 +130,7 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
     groups = dict(task.groups)
+    known = known_features(batch.feature_set, body)
     return groups | {
         "take_id": task.take_id,
         "name": task.name,
@@ -154,4 +155,5 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
         "clip": groups.pop("clip", None),
         "groups": json.dumps(groups, sort_keys=True),
         "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body)],
+        "known": None if known == batch.feature_set.every_bit else known,
     }

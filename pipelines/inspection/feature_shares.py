@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from kinedex.catalog.features import Feature, FeatureSet
+from kinedex.catalog.features import FeatureSet
 from kinedex.ops.search.runs import feature_runs
 from kinedex.ops.words import NO_WORD
 
@@ -33,7 +33,8 @@ def feature_shares(
     -------
     pyarrow.Table
         A row for each feature, in order: `feature` (F1, …), `name`, `percent` of the valid frames, `runs`,
-        `longest_seconds` of a run, and `remark`: the joints that the feature lacks, NULL where it lacks none.
+        `longest_seconds` of a run, and `remark`: the joints that the feature lacks, and whether it is unknown without
+        them; NULL where it lacks none.
     """
     count = len(feature_set.features)
     found = feature_runs(words, np.array([0, len(words)]), count)
@@ -51,18 +52,21 @@ def feature_shares(
             "percent": 100 * frames / max(valid, 1),
             "runs": runs,
             "longest_seconds": longest / rate_hz,
-            "remark": pa.array(
-                [_remark(feature, feature_set.joints, set(unknown)) for feature in feature_set.features], pa.string()
-            ),
+            "remark": pa.array(_remarks(feature_set, set(unknown)), pa.string()),
         }
     )
 
 
-def _remark(feature: Feature, joints: tuple[str, ...], unknown: set[str]) -> str | None:
-    """Return the joints that a feature lacks in words, as `FeatureSet.without` treats them."""
-    fixed, several = ([joints[i] for i in sorted(which)] for which in feature.rule.joints(range(len(joints))))
-    if needed := [joint for joint in fixed if joint in unknown]:
-        return f"off in every frame: no {', '.join(needed)}"
-    if wanted := [joint for joint in several if joint in unknown]:
-        return f"without {', '.join(wanted)}"
-    return None
+def _remarks(feature_set: FeatureSet, unknown: set[str]) -> list[str | None]:
+    """Return for each feature the joints that it lacks, in words, and whether it is unknown without them."""
+    off, narrowed = feature_set.without(unknown)
+    remarks: list[str | None] = []
+    for feature in feature_set.features:
+        fixed, several = (
+            [feature_set.joints[i] for i in sorted(which) if feature_set.joints[i] in unknown]
+            for which in feature.rule.joints(range(len(feature_set.joints)))
+        )
+        lacks = fixed or several
+        start = "unknown: no" if feature in off else "without" if feature in narrowed else ""
+        remarks.append(f"{start} {', '.join(lacks)}" if start else None)
+    return remarks

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
-from kinedex.ops.words import TakeWords
+from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.frames import read_frames, read_words
 from kinedex.storage.snapshot.labels import current_labels
@@ -73,6 +75,15 @@ class Snapshot:
         """Id of a take → its number of frames."""
         return self._pairs("take_id", "frames")
 
+    @cached_property
+    def known(self) -> dict[int, int]:
+        """Id of a take that lacks joints → the mask of its known features, with the bits of a word."""
+        masks: dict[int, int] = {}
+        for part in self.manifest.takes:
+            rows = _known_rows(self.checked.part(part))
+            masks.update((take_id, mask) for take_id, mask in rows if take_id not in part.dropped)
+        return masks
+
     def _pairs(self, key: str, value: str) -> dict[Any, Any]:
         columns = (self.take_rows.column(name).to_pylist() for name in (key, value))
         return dict(zip(*columns, strict=True))
@@ -104,7 +115,11 @@ class Snapshot:
         StoreError
             No live take has one of the ids.
         """
-        return read_words(self.checked, self.manifest, take_ids)
+        found = read_words(self.checked, self.manifest, take_ids)
+        if not self.known:
+            return found
+        masks = np.array([self.known.get(take, ALL_KNOWN) for take in found.take_ids.tolist()], np.uint64)
+        return found if (masks == ALL_KNOWN).all() else replace(found, known=masks)
 
     def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
         """Return the frames [start, stop) of a take, one row per analysis frame.
@@ -188,3 +203,16 @@ def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
     # not pq.read_table, which loads pyarrow.dataset: that takes longer than reading a small part
     with read_errors(file), pq.ParquetFile(file) as opened:
         return with_columns(opened.read(), schema)
+
+
+def _known_rows(file: Path) -> list[tuple[int, int]]:
+    """Return the ids and the masks of the takes of a part that lack joints; nothing is read where none does."""
+    with read_errors(file), pq.ParquetFile(file) as opened:
+        place = opened.schema_arrow.get_field_index("known")
+        groups = [opened.metadata.row_group(number) for number in range(opened.num_row_groups)] if place >= 0 else []
+        nulls = [(group.column(place).statistics, group.num_rows) for group in groups]
+        if all(found is not None and found.null_count == count for found, count in nulls):
+            return []
+        rows = opened.read(["take_id", "known"])
+    known = rows.filter(rows.column("known").is_valid())
+    return list(zip(known.column("take_id").to_pylist(), known.column("known").to_pylist(), strict=True))

@@ -13,6 +13,7 @@ from rich.console import Console
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.body_models import BODY
@@ -139,10 +140,14 @@ def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_
     store = open_store(tmp_path / "store")
     (wave,) = (row for row in rows(store) if row["name"] == "wave")
     assert wave["warnings"][1:] == [  # type: ignore[index]
-        "skeleton mapping 'mixamo' has no lfingers; these features are off: F14 lhand_fast, F34 lhand_lowered",
+        "skeleton mapping 'mixamo' has no lfingers; these features are unknown: F14 lhand_fast, F34 lhand_lowered",
         "without lfingers these features use the other joints only: F17 rfoot_raised, F18 lfoot_raised, "
         "F33 rhand_lowered, F37 body_low",
     ]
+    every = store.words()
+    assert every.known is not None
+    assert wave["known"] == (1 << 40) - 1 - (1 << 13) - (1 << 33)
+    assert set(every.known.tolist()) == {wave["known"], int(ALL_KNOWN)}  # those of other formats know all
     words = store.words([wave["take_id"]]).words  # type: ignore[list-item]
     assert not ((words >> np.uint64(13)) & np.uint64(1)).any()
     fingers = store.frames("wave").column("lfingers").combine_chunks()

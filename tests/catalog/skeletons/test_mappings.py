@@ -306,9 +306,7 @@ def test_a_body_of_no_human_height_or_without_legs_has_no_unit_to_guess() -> Non
 
 
 @given(lost=st.sets(st.sampled_from(JOINTS), min_size=1, max_size=3), seed=st.integers(0, 1000))
-def test_features_said_to_be_off_without_a_joint_are_off_and_the_others_are_as_before(
-    lost: set[str], seed: int
-) -> None:
+def test_features_that_are_known_without_a_joint_are_as_before(lost: set[str], seed: int) -> None:
     feature_set = load_feature_set()
     random = np.random.default_rng(seed)
     body = standing(20) + random.normal(0, 0.15, (len(JOINTS), 3, 20))
@@ -319,10 +317,23 @@ def test_features_said_to_be_off_without_a_joint_are_off_and_the_others_are_as_b
     for feature in feature_set.features:
         bit = np.uint64(feature.number - 1)
         was, now = (before >> bit) & np.uint64(1), (after >> bit) & np.uint64(1)
-        if feature in off:
-            assert not now.any() or feature.name == "root_turning"  # the root's orientation is not among its joints
-        elif feature not in narrowed:
+        assert (feature in off) == (not feature_set.known(lost) >> int(bit) & 1)
+        if feature not in off and feature not in narrowed:
             np.testing.assert_array_equal(was, now)
+
+
+@pytest.mark.parametrize(
+    ("lost", "unknown"),
+    [
+        ((), []),
+        (("lankle",), [15, 16, 19, 21, 22, 23, 24, 26, 31, 38]),  # the toes still tell where the ground is
+        (("lankle", "ltoes"), [15, 16, 17, 18, 19, 21, 22, 23, 24, 26, 31, 33, 34, 37, 38]),
+        (("headtop",), [37, 38]),
+    ],
+)
+def test_heights_are_known_as_long_as_both_feet_are(lost: tuple[str, ...], unknown: list[int]) -> None:
+    known = load_feature_set().known(lost)
+    assert [number for number in range(1, 41) if not known >> (number - 1) & 1] == unknown
 
 
 def test_a_lost_joint_costs_the_features_that_name_it() -> None:

@@ -187,7 +187,7 @@ def test_features_that_miss_a_joint_say_which() -> None:
     rows = {row["name"]: row for row in feature_shares(words, 30.0, load_feature_set(), ["ltoes"]).to_pylist()}
     assert rows["rhand_forwards"]["percent"] == pytest.approx(200 / 3)
     assert rows["rhand_forwards"]["runs"] == 2
-    off = [name for name, row in rows.items() if row["remark"] == "off in every frame: no ltoes"]
+    off = [name for name, row in rows.items() if row["remark"] == "unknown: no ltoes"]
     without = [name for name, row in rows.items() if row["remark"] == "without ltoes"]
     assert (off, without) == tuple(
         [feature.name for feature in several] for several in load_feature_set().without(["ltoes"])
