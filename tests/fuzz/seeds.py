@@ -15,6 +15,7 @@ from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_ske
 from kinedex.storage.formats.labels.formats import FORMATS
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.formats.motion.body_models import BODY, HANDS
+from tests import point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d
@@ -86,6 +87,22 @@ def csv() -> dict[str, bytes]:
     gaps = text.replace("1.0,", "nan,", 1)
     quoted = "\r\n".join([",".join(f'"{cell}"' for cell in line.split(",")) for line in text.splitlines()])
     return {"plain": text.encode(), "gaps": gaps.encode(), "quoted": quoted.encode()}
+
+
+def motive() -> dict[str, bytes]:
+    """Bones of two skeletons, and markers with gaps."""
+    gaps = 1000 * point_files.walk()
+    gaps[1:3, 4] = np.nan
+    names = [f"Ann:{joint}" for joint in STANDING]
+    bones = point_files.motive_csv(point_files.walk(), names, unit="Meters", version="1.25", timecode=True)
+    return {"bones": bones.encode(), "markers": point_files.motive_csv(gaps, names, kind="Marker").encode()}
+
+
+def nexus() -> dict[str, bytes]:
+    """Sections of Nexus, and a file of Workstation."""
+    points = point_files.walk()
+    sections = point_files.nexus_csv(1000 * points, list(STANDING), before=point_files.DEVICES, after=",,\r\n")
+    return {"nexus": sections.encode(), "workstation": point_files.workstation_csv(points, list(STANDING)).encode()}
 
 
 def trc() -> dict[str, bytes]:

@@ -44,6 +44,8 @@ from tests.fuzz.words import (
     DEEP_YAML,
     EAF_WORDS,
     JSON_WORDS,
+    MOTIVE_WORDS,
+    NEXUS_WORDS,
     VTT_WORDS,
     YAML_WORDS,
 )
@@ -285,6 +287,8 @@ TARGETS: dict[str, Target] = {
         Target("bvh-parser", ".bvh", seeds.strange_bvh, _text(BVH_WORDS, DEEP_BVH), check_strange_bvh),
         Target("trc", ".trc", seeds.trc, _text(), check_motion),
         Target("csv", ".csv", seeds.csv, _text(CSV_WORDS), check_csv),
+        Target("motive", ".csv", seeds.motive, _text(MOTIVE_WORDS), check_motion),
+        Target("nexus", ".csv", seeds.nexus, _text(NEXUS_WORDS), check_motion),
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
         Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
         Target("c3d", ".c3d", seeds.c3d, (*ANY, *C3D, *C3D), check_motion),

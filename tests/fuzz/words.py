@@ -38,6 +38,14 @@ YAML_WORDS = (
 )
 DEEP_YAML = ((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b"? ", b""), (b"&a [*a, ", b"]"), (b"!!seq [", b"]"))
 CSV_WORDS = (b'"', b"root_x,root_y,root_z,", b"frame,", b"time,", b",,,,", b"nan,", b"take,class,start,stop", b'""')
+MOTIVE_WORDS = (
+    *(b"Format Version,", b"Length Units,Meters,", b"Coordinate Space,Global,", b"Bone,", b"Marker,", b"Position,"),
+    *(b"Rotation,", b"Frame,Time (Seconds),X,Y,Z\n", b"TimeCode,", b",,", b"Ann:root,", b'"'),
+)
+NEXUS_WORDS = (
+    *(b"Trajectories\n100\n", b"Model Outputs\n100\n", b"Devices\n", b"Frame,Sub Frame,X,Y,Z\n", b",,Ann:root,,,"),
+    *(b",,mm,mm,mm", b"\n\n", b",,,\n", b"TX,TY,TZ", b"*11", b"Field #,", b"100,Hz\n"),
+)
 
 EAF_WORDS = (
     *(

@@ -18,6 +18,8 @@ READERS: Plugins[type[Reader]] = Plugins(
         "bvh": "kinedex.storage.formats.motion.bvh:BvhReader",
         "c3d": "kinedex.storage.formats.motion.c3d:C3dReader",
         "amass": "kinedex.storage.formats.motion.amass:AmassReader",
+        "motive": "kinedex.storage.formats.motion.motive:MotiveReader",
+        "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
     },
 )

@@ -67,6 +67,6 @@ def test_a_reader_of_a_plugin_is_found_and_asked_before_the_built_in_ones(tmp_pa
 
 
 def test_built_in_readers_have_the_known_endings(tmp_path: Path) -> None:
-    assert motion_endings() == (".amc", ".bvh", ".c3d", ".npz", ".trc", ".csv", ".npy")
+    assert {".amc", ".bvh", ".c3d", ".npz", ".trc", ".csv", ".npy"} <= set(motion_endings())
     with pytest.raises(SourceError, match=r"a\.xyz: is not read; kinedex reads \.amc, \.bvh"):
         reader_of(tmp_path / "a.xyz")

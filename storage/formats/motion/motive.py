@@ -1,0 +1,136 @@
+"""The reader of CSV files that OptiTrack's Motive exports: bones of skeletons, or markers, in the global space."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
+from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile
+from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
+
+_HEADER_LINES = 16  # the first line, some empty ones, and up to six rows that describe the columns
+_UNITS_M = {"meters": 1.0, "centimeters": 0.01, "millimeters": 0.001}
+_UNLABELED = re.compile(r"unlabell?ed\b", re.IGNORECASE)
+_KINDS = ("Bone", "Marker", "Bone Marker", "Rigid Body Marker")
+"""The types of columns whose positions are points; the first type that a file has is used."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """The columns of a file: the labels of its points, and where x, y and z of each stand."""
+
+    header: tuple[str, ...]
+    line: int
+    labels: tuple[str, ...]
+    columns: tuple[tuple[int, int, int], ...]
+    kind: str
+    texts: tuple[int, ...]
+    stated: dict[str, str]
+
+
+class MotiveReader(PointsReader):
+    """Reads the CSV files of Motive, whose first line begins with "Format Version"."""
+
+    endings: ClassVar[tuple[str, ...]] = (".csv",)
+
+    def sniff(self, path: Path) -> bool:
+        """Return whether the first line is that of Motive."""
+        return beginning(path).replace('"', "").startswith("Format Version,")
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of the skeletons, if there are several."""
+        return persons_of(_layout(file.path).labels)
+
+    def size(self, file: MotionFile) -> tuple[int, int, int]:
+        """Count the rows; the columns are those of the points."""
+        layout = _layout(file.path)
+        table = _table(file.path, layout)
+        return table.rows, len(layout.labels), table.bytes + 24 * table.rows
+
+    def points(self, file: MotionFile) -> Points:
+        """Read the positions of the bones of a skeleton, or of markers where there is none."""
+        path, layout = file.path, _layout(file.path)
+        stated, warnings = layout.stated, list[str]()
+        if stated.get("Coordinate Space", "Global").lower() != "global":
+            raise SourceError(
+                path, f"positions are in the space {stated['Coordinate Space']!r}, in which bones lie on each other: "
+                "export it again with Coordinate Space: Global", line=1,
+            )  # fmt: skip
+        places, names = labels_of_person(layout.labels, file.person, warnings)
+        order = [column for i in places for column in layout.columns[i]]
+        table = _table(path, layout)
+        positions, (numbers,), where = table.points(layout.header, order, (0,))
+        refuse_jumps(path, numbers, where)
+        if layout.kind != "Bone":
+            warnings.append(f"it holds no bones; the body is that of its points of type {layout.kind}")
+        return Points(
+            str(path), names, positions, _rate(path, stated), unit_m=_unit(path, stated), warnings=warnings
+        )  # fmt: skip
+
+
+def _table(path: Path, layout: _Layout) -> Section:
+    return Section(path, ",", 1, layout.line, 1 << 62, layout.texts)
+
+
+def _layout(path: Path) -> _Layout:
+    """Read the rows before the numbers: key and value by turns, then a row for type, name and axis of every column."""
+    rows = [[cell.strip() for cell in cells_of(line, ",")] for line in first_lines(path, _HEADER_LINES)]
+    if rows[0][:1] != ["Format Version"]:
+        raise SourceError(path, "expected a CSV file of Motive, which begins with 'Format Version'", line=1)
+    last = next((i for i, row in enumerate(rows) if row[0] == "Frame" and row[1:2] and row[1].startswith("Time")), None)
+    if last is None:
+        raise SourceError(path, f"expected a row 'Frame,Time (Seconds),X,…' in its first {_HEADER_LINES} lines", line=1)
+    axes, kinds, names, parts = rows[last], *_described(path, rows[1:last])
+    stated = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    points: dict[str, dict[str, dict[str, int]]] = {}
+    for i, axis in enumerate(axes):
+        kind, name, part = (row[i] if i < len(row) else "" for row in (kinds, names, parts))
+        if kind in _KINDS and part == "Position" and axis in ("X", "Y", "Z") and not _UNLABELED.match(name):
+            points.setdefault(kind, {}).setdefault(name, {})[axis] = i
+    used = next((kind for kind in _KINDS if kind in points), None)
+    if used is None or not all(len(found) == 3 for found in points[used].values()):
+        held = sorted({cell for cell in kinds if cell and cell != "Type"}) or ["no columns"]
+        raise SourceError(
+            path, f"has no positions of bones or labelled markers, only {', '.join(held[:6])}; export it with bones, "
+            "or with labelled markers", line=last + 1,
+        )  # fmt: skip
+    if len(points[used]) > MOST_POINTS:
+        raise SourceError(path, f"expected at most {MOST_POINTS} points, found {len(points[used])}", line=last + 1)
+    columns = tuple((at["X"], at["Y"], at["Z"]) for at in points[used].values())
+    texts = tuple(i for i, axis in enumerate(axes) if axis.lower().startswith("timecode"))
+    return _Layout(tuple(axes), last + 1, tuple(points[used]), columns, used, texts, stated)
+
+
+def _described(path: Path, rows: list[list[str]]) -> tuple[list[str], list[str], list[str]]:
+    """Return the rows of types, of names, and of Rotation or Position; rows of IDs and parents lie between."""
+    filled = [row for row in rows if any(row)]
+    first = next((i for i, row in enumerate(filled) if {*_KINDS, "Rigid Body"} & set(row)), None)
+    if first is None or len(filled) < first + 3:
+        raise SourceError(path, f"expected a row of types of columns: {', '.join(_KINDS)}, Rigid Body", line=2)
+    return filled[first], filled[first + 1], filled[-1]
+
+
+def _rate(path: Path, stated: dict[str, str]) -> float:
+    """Return the frames per second, of the export before those of the recording."""
+    key = next((key for key in ("Export Frame Rate", "Capture Frame Rate") if stated.get(key)), None)
+    if key is None:
+        raise SourceError(path, "its first line has neither Export Frame Rate nor Capture Frame Rate", line=1)
+    rate_hz = parse_number(path, stated[key], key, 1)
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        raise SourceError(path, f"{key} must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {stated[key]}", line=1)
+    return rate_hz
+
+
+def _unit(path: Path, stated: dict[str, str]) -> float | None:
+    """Return the metres of the unit; None for older files, which do not state it."""
+    unit = stated.get("Length Units")
+    if unit and unit.lower() not in _UNITS_M:
+        raise SourceError(path, f"Length Units must be one of {', '.join(_UNITS_M)}, got {unit!r}", line=1)
+    return _UNITS_M[unit.lower()] if unit else None

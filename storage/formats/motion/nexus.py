@@ -1,0 +1,157 @@
+"""The reader of CSV files that Vicon Nexus and Workstation export: sections with a rate, labels, axes and units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
+from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile
+from kinedex.storage.formats.motion.table_sections import Section, beginning, refuse_jumps, text_of
+from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
+
+_TITLES = ("trajectories", "model outputs", "segments", "joints", "devices", "events")
+_USED = ("trajectories", "model outputs", "segments")
+"""The sections that hold positions; the first that a file has is used."""
+
+_FIRST_CELLS = ("frame", "field #", "field")
+_START = re.compile(rf'(?im)^"?({"|".join(_TITLES)})"?[,\s]*?\r?\n"?\d+(\.\d+)?"?(,|\r?\n)')
+_UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+_OTHER = re.compile(r"(Angles?|Force|Moment|Power|GRF)\d?$")
+_AXES = (("X", "Y", "Z"), ("TX", "TY", "TZ"))
+"""The axes of a point, and those of the origin of a segment, which is named by an O at the end as in C3D files."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """A section with positions: its lines, its columns, and the labels of its points."""
+
+    title: str
+    start: int
+    header: int
+    stop: int
+    rate_hz: float
+    cells: tuple[str, ...]
+    labels: tuple[str, ...]
+    columns: tuple[tuple[int, int, int], ...]
+    unit_m: float | None
+
+
+class NexusReader(PointsReader):
+    """Reads CSV files of Vicon, in which a line with a title and one with a rate begin every section."""
+
+    endings: ClassVar[tuple[str, ...]] = (".csv",)
+
+    def sniff(self, path: Path) -> bool:
+        """Return whether the file begins with a section, or with the lines of a Workstation file and one."""
+        return _START.search(beginning(path, 1 << 14)) is not None
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of the subjects, if several have enough points for a person."""
+        return persons_of(_layout(file.path).labels)
+
+    def size(self, file: MotionFile) -> tuple[int, int, int]:
+        """Count the rows of the section; the columns are those of the points."""
+        layout = _layout(file.path)
+        table = _table(file.path, layout)
+        return table.rows, len(layout.labels), table.bytes + 24 * table.rows
+
+    def points(self, file: MotionFile) -> Points:
+        """Read the markers of a subject, or the points that its model computes where there are no markers."""
+        path, layout = file.path, _layout(file.path)
+        warnings: list[str] = []
+        if layout.title != "trajectories":
+            warnings.append(f"it has no section Trajectories; the body is that of {layout.title.title()}")
+        places, names = labels_of_person(layout.labels, file.person, warnings)
+        order = [column for i in places for column in layout.columns[i]]
+        positions, (numbers,), where = _table(path, layout).points(layout.cells, order, (0,))
+        refuse_jumps(path, numbers, where)
+        return Points(str(path), names, positions, layout.rate_hz, unit_m=layout.unit_m, warnings=warnings)
+
+
+def _table(path: Path, layout: _Layout) -> Section:
+    return Section(path, ",", layout.start, layout.header, layout.stop)
+
+
+def _layout(path: Path) -> _Layout:
+    """Find the section that is used and describe its columns."""
+    found: dict[str, tuple[int, int, list[str]]] = {}
+    for title, start, stop, head in _sections(path):
+        found.setdefault(title, (start, stop, head))
+    used = next((title for title in _USED if title in found), None)
+    if used is None:
+        held = ", ".join(name.title() for name in found) or "none"
+        raise SourceError(
+            path, f"has no section with positions (Trajectories or Model Outputs), only: {held}; export trajectories",
+            line=1,
+        )  # fmt: skip
+    start, stop, head = found[used]
+    rows = [[cell.strip() for cell in cells_of(line, ",")] for line in head]
+    rate_hz = parse_number(path, rows[1][0] if len(rows) > 1 else "", "rate", start + 1)
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        raise SourceError(path, f"expected a rate of {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}", line=start)
+    if len(rows) < 4 or not rows[3] or rows[3][0].lower() not in _FIRST_CELLS:
+        raise SourceError(path, "expected a line of labels and one that begins with 'Frame'", line=start + 3)
+    has_units = len(rows) > 4 and any(cell in _UNITS_M or cell == "deg" for cell in rows[4])
+    labels, columns, unit_m = _points(path, rows[2], rows[3], rows[4] if has_units else [], start)
+    cells = tuple(f"{axis} {i}" for i, axis in enumerate(rows[3]))
+    return _Layout(
+        used, start, start + (4 if has_units else 3), stop, rate_hz, cells, labels, columns, unit_m
+    )  # fmt: skip
+
+
+def _sections(path: Path) -> Iterator[tuple[str, int, int, list[str]]]:
+    """Yield title, first line, last line and the first five lines of every section; an empty line ends one."""
+    title, start, head = "", 0, list[str]()
+    number = 0
+    for number, line in enumerate(_lines(path), 1):
+        bare = line.strip(', "\t')
+        if title and not bare and len(head) > 3:
+            yield title, start, number - 1, head
+            title = ""
+        elif not title and bare.lower() in _TITLES:
+            title, start, head = bare.lower(), number, [line]
+        elif title and len(head) < 5:
+            head.append(line)
+    if title:
+        yield title, start, number, head
+
+
+def _lines(path: Path) -> Iterator[str]:
+    for block in blocks(path, None, after_last_line):
+        yield from text_of(block.data).splitlines()
+
+
+def _points(
+    path: Path, names: list[str], axes: list[str], units: list[str], line: int
+) -> tuple[tuple[str, ...], tuple[tuple[int, int, int], ...], float | None]:
+    """Return the labels of points, the columns of each, and the metres of their unit."""
+    starts = [i for i, name in enumerate(names) if name]
+    labels, columns, units_m = [], [], set[float | None]()
+    for start, stop in zip(starts, [*starts[1:], len(axes)], strict=True):
+        at = {axis.upper(): i for i, axis in enumerate(axes[start:stop], start)}
+        own = next((own for own in _AXES if all(axis in at for axis in own)), None)
+        unit = units[at[own[0]]] if own is not None and at[own[0]] < len(units) else ""
+        if (
+            own is None
+            or names[start].startswith("*")
+            or _OTHER.search(names[start])
+            or (units and unit not in _UNITS_M)
+        ):
+            continue
+        labels.append(names[start] + ("O" if own == _AXES[1] else ""))
+        columns.append((at[own[0]], at[own[1]], at[own[2]]))
+        units_m.add(_UNITS_M.get(unit))
+    if not 0 < len(labels) <= MOST_POINTS or len(units_m) > 1:
+        raise SourceError(
+            path, f"expected 1 to {MOST_POINTS} labelled points in mm, cm or m, and one unit for all, found "
+            f"{len(labels)} points in {len(units_m)} units", line=line + 2,
+        )  # fmt: skip
+    return tuple(labels), tuple(columns), units_m.pop()

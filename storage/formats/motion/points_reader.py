@@ -1,0 +1,131 @@
+"""Readers of points: the steps from the points of a file to a body, which the readers of many formats share."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
+from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
+from kinedex.storage.formats.motion.points import Points, body_of_points, points_bytes
+from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
+
+LEAST_POINTS = 10
+"""A subject of fewer points is a thing that was recorded beside the person: a box, a racket, a wand."""
+
+
+class PointsReader(Reader):
+    """A reader of files that hold points by name; subclasses define `points`, `size` and perhaps `persons`."""
+
+    format: ClassVar[Format] = "positions"
+
+    @abstractmethod
+    def points(self, file: MotionFile) -> Points:
+        """Return the points of a file, or of the person that is asked for.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, or holds no points.
+        """
+
+    @abstractmethod
+    def size(self, file: MotionFile) -> tuple[int, int, int]:
+        """Return frames and points of a file, and the bytes that reading takes besides those of the points.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read.
+        """
+
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the rates and the longest gap."""
+        return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
+
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Return the frames, and the memory of all points and of the body that is made of them."""
+        frames, points, more = self.size(file)
+        return Extent(frames, points_bytes(frames, points, joints) + more, settings.override_rate_hz)
+
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read the points of a file, recognise the body, and build its joints.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, the body is not recognised, no frame is whole, or no rate is known.
+        """
+        points = self.points(file)
+        fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points))
+        warnings = [*points.warnings, *virtual_joint_warnings(fit)]
+        return body_of_points(points, points.names, fit, joints, settings, warnings)
+
+
+def evidence_of(points: Points, up: str | None = None) -> Evidence:
+    """Return the evidence of points that are seen in any frame: their places in some frames, evenly spread.
+
+    Parameters
+    ----------
+    points : Points
+        The points of a file.
+    up : str, optional
+        The axis that the file calls vertical.
+    """
+    seen = points.places()
+    frames = points.positions.shape[2]
+    sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
+    return Evidence(tuple(seen), points.positions[list(seen.values())][:, :, sample], up=up, unit_m=points.unit_m)
+
+
+def subjects(labels: Sequence[str]) -> dict[str, list[int]]:
+    """Return the subjects of labels such as `Ann:LFHD`, each with the places of its labels; "" without a prefix."""
+    found: dict[str, list[int]] = {}
+    for i, label in enumerate(labels):
+        found.setdefault(label.rpartition(":")[0], []).append(i)
+    return found
+
+
+def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the subjects that have so many points that they may be persons, if there are several; else nothing."""
+    found = [name for name, places in subjects(labels).items() if name and len(places) >= LEAST_POINTS]
+    return tuple(found) if len(found) > 1 else ()
+
+
+def labels_of_person(labels: Sequence[str], person: str, warnings: list[str]) -> tuple[list[int], tuple[str, ...]]:
+    """Choose the labels of one person: those of the subject asked for, else of the only one with enough points.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        All labels of a file.
+    person : str
+        The subject asked for; empty for a file of one person.
+    warnings : list of str
+        Sentences are appended on subjects and labels that are not used.
+
+    Returns
+    -------
+    places : list of int
+        Indices of the labels that are used.
+    names : tuple of str
+        Their names without the subject.
+    """
+    of = subjects(labels)
+    whole = [name for name, places in of.items() if name and len(places) >= LEAST_POINTS]
+    chosen = person if person in of else whole[0] if len(whole) == 1 else None
+    places = list(range(len(labels))) if chosen is None else of[chosen]
+    short = [labels[i] if chosen is None else labels[i].rpartition(":")[2] for i in places]
+    others = [name for name in of if name and name not in (chosen, *whole)]
+    if chosen is not None and others:
+        warnings.append(f"points of {', '.join(others[:6])} are not used: too few for a person")
+    twice = sorted(name for name, count in Counter(short).items() if count > 1)
+    if twice:
+        warnings.append(f"{', '.join(twice[:6])} stand for several points each, and are not used")
+    kept = [(i, name) for i, name in zip(places, short, strict=True) if name not in twice]
+    return [i for i, _ in kept], tuple(name for _, name in kept)

@@ -1,0 +1,78 @@
+"""Files of points for tests, as other programs write them: a standing body that walks, with any names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tests.bodies import STANDING, standing
+
+JOINTS = tuple(STANDING)
+
+
+def walk(frames: int = 5) -> np.ndarray:
+    """The standing figure, walking along Z: (frames, joints, 3) in metres, its joints in the order of `JOINTS`."""
+    from tests.oracles.features import JOINTS as ORDER
+
+    points = standing(frames)[[ORDER.index(joint) for joint in JOINTS]].transpose(2, 0, 1).copy()
+    points[:, :, 2] += np.arange(frames)[:, None] * 0.01
+    return points
+
+
+def _cell(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.6f}"
+
+
+def motive_csv(
+    points: np.ndarray, names: Sequence[str], *, kind: str = "Bone", version: str = "1.23", rate: float = 120.0,
+    unit: str = "Millimeters", space: str = "Global", timecode: bool = False,
+) -> str:  # fmt: skip
+    """A file of Motive: bones have a rotation, which says nothing here, before their position."""
+    turn = ("X", "Y", "Z", "W") if "Marker" not in kind else ()
+    parts = [("Rotation", axis) for axis in turn] + [("Position", axis) for axis in "XYZ"]
+    extra = ["TimeCode"] if timecode else []
+    first = ["", *([""] * len(extra))]
+
+    def row(title: str, cells: Sequence[str]) -> str:
+        return ",".join([first[0], title, *([""] * len(extra)), *(cell for cell in cells for _ in parts)])
+
+    stated = {
+        "Format Version": version, "Take Name": "walk, again", "Capture Frame Rate": "240.000000",
+        "Export Frame Rate": f"{rate:.6f}", "Capture Start Time": "2024-01-02 03.04.05.678 PM",
+        "Total Frames in Take": len(points), "Total Exported Frames": len(points), "Rotation Type": "Quaternion",
+        "Length Units": unit, "Coordinate Space": space,
+    }  # fmt: skip
+    head = ",".join(f'{key},"{value}"' if "," in str(value) else f"{key},{value}" for key, value in stated.items())
+    lines = [head, "", row("Type", [kind] * len(names)), row("Name", names), row("ID", ["A1:B2"] * len(names))]
+    lines += [row("Parent", ["Root"] * len(names))] if version >= "1.24" else []
+    lines += [",".join(["", "", *extra, *(part for _ in names for part, _ in parts)])]
+    lines += [",".join(["Frame", "Time (Seconds)", *extra, *(axis for _ in names for _, axis in parts)])]
+    for t, places in enumerate(points):
+        cells = [cell for place in places for cell in (["0.0"] * (len(parts) - 3) + [_cell(x) for x in place])]
+        lines.append(",".join([str(t), f"{t / rate:.6f}", *(["15:26:46:12.02"] if timecode else []), *cells]))
+    return "\r\n".join([*lines, ""])
+
+
+def nexus_csv(
+    points: np.ndarray, names: Sequence[str], *, rate: float = 100.0, unit: str = "mm", title: str = "Trajectories",
+    before: str = "", after: str = "",
+) -> str:  # fmt: skip
+    """A file of Nexus: a section of points, perhaps between others."""
+    wide = 2 + 3 * len(names)
+    lines = [title + "," * (wide - 1), f"{rate:g}" + "," * (wide - 1), ",," + ",,,".join(names) + ",,"]
+    lines += ["Frame,Sub Frame" + ",X,Y,Z" * len(names), ",," + ",".join([unit] * (wide - 2))]
+    lines += [f"{t + 7},0," + ",".join(map(_cell, row.ravel())) for t, row in enumerate(points)]
+    return before + "\r\n".join([*lines, ""]) + after
+
+
+def workstation_csv(points: np.ndarray, names: Sequence[str], *, rate: float = 100.0) -> str:
+    """A file of Workstation or BodyBuilder: lines of a title, and no units."""
+    lines = ["Title", "Date:", "Time:", "Type:", 'Description:,""', 'Notes:,""', "", "TRAJECTORIES", f"{rate:g},Hz"]
+    lines += ["," + ",,,".join(names) + ",,", "Field #" + ",X,Y,Z" * len(names)]
+    lines += [f"{t + 1}," + ",".join(map(_cell, row.ravel())) for t, row in enumerate(points)]
+    return "\n".join([*lines, ""])
+
+
+DEVICES = "Devices,,,\r\n1000,,,\r\n,,Force,,\r\nFrame,Sub Frame,Fx,Fy\r\n,,N,N\r\n7,0,1.5,2\r\n7,1,1.5,2\r\n,,,\r\n"
+"""A section of force plates, as Nexus writes it before the trajectories."""
