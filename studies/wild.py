@@ -106,7 +106,7 @@ class Comparison:
     Attributes
     ----------
     far : float
-        Largest distance in metres over joints that the skeleton has, but for ends; each the 95th percentile over frames.
+        Largest distance in metres over joints that the skeleton has, ends excluded; each the 95th percentile of frames.
     farthest : str
         That joint.
     ends : float
