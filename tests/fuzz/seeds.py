@@ -19,6 +19,7 @@ from tests import point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d
+from tests.mvnx_files import dancing, mvnx_text, subject_text
 from tests.pipelines.archives import human_amc, human_asf
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -151,6 +152,12 @@ def npz() -> dict[str, bytes]:
         pack(file, positions=_walk(), names=np.array(list(STANDING)), fps=np.float64(60.0))
         seeds[pack.__name__] = file.getvalue()
     return seeds
+
+
+def mvnx() -> dict[str, bytes]:
+    """A person, and two in a file."""
+    one, two = subject_text(*dancing(3)), subject_text(*dancing(2, seed=1), label="Bo")
+    return {"one": mvnx_text([one]).encode(), "two": mvnx_text([one, two], version=3).encode()}
 
 
 def c3d() -> dict[str, bytes]:

@@ -28,8 +28,8 @@ from kinedex.storage.formats.motion.bvh_parser import parse_bvh
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.mapped_body import FARTHEST_M
 from kinedex.storage.formats.motion.position_files import is_positions_csv
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from tests.bodies import STANDING
 from tests.fuzz import seeds
 from tests.fuzz.binary import C3D, NPY, NPZ
@@ -41,10 +41,12 @@ from tests.fuzz.words import (
     CSV_WORDS,
     DEEP_BVH,
     DEEP_EAF,
+    DEEP_MVNX,
     DEEP_YAML,
     EAF_WORDS,
     JSON_WORDS,
     MOTIVE_WORDS,
+    MVNX_WORDS,
     NEXUS_WORDS,
     VTT_WORDS,
     YAML_WORDS,
@@ -108,7 +110,12 @@ def _check_refusal(path: Path, fault: Exception) -> None:
 def check_motion(path: Path, asf: Path | None = None, given: ReadSettings = ReadSettings(30.0, None, 5)) -> None:  # noqa: B008
     """Read a motion file as an ingest does; what comes out must be finite, within bounds, and fit to be written."""
     feature_set, mappings = seeds.known()
-    body = read_body(path, asf, mappings, feature_set.joints, given)
+    check_body(read_body(path, asf, mappings, feature_set.joints, given))
+
+
+def check_body(body: Body) -> None:
+    """Check a body as an ingest uses it."""
+    feature_set, _ = seeds.known()
     known = np.array([joint not in body.unknown for joint in feature_set.joints])
     positions = body.positions[known]
     if body.valid is not None:
@@ -124,6 +131,15 @@ def check_motion(path: Path, asf: Path | None = None, given: ReadSettings = Read
     if rows.shape[2] != len(words) or not 1 <= len(words) <= 30 * body.frames / body.rate_hz + 2:
         raise Broken(f"{body.frames} frames at {body.rate_hz} Hz became {len(words)}")
     "\n".join([body.unit, body.skeleton, *body.warnings, *blind(feature_set, body)]).encode()
+
+
+def check_persons(path: Path) -> None:
+    """Read every person of a file, the first three at most."""
+    feature_set, mappings = seeds.known()
+    reader = reader_of(path)
+    for person in reader.persons(MotionFile(path), mappings)[:3] or ("",):
+        file, given = MotionFile(path, person=person), ReadSettings(30.0, None, 5)
+        check_body(reader.read(file, mappings, feature_set.joints, given))
 
 
 def _beside(path: Path, ending: str, which: int) -> Path:
@@ -291,6 +307,7 @@ TARGETS: dict[str, Target] = {
         Target("nexus", ".csv", seeds.nexus, _text(NEXUS_WORDS), check_motion),
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
         Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
+        Target("mvnx", ".mvnx", seeds.mvnx, _text(MVNX_WORDS, DEEP_MVNX), check_persons),
         Target("c3d", ".c3d", seeds.c3d, (*ANY, *C3D, *C3D), check_motion),
         Target("c3d-parser", ".c3d", seeds.strange_c3d, (*ANY, *C3D, *C3D), check_strange_c3d),
         Target("amass", ".npz", seeds.amass, (*ANY, *NPZ, *NPZ), check_amass),

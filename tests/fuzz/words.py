@@ -63,6 +63,17 @@ EAF_WORDS = (
     *(b'TIME_VALUE="9"', b'<?xml version="1.0" encoding="utf-7"?>', b'encoding="shift_jis"', b'PARENT_REF="walk"'),
 )
 DEEP_EAF = ((b"<TIER TIER_ID='x'>", b"</TIER>"), (b"<ANNOTATION_VALUE>", b"</ANNOTATION_VALUE>"), (b"<a>", b"</a>"))
+MVNX_WORDS = (
+    *(b"<!DOCTYPE a [<!ENTITY b 'cc'>]>", b"&b;", b"<![CDATA[", b"]]>", b"<!--", b"-->", b"&#0;", b'type="normal"'),
+    *(b"<frames>", b"</frames>", b'<frame type="normal">', b"</frame>", b"<position>", b"</position>", b"<segments>"),
+    *(b'<segment label="Pelvis">', b'<subject label="x">', b'<point label="pTopOfHead">', b"<pos_b>1 2 3</pos_b>"),
+    *(b'frameRate="0"', b'frameRate="nan"', b'index="99999999999999999999"', b'encoding="utf-16"', b"1e999 "),
+)
+DEEP_MVNX = (
+    (b"<segments><segment label='x'>", b"</segment></segments>"),
+    (b"<frame type='normal'>", b"</frame>"),
+    (b"<a>", b"</a>"),
+)
 VTT_WORDS = (
     b"NOTE",
     b"STYLE",

@@ -21,6 +21,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "motive": "kinedex.storage.formats.motion.motive:MotiveReader",
         "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
+        "mvnx": "kinedex.storage.formats.motion.mvnx:MvnxReader",
     },
 )
 """Name → reader. Of readers that share an ending a plugin is asked first, then the built-in ones in this order."""

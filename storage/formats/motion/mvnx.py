@@ -1,0 +1,196 @@
+"""The reader of MVNX files of Xsens MVN: places and turns of the segments of the body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.ops.body.transforms import rotations
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.figures import I64, Figure, body_of_figure, chosen_person, figure_bytes
+from kinedex.storage.formats.motion.reader import (
+    FASTEST_HZ,
+    SLOWEST_HZ,
+    Body,
+    Extent,
+    MotionFile,
+    Reader,
+    ReadSettings,
+)
+from kinedex.storage.formats.mvnx import Subject, count_elements, read_mvnx, subject_names
+
+F64 = npt.NDArray[np.float64]
+
+PARENTS = {
+    "L5": "Pelvis", "L3": "L5", "T12": "L3", "T8": "T12", "Neck": "T8", "Head": "Neck",
+    "RightShoulder": "T8", "RightUpperArm": "RightShoulder", "RightForeArm": "RightUpperArm",
+    "RightHand": "RightForeArm",
+    "LeftShoulder": "T8", "LeftUpperArm": "LeftShoulder", "LeftForeArm": "LeftUpperArm", "LeftHand": "LeftForeArm",
+    "RightUpperLeg": "Pelvis", "RightLowerLeg": "RightUpperLeg", "RightFoot": "RightLowerLeg",
+    "RightToe": "RightFoot",
+    "LeftUpperLeg": "Pelvis", "LeftLowerLeg": "LeftUpperLeg", "LeftFoot": "LeftLowerLeg", "LeftToe": "LeftFoot",
+}  # fmt: skip
+"""The segments of MVN's model of the body and the one that each hangs from; a segment lies at its upper joint."""
+
+TIPS = {
+    "Head": "pTopOfHead", "RightHand": "pRightTopOfHand", "LeftHand": "pLeftTopOfHand", "RightToe": "pRightToe",
+    "LeftToe": "pLeftToe",
+}  # fmt: skip
+"""The points at the ends of segments that no further one hangs from; they become nodes such as `Head_end`."""
+
+MEASURED = {
+    "UpperBody": ("UpperLeg", "LowerLeg", "Foot", "Toe"),
+    "LowerBody": ("L5", "L3", "T12", "T8", "Neck", "Head", "Shoulder", "UpperArm", "ForeArm", "Hand"),
+}
+"""Suits without sensors on some segments, which then move stiffly with the pelvis: endings of these segments' names."""
+
+_Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""MVN's axes, X forward, Y left and Z up, in kinedex's: X left, Y up and Z forward."""
+
+
+class MvnxReader(Reader):
+    """Reads MVNX files; every subject is a person of its own."""
+
+    format: ClassVar[Format] = "bvh"
+    endings: ClassVar[tuple[str, ...]] = (".mvnx",)
+
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the rates, the only settings that count."""
+        return settings.rate_hz, settings.override_rate_hz
+
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Count the frames; the memory is that of the places and turns of all segments, and of the joints."""
+        frames, nodes = count_elements(file.path, "frame"), len(PARENTS) + 1 + len(TIPS)
+        in_frame = 8 * (7 * 2 + 1) * nodes  # numbers, twice while an array grows
+        need = figure_bytes(frames, nodes, joints) + in_frame * frames + (8 << 20)
+        return Extent(frames, need, settings.override_rate_hz)
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of the subjects; empty where there is only one."""
+        if count_elements(file.path, "subject") < 2:
+            return ()
+        names = subject_names(read_mvnx(file.path))
+        return names if len(names) > 1 else ()
+
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read a subject of an MVNX file.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, or holds no frames of the body; the error names the line of the first fault.
+        """
+        subjects = read_mvnx(file.path, ("position", "orientation"), file.person or None)
+        subject = subjects[chosen_person(file.path, file.person, subject_names(subjects))]
+        return body_of_figure(file.path, figure_of(file.path, subject, settings), mappings, joints, settings)
+
+
+def figure_of(path: Path, subject: Subject, settings: ReadSettings) -> Figure:
+    """Return the tree of a subject's segments and their ends.
+
+    Raises
+    ------
+    SourceError
+        The subject has no frames, no rate, or a segment that MVN's model of the body does not have.
+    """
+    if not subject.frames:
+        raise SourceError(path, "has no frame of type normal: it holds no motion")
+    if not len(subject.fields["position"]) or not len(subject.fields["orientation"]):
+        raise SourceError(path, "has no <position> or no <orientation> of segments in its frames; export both from MVN")
+    rate_hz = subject.rate_hz or settings.override_rate_hz or settings.rate_hz
+    if rate_hz is None:
+        raise SourceError(path, "states no frameRate: give `rate_hz`, or --rate")
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        raise SourceError(path, f"frameRate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}")
+    lost = MEASURED.get(subject.configuration, ())
+    used = [name for name in subject.segments if _of_body(name) and not name.endswith(lost)]
+    if "Pelvis" not in used:
+        raise SourceError(path, f"has no segment Pelvis; it has {', '.join(subject.segments[:30])}")
+    names = [name for name in ("Pelvis", *PARENTS) if name in used]
+    parents = [-1, *(_parent(name, names) for name in names[1:])]
+    tips = [name for name in names if TIPS.get(name) in subject.points[name]]
+    warnings = [f"the file was recorded with the suit {subject.configuration}, so the rest is unknown"] if lost else []
+    return Figure(
+        names=(*names, *(f"{name}_end" for name in tips)),
+        parents=(*parents, *(names.index(name) for name in tips)),
+        rest=_rest(subject, names, parents, tips),
+        poses=_Segments(
+            subject,
+            [subject.segments.index(name) for name in names],
+            tips,
+            subject.numbers("position"),
+            subject.numbers("orientation"),
+        ),
+        frames=subject.frames,
+        rate_hz=rate_hz,
+        evidence=("the file is of Xsens MVN, whose axes are X forward and Z up, in metres",),
+        warnings=(*warnings, *_gaps(subject)),
+    )
+
+
+def _of_body(name: str) -> bool:
+    return name == "Pelvis" or name in PARENTS
+
+
+def _parent(name: str, names: list[str]) -> int:
+    """Return the nearest segment above one that the file has."""
+    above = PARENTS[name]
+    while above not in names:
+        above = PARENTS[above]
+    return names.index(above)
+
+
+def _gaps(subject: Subject) -> list[str]:
+    steps = np.diff(np.frombuffer(subject.indices, np.int64))
+    missing = int(np.sum(steps[steps > 1] - 1))
+    if not missing:
+        return []
+    return [f"{missing} frames are missing between others, by their index; the motion jumps there"]
+
+
+def _rest(subject: Subject, names: list[str], parents: list[int], tips: list[str]) -> F64:
+    """Return the places of the nodes when no segment is turned, by the points that segments share: the T-pose."""
+    rest = np.zeros((len(names), 3))
+    for i, name in enumerate(names[1:], 1):
+        above = names[parents[i]]
+        own = [label for label, place in subject.points[name].items() if not any(place)]
+        shared = next((label for label in own if label in subject.points[above]), None)
+        if shared is not None:
+            rest[i] = rest[parents[i]] + np.array(subject.points[above][shared])
+        else:  # no points: as far as in the first frame, which serves sizes but not directions
+            places = subject.numbers("position")[0]
+            ends = places[subject.segments.index(name)] - places[subject.segments.index(above)]
+            rest[i] = rest[parents[i]] + ends
+    ends_of_tips = [rest[names.index(name)] + np.array(subject.points[name][TIPS[name]]) for name in tips]
+    placed: F64 = np.concatenate([rest, np.array(ends_of_tips).reshape(-1, 3)]) @ _Y_UP.T
+    return placed
+
+
+@dataclass(frozen=True)
+class _Segments:
+    """The motion of a subject: the segments in use, and the tips that follow them."""
+
+    subject: Subject
+    used: list[int]
+    tips: list[str]
+    positions: F64
+    orientations: F64
+
+    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
+        """Return places and turns, in metres with Y up."""
+        turns = self.orientations[frames]
+        all_places = self.positions[frames]
+        places = [all_places[:, self.used]]
+        for name in self.tips:
+            place = self.subject.segments.index(name)
+            point = np.array(self.subject.points[name][TIPS[name]])
+            places.append((all_places[:, place] + rotations(turns[:, place]) @ point)[:, None])
+        found = np.concatenate(places, axis=1) @ _Y_UP.T
+        root = self.used[oriented] if oriented < len(self.used) else self.used[0]
+        turned: F64 = (_Y_UP @ rotations(turns[:, root]) @ _Y_UP.T).reshape(-1, 9).T
+        return np.ascontiguousarray(found.transpose(1, 2, 0)), turned
