@@ -91,6 +91,22 @@ class TakeRanges:
         takes = np.repeat(np.arange(len(offsets) - 1), np.diff(edges))
         return cls(edges, ranges - offsets[takes, None])
 
+    @classmethod
+    def placed(cls, parts: Sequence[tuple[I64, TakeRanges]], takes: int) -> TakeRanges:
+        """Return the ranges of T takes from those of parts of them; takes that are in no part have none.
+
+        Parameters
+        ----------
+        parts : sequence of (int64 array (t,), TakeRanges)
+            The positions of some takes among all, ascending, and the ranges of these takes. No take is in two parts.
+        takes : int
+            The number T of all takes.
+        """
+        place = np.concatenate([np.empty(0, np.int64), *(places[found.takes] for places, found in parts)])
+        ranges = np.concatenate([np.empty((0, 2), np.int64), *(found.ranges for _, found in parts)])
+        order = np.argsort(place, kind="stable")
+        return cls(np.searchsorted(place[order], np.arange(takes + 1)).astype(np.int64), ranges[order])
+
     @staticmethod
     def united(several: Sequence[TakeRanges]) -> TakeRanges:
         """Unite ranges of the same takes; those that overlap or touch become one.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.ops.known import is_applied, known_share
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 
 
@@ -210,6 +211,50 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
         masks.append(mask)
         values.append(value)
     return WordPattern(tuple(masks), tuple(values), tuple(gaps))
+
+
+def query_share(query: KeyframeQuery, feature_set: FeatureSet, known: int) -> float:
+    """Return the share of a query's fixed entries that are known; of several alternatives the greatest share."""
+    return max(known_share(_whole_masks(chain, feature_set), known) for chain in query.chains)
+
+
+def restricted_query(query: KeyframeQuery, feature_set: FeatureSet, known: int) -> KeyframeQuery | None:
+    """Return a query for takes that know some features only.
+
+    Entries on unknown features become wildcards. Alternatives of whose entries too few are known are excluded.
+
+    Parameters
+    ----------
+    query : KeyframeQuery
+        The query for whole bodies.
+    feature_set : FeatureSet
+        Its features.
+    known : int
+        The mask of the known features, with the bits of a word.
+
+    Returns
+    -------
+    KeyframeQuery or None
+        The query itself where all features that it fixes are known; None where too few are in every alternative.
+    """
+    if not any(mask & ~known for chain in query.chains for mask in _whole_masks(chain, feature_set)):
+        return query
+    chains = [
+        replace(chain, keyframes=tuple(_restricted(one, feature_set, known) for one in chain.keyframes))
+        for chain in query.chains
+        if is_applied(_whole_masks(chain, feature_set), known)
+    ]
+    return replace(chains[0], alternatives=tuple(chains[1:])) if chains else None
+
+
+def _whole_masks(chain: KeyframeQuery, feature_set: FeatureSet) -> list[int]:
+    """Return the mask of each keyframe in bits of whole words."""
+    return [one.mask << (feature_set.word_set(one.set).first - 1) for one in chain.keyframes]
+
+
+def _restricted(keyframe: Keyframe, feature_set: FeatureSet, known: int) -> Keyframe:
+    own = known >> (feature_set.word_set(keyframe.set).first - 1)
+    return replace(keyframe, mask=keyframe.mask & own, value=keyframe.value & own)
 
 
 def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str], list[str]]:

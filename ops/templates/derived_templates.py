@@ -1,4 +1,4 @@
-"""Templates made from templates: mirrored, joined one after the other; and the contrast between two of them."""
+"""Templates made from templates: mirrored, joined, restricted to known features; and the contrast between two."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.templates.templates import Template, quantise
+from kinedex.ops.known import is_applied
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
 from kinedex.ops.templates.warping import align
 
 F64 = npt.NDArray[np.float64]
@@ -134,3 +135,29 @@ def contrast(first: Template, second: Template, delta: float) -> Contrast:
     one, other = one[path[:, 0]], other[path[:, 1]]
     compared = (one != WILDCARD) & (other != WILDCARD)
     return Contrast(path, np.where(compared, one - other, 0).astype(np.int8), compared)
+
+
+def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTemplate | None:
+    """Return a template for takes that know some features only.
+
+    Entries on unknown features become wildcards, so that a column's cost is the share of its known entries that a word
+    contradicts.
+
+    Parameters
+    ----------
+    template : QuantisedTemplate
+        The template for whole bodies.
+    known : int
+        The mask of the known features, with the bits of a word.
+
+    Returns
+    -------
+    QuantisedTemplate or None
+        The template itself where all features that it fixes are known; None where too few are.
+    """
+    mask = template.mask & np.uint64(known)
+    if (mask == template.mask).all():
+        return template
+    if not is_applied(template.mask.tolist(), known):
+        return None
+    return QuantisedTemplate(mask, template.value & np.uint64(known), template.feature_weights)

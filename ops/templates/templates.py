@@ -44,6 +44,14 @@ class Template:
     def __len__(self) -> int:
         return len(self.values)
 
+    @property
+    def unknown(self) -> npt.NDArray[np.bool_]:
+        """Return the features that no clip showed, bool (f,): they have no weight, and wildcards in all columns."""
+        if self.feature_weights is None:
+            return np.zeros(self.values.shape[1], np.bool_)
+        unknown: npt.NDArray[np.bool_] = (self.feature_weights == 0) & (self.values == 0.5).all(axis=0)
+        return unknown
+
 
 @dataclass(frozen=True)
 class QuantisedTemplate:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,11 +13,12 @@ from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.console.wording import few
-from kinedex.pipelines.search.preselection import widest_margins
+from kinedex.pipelines.search.preselection import known_queries, widest_margins
 from kinedex.pipelines.templates.learning import SubclassTemplate
 
 I64 = npt.NDArray[np.int64]
@@ -74,6 +75,38 @@ class Annotator:
             columns = template.values(len(self.feature_set.features)) if queries else np.empty((0, 0))
             found.append(tuple(widest_margins(query, columns, self.feature_set) for query in queries))
         return tuple(found)
+
+    def restricted(self, known: int) -> tuple[Annotator | None, I64]:
+        """Return the annotator for takes that know some features only.
+
+        Parameters
+        ----------
+        known : int
+            The mask of the known features, with the bits of a word.
+
+        Returns
+        -------
+        Annotator or None
+            Templates and queries restricted to these features, without the templates that are not applied. A template
+            of whose queries none is applied is matched in all frames. None where no template is left, or the method
+            cannot do without some features.
+        chosen : int64 array (C,)
+            The places of its templates among all.
+        """
+        kept = {s: own for s, one in enumerate(self.templates) if (own := restricted_template(one, known)) is not None}
+        chosen = np.array(list(kept), np.int64)
+        make = getattr(self.method, "restricted", None)
+        if not kept or make is None:
+            return None, np.empty(0, np.int64)
+        restricted = replace(
+            self,
+            subclasses=tuple(self.subclasses[s] for s in kept),
+            class_index=self.class_index[chosen],
+            templates=tuple(kept.values()),
+            queries=tuple(known_queries(self.queries[s], self.margins[s], self.feature_set, known) for s in kept),
+            method=make(known, list(kept.values()), chosen),
+        )
+        return restricted, chosen
 
     @property
     def label(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,13 +39,16 @@ class TakeAnnotation:
     preselected : float64 array (S,)
         The share of its frames that each template was matched in.
     curves : float32 array (S, L), optional
-        Its distance curves, where they are stored.
+        Its distance curves, where they are stored; ∞ for templates that are not applied to the take.
+    applied : bool array (S,), optional
+        False for the templates that are not applied, as the take lacks too many of their features; None: all are.
     """
 
     take_id: int
     segments: tuple[Segment, ...]
     preselected: F64
     curves: F32 | None
+    applied: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,46 @@ def annotate_words(
     Returns
     -------
     list of TakeAnnotation
-        One for each take, in their order.
+        One for each take, in their order. Takes that lack features are annotated with what they know.
     """
+    if words.known is None:
+        return _annotate_alike(annotator, words, store_curves, store)
+    found: dict[int, TakeAnnotation] = {}
+    for mask in words.masks:
+        places, own = words.knowing(mask)
+        whole = mask & annotator.feature_set.every_bit == annotator.feature_set.every_bit
+        partial, chosen = (annotator, np.arange(len(annotator.templates))) if whole else annotator.restricted(mask)
+        alike = _annotate_alike(partial, own, store_curves, store) if partial is not None else _nothing(own)
+        made = alike if whole else [_of_all_templates(one, annotator, chosen, store_curves) for one in alike]
+        found.update(zip(places.tolist(), made, strict=True))
+    return [found[place] for place in range(len(words))]
+
+
+def _nothing(words: TakeWords) -> list[TakeAnnotation]:
+    """Return annotations without segments or templates."""
+    return [
+        TakeAnnotation(take_id, (), np.empty(0), np.empty((0, frames), np.float32))
+        for take_id, frames in zip(words.take_ids.tolist(), words.frames.tolist(), strict=True)
+    ]
+
+
+def _of_all_templates(one: TakeAnnotation, annotator: Annotator, chosen: I64, store_curves: bool) -> TakeAnnotation:
+    """Return an annotation by some templates as one by all of them."""
+    count = len(annotator.templates)
+    preselected, applied = np.zeros(count), np.zeros(count, np.bool_)
+    preselected[chosen], applied[chosen] = one.preselected, True
+    curves = None
+    if store_curves and one.curves is not None:
+        curves = np.full((count, one.curves.shape[1]), np.inf, np.float32)
+        curves[chosen] = one.curves
+    segments = tuple(replace(segment, subclass=int(chosen[segment.subclass])) for segment in one.segments)
+    return TakeAnnotation(one.take_id, segments, preselected, curves, applied)
+
+
+def _annotate_alike(
+    annotator: Annotator, words: TakeWords, store_curves: bool, store: Store | None
+) -> list[TakeAnnotation]:
+    """Annotate takes that know all features of an annotator."""
     ranges = ranges_of(annotator, words, store)
     curves = _curves(annotator, words, ranges) if store_curves else None
     segments = annotator.method.annotate(words, ranges)

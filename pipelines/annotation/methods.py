@@ -3,12 +3,13 @@
 A method is a frozen dataclass with three class attributes (`name`, `label`, `uses_thresholds`). `prepare` makes one
 from templates and training clips; `annotate` labels takes with it. It is sent to workers, so it must be picklable.
 Its fields are hashed to find annotations that are up to date, so they must hold all that its segments depend on.
+A method that defines `restricted` also labels takes that lack features; by others such takes are not labelled.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import ClassVar, Protocol, Self
 
@@ -24,8 +25,9 @@ from kinedex.ops.distances.costs import encode
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds
 from kinedex.ops.distances.range_minima import minima_within
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.known import compacted, known_bits
 from kinedex.ops.templates.templates import QuantisedTemplate, Template
-from kinedex.ops.words import U64, TakeWords
+from kinedex.ops.words import MOST_FEATURES, U64, TakeWords
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -122,6 +124,20 @@ class ThesisMethod:
         """Make the method; it needs no clips."""
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
+    def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> ThesisMethod:
+        """Return the method for takes that know some features only.
+
+        Parameters
+        ----------
+        known : int
+            The mask of the known features, with the bits of a word.
+        templates : sequence of QuantisedTemplate, length C
+            The templates that are applied, restricted to these features.
+        chosen : int64 array (C,)
+            Their places among all templates.
+        """
+        return ThesisMethod(tuple(templates), self.class_index[chosen], self.thresholds)
+
     def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
         """Label takes; see `AnnotationMethod.annotate`."""
         return annotate(self._matches(words, ranges), self.class_index, words.offsets, self.thresholds)
@@ -140,7 +156,10 @@ class ThesisMethod:
 
 @dataclass(frozen=True)
 class BestMethod:
-    """Label all frames of a take together: the row of templates and background that explains them best."""
+    """Label all frames of a take together: the row of templates and background that explains them best.
+
+    Templates and postures have the features of the mask `known` only, where there is one.
+    """
 
     name: ClassVar[str] = "best"
     label: ClassVar[str] = "templates in a row"
@@ -151,12 +170,21 @@ class BestMethod:
     class_index: I64
     usual: F64
     decoding: Decoding
+    known: int | None = None
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> BestMethod:
         """Make the method; the usual postures of clips are its background."""
         usual = background(clips(), templates.learned[0].values.shape[1])
-        return cls(templates.learned, templates.quantised, templates.class_index, usual, Decoding())
+        learned = tuple(_with_usual_values(one, usual) for one in templates.learned)
+        return cls(learned, templates.quantised, templates.class_index, usual, Decoding())
+
+    def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> BestMethod:
+        """Return the method for takes that know some features only; see `ThesisMethod.restricted`."""
+        bits = known_bits(known, self.usual.shape[1])
+        learned = tuple(Template(self.templates[s].values[:, bits], self.templates[s].weights) for s in chosen.tolist())
+        usual = np.ascontiguousarray(self.usual[:, bits])
+        return BestMethod(learned, tuple(templates), self.class_index[chosen], usual, self.decoding, known)
 
     def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
         """Label takes; the cost of a segment is the least distance within, NaN where no path ends there."""
@@ -166,8 +194,9 @@ class BestMethod:
         if not all(own is whole or np.array_equal(own, whole) for own in ranges):
             within = [_ranges_by_take(own, words.offsets) for own in ranges]
         takes, sure = [], []
+        laid = words.words if self.known is None else compacted(words.words, self.known, MOST_FEATURES)
         for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
-            own = words.words[start:stop]
+            own = laid[start:stop]
             allowed = None if within is None else [by_take[take] for by_take in within]
             found = explain(self.templates, self.usual, own, self.decoding, allowed, columns)
             sure.append(
@@ -218,6 +247,14 @@ def annotation_method(name: str) -> type[AnnotationMethod]:
             "label, uses_thresholds, prepare and annotate (kinedex.pipelines.annotation.methods.AnnotationMethod)"
         )
     return found
+
+
+def _with_usual_values(template: Template, usual: F64) -> Template:
+    """Return a template whose unknown features have their usual values, so that they are no evidence."""
+    unknown = template.unknown
+    if not unknown.any():
+        return template
+    return replace(template, values=np.where(unknown, usual.mean(axis=0), template.values))
 
 
 def whole_takes(words: TakeWords) -> I64:

@@ -66,13 +66,15 @@ def _feed(hasher: hashlib._Hash, value: object) -> None:
 
 
 def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, str]:
-    """Return a hash of each take's words and the setting, by take_id; words are read batch by batch."""
+    """Return a hash of each take's words, what it knows, and the setting, by take_id; words are read batch by batch."""
     result = {}
     for batch in split_takes(takes["take_id"].to_list(), takes["frames"].to_list()):
         words = store.words(batch)
         for index, take_id in enumerate(words.take_ids.tolist()):
             hasher = hashlib.sha256(setting.encode())
             hasher.update(np.ascontiguousarray(words.take(index)).tobytes())
+            if words.known is not None:
+                hasher.update(words.known[index].tobytes())
             result[int(take_id)] = hasher.hexdigest()[:32]
     return result
 

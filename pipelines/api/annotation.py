@@ -12,7 +12,7 @@ import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, MotionClass, load_classes
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.words import TakeWords
+from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
 from kinedex.pipelines.annotation.methods import annotation_method
@@ -137,7 +137,9 @@ class _LoadedWords:
         """Return the words of some takes, by their places."""
         every = [self.takes[place].words() for place in places]
         offsets = np.cumsum([0, *map(len, every)]).astype(np.int64)
-        return TakeWords(np.array(places, np.int64), offsets, np.concatenate(every))
+        masks = np.array([self.takes[place].known for place in places], np.uint64)
+        known = None if (masks == ALL_KNOWN).all() else masks
+        return TakeWords(np.array(places, np.int64), offsets, np.concatenate(every), known)
 
     def annotate(self, annotator: Annotator) -> Iterator[TakeAnnotation]:
         """Annotate the takes batch by batch."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import NO_WORD, bits
+from kinedex.ops.words import ALL_KNOWN, NO_WORD, bits
 from kinedex.pipelines.api.arguments import checked, checked_methods
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ class Take:
         ----------
         positions : array_like of float, shape (T, J, 3)
             Joint positions in metres, Y up. A frame in which a joint is NaN is invalid; a joint that is NaN in all
-            frames is unknown, and the features that need it are off.
+            frames is unknown, and so are the features that need it.
         rate : float
             Frames per second of the array.
         name : str, optional
@@ -278,6 +278,29 @@ class Take:
         """
         return tuple(self.info.get("warnings") or ())
 
+    @property
+    def known(self) -> int:
+        """Return the mask of the features that the body has the joints for.
+
+        Returns
+        -------
+        int
+            The bits of a word; all 64 bits are set where every feature is known.
+        """
+        mask = self.info.get("known")
+        return int(ALL_KNOWN) if mask is None else int(mask)
+
+    @property
+    def unknown_features(self) -> tuple[str, ...]:
+        """Return the features that are unknown, as the body lacks joints.
+
+        Returns
+        -------
+        tuple of str
+            Their names, in the order of their numbers; empty for a whole body.
+        """
+        return tuple(self.feature_set.named(~self.known & self.feature_set.every_bit))
+
     @cached_property
     def _frames(self) -> Frames:
         return self._source.frames()
@@ -343,7 +366,7 @@ class Take:
         -------
         polars.DataFrame
             T rows and one Boolean column per feature (40 for the shipped feature set), named after it; null in invalid
-            frames. ``.to_numpy()`` is the array (T, 40).
+            frames, and in the columns of features that are unknown. ``.to_numpy()`` is the array (T, 40).
 
         Examples
         --------
@@ -355,7 +378,8 @@ class Take:
         matrix = bits(self.words(), len(self.feature_set.features)).astype(np.bool_)
         frame = pl.DataFrame(matrix, schema=[feature.name for feature in self.feature_set.features], orient="row")
         valid = self.valid
-        return frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
+        shown = frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
+        return shown.with_columns(pl.lit(None, pl.Boolean).alias(name) for name in self.unknown_features)
 
 
 @checked

@@ -86,7 +86,8 @@ def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
     for test_take in fold.test_takes:
         parts = [str(checksums[take_id]) for take_id in test_take.take_ids]
-        hasher.update(json.dumps([test_take.name, test_take.frames, parts]).encode())
+        masks = [store.known[take_id] for take_id in test_take.take_ids if take_id in store.known]
+        hasher.update(json.dumps([test_take.name, test_take.frames, parts, *masks]).encode())
     hasher.update(setting_digest(annotator, False, code_digest(CODE, type(annotator.method))).encode())
     return hasher.hexdigest()[:32]
 
@@ -150,7 +151,12 @@ def annotate_task(task: Task) -> SegmentsByTake:
         np.concatenate([words.take(place[take_id]) for take_id in test_take.take_ids]) for test_take in task.test_takes
     ]
     offsets = np.cumsum([0, *(len(one) for one in laid_out)])
-    together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out))
+    masks = None
+    if words.known is not None:
+        # a test take that is made of several takes knows what all of them know
+        each = [words.known[[place[take_id] for take_id in test_take.take_ids]] for test_take in task.test_takes]
+        masks = np.array([np.bitwise_and.reduce(own) for own in each], np.uint64)
+    together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out), masks)
     annotator = task.annotator
     return {
         task.test_takes[one.take_id].name: tuple(

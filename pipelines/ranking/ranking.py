@@ -7,30 +7,33 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
+import polars as pl
 import pyarrow as pa
 
+from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.distances.costs import I64, encode
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
+from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import TakeWords
+from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.engine.executors import batches_of, cores
-from kinedex.pipelines.search.preselection import preselect_stored, template_ranges
+from kinedex.pipelines.search.preselection import known_queries, preselect_stored, template_ranges, widest_margins
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 200_000
 """A thread reads and ranks so many analysis frames (under two hours) at a time; a longer take is a batch of its own."""
 
-Item = tuple[tuple[int, ...], tuple[float, ...]]
-"""The ids of some takes, and the threshold of every template."""
+Item = tuple[tuple[int, ...], int, tuple[float, ...]]
+"""The ids of some takes that know the same features, their mask, and the threshold of every template."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,7 @@ def rank_takes(
     if not takes.height:
         raise KinedexError("no take to rank" + (f": the filter `{where}` selects none" if where else " in this store"))
     names = dict(takes.select("take_id", "name").iter_rows())
-    batches = batches_of(takes["take_id"].to_list(), takes["frames"].to_list(), BATCH_FRAMES)
+    batches = list(_batches(takes, store.known))
     best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
     counts = np.zeros((len(templates), 3), np.int64)
     bounded = np.zeros(len(templates), np.bool_)
@@ -181,9 +184,9 @@ def rank_takes(
     bars = [tau] * len(templates)
 
     def work(item: Item) -> BatchHits:
-        return _rank_batch(store, templates, *item, top, names)
+        return _rank_known(store, templates, *item, top, names)
 
-    items = ((batch, tuple(bars)) for batch in batches)
+    items = ((batch, mask, tuple(bars)) for mask, batch in batches)
     for found in _in_threads(work, items, cores() if workers is None else workers):
         reading += found.reading
         seconds += found.ranking
@@ -208,6 +211,52 @@ def rank_takes(
             templates, best, counts.tolist(), bounded.tolist(), seconds.tolist(), strict=True
         )
     ]
+
+
+def _batches(takes: pl.DataFrame, known: Mapping[int, int]) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Yield batches of takes that know the same features, each with their mask; whole bodies come first."""
+    frames = dict(takes.select("take_id", "frames").iter_rows())
+    masks = {take_id: known.get(take_id, int(ALL_KNOWN)) for take_id in frames}
+    for mask in sorted(set(masks.values()), reverse=True):
+        own = [take_id for take_id in frames if masks[take_id] == mask]
+        yield from ((mask, batch) for batch in batches_of(own, [frames[take_id] for take_id in own], BATCH_FRAMES))
+
+
+def _rank_known(
+    store: Store,
+    templates: Sequence[RankedTemplate],
+    take_ids: tuple[int, ...],
+    mask: int,
+    taus: tuple[float, ...],
+    top: int | None,
+    names: Mapping[int, str],
+) -> BatchHits:
+    """Return the hits of each template in takes that know the same features; none of a template not applied."""
+    if mask & store.feature_set.every_bit == store.feature_set.every_bit:
+        return _rank_batch(store, templates, take_ids, taus, top, names)
+    applied = {
+        place: replace(one, template=own, queries=_known_queries(one, store.feature_set, mask))
+        for place, one in enumerate(templates)
+        if (own := restricted_template(one.template, mask)) is not None
+    }
+    chosen = tuple(taus[place] for place in applied)
+    found = _rank_batch(store, list(applied.values()), take_ids, chosen, top, names)
+    hits, seconds = [_no_hits()] * len(templates), [0.0] * len(templates)
+    for place, these, spent in zip(applied, found.hits, found.ranking, strict=True):
+        hits[place], seconds[place] = these, spent
+    return replace(found, hits=tuple(hits), ranking=tuple(seconds))
+
+
+def _known_queries(one: RankedTemplate, feature_set: FeatureSet, mask: int) -> tuple[KeyframeQuery, ...]:
+    """Return the queries of a template that are applied to takes with a mask; without any, all frames are ranked."""
+    columns = one.template.values(len(feature_set.features))
+    margins = [widest_margins(query, columns, feature_set) for query in one.queries]
+    return known_queries(one.queries, margins, feature_set, mask)
+
+
+def _no_hits() -> Hits:
+    none = np.empty(0, np.int64)
+    return Hits(none, none, none, np.empty(0), 0, 0, bounded=False)
 
 
 def _order(entry: tuple[float, str, int, Hit]) -> tuple[float, str, int]:

@@ -16,12 +16,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, word_pattern
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, WordPattern, restricted_query, word_pattern
 from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import BitSlices, slice_words
 from kinedex.ops.search.segments import from_axis
-from kinedex.ops.words import I64, TakeWords
+from kinedex.ops.words import ALL_KNOWN, I64, U64, TakeWords
 from kinedex.storage.index.generations import current_generation, missing_index, read_generation
 from kinedex.storage.index.slice_files import ShardSlices, open_slices
 from kinedex.storage.store.store import Store
@@ -64,11 +64,14 @@ class SlicedWords:
         The slices: those of a published index, or one shard in memory.
     feature_set : FeatureSet
         The features of the words.
+    known : uint64 array (T,), optional
+        The mask of the known features of each take; None: every take knows all features.
     """
 
     take_ids: I64
     shards: tuple[Shard, ...]
     feature_set: FeatureSet
+    known: U64 | None = None
 
     def select(self, take_ids: I64) -> SlicedWords:
         """Return the slices of some takes only, without a copy; the slices of the others are not read.
@@ -91,10 +94,16 @@ class SlicedWords:
             raise KeyError(int(take_ids[~known][0]))
         places[at] = np.arange(len(take_ids))
         shards = tuple(replace(shard, places=places[shard.places]) for shard in self.shards)
-        return SlicedWords(take_ids, shards, self.feature_set)
+        masks = None if self.known is None else self.known[at]
+        if masks is not None and (masks == ALL_KNOWN).all():
+            masks = None
+        return SlicedWords(take_ids, shards, self.feature_set, masks)
 
     def search(self, queries: Sequence[KeyframeQuery], threads: int = 1) -> list[TakeRanges]:
         """Return the union of all hit relevant ranges of each query and its alternatives, take by take.
+
+        Takes that lack features are searched for what they know (`restricted_query`), and have no range of a query that
+        is not applied to them.
 
         Parameters
         ----------
@@ -108,12 +117,27 @@ class SlicedWords:
         list of TakeRanges
             One for each query, of T takes.
         """
+        if self.known is not None:
+            return self._search_by_mask(self.known, queries, threads)
         patterns = [[word_pattern(chain, self.feature_set) for chain in query.chains] for query in queries]
         flat = [pattern for chains in patterns for pattern in chains]
         tasks = [(piece, pattern) for pattern in flat for piece in self.pieces]
         found = iter(self._search_tasks(tasks, threads))
         ranges = [[self._ranges([next(found) for _ in self.pieces]) for _ in chains] for chains in patterns]
         return [TakeRanges.united(one) for one in ranges]
+
+    def _search_by_mask(self, known: U64, queries: Sequence[KeyframeQuery], threads: int) -> list[TakeRanges]:
+        """Search the takes of each mask by themselves."""
+        parts: list[list[tuple[I64, TakeRanges]]] = [[] for _ in queries]
+        for mask in np.unique(known).tolist():
+            places = np.flatnonzero(known == np.uint64(mask))
+            asked = [restricted_query(query, self.feature_set, mask) for query in queries]
+            own = replace(self, known=None).select(self.take_ids[places])
+            found = iter(own.search([query for query in asked if query is not None], threads))
+            for query, part in zip(asked, parts, strict=True):
+                if query is not None:
+                    part.append((places, next(found)))
+        return [TakeRanges.placed(part, len(self.take_ids)) for part in parts]
 
     @cached_property
     def pieces(self) -> list[tuple[int, int, int]]:
@@ -183,7 +207,7 @@ def _take_ranges(first: I64, places: I64) -> Iterable[tuple[int, int]]:
 def sliced_words(words: TakeWords, feature_set: FeatureSet) -> SlicedWords:
     """Slice words in memory."""
     slices = slice_words(words.words, words.offsets, len(feature_set.features))
-    return SlicedWords(words.take_ids, (Shard(slices, np.arange(len(words))),), feature_set)
+    return SlicedWords(words.take_ids, (Shard(slices, np.arange(len(words))),), feature_set, words.known)
 
 
 def sliced_store(store: Store) -> SlicedWords:
@@ -223,4 +247,7 @@ def _live_takes(store: Store, found: Sequence[ShardSlices]) -> SlicedWords:
     shards = tuple(
         Shard(shard.slices, np.where(shard.live, np.searchsorted(take_ids, shard.take_ids), -1)) for shard in found
     )
-    return SlicedWords(take_ids, shards, store.feature_set)
+    known = None
+    if store.known:
+        known = np.array([store.known.get(take_id, ALL_KNOWN) for take_id in take_ids.tolist()], np.uint64)
+    return SlicedWords(take_ids, shards, store.feature_set, known)

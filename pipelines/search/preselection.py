@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, restricted_query
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranges import TakeRanges, extend_and_unite
 from kinedex.ops.search.preselection import fit_keyframes, template_margins
@@ -155,6 +156,37 @@ def template_ranges(
     """
     margins = [widest_margins(query, template, feature_set) for query in queries]
     return ranges_around([hits[query] for query in queries], margins, offsets)
+
+
+def known_queries(
+    queries: Sequence[KeyframeQuery], margins: Sequence[tuple[int, int]], feature_set: FeatureSet, known: int
+) -> tuple[KeyframeQuery, ...]:
+    """Return those of a template's queries that are applied to takes that know some features only.
+
+    Parameters
+    ----------
+    queries : sequence of KeyframeQuery
+        The queries for whole bodies.
+    margins : sequence of (int, int)
+        The margins of each, which the restricted queries keep: the template is as long as before.
+    feature_set : FeatureSet
+        The features of the queries.
+    known : int
+        The mask of the known features, with the bits of a word.
+
+    Returns
+    -------
+    tuple of KeyframeQuery
+        The queries restricted to what is known; those of which too little is are left out.
+    """
+    found = []
+    for query, own in zip(queries, margins, strict=True):
+        one = restricted_query(query, feature_set, known)
+        if one is not None:
+            found.append(
+                replace(one, margins=own, alternatives=tuple(replace(other, margins=own) for other in one.alternatives))
+            )
+    return tuple(found)
 
 
 def widest_margins(query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet) -> tuple[int, int]:

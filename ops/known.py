@@ -1,0 +1,62 @@
+"""Known features: what templates and keyframes ask of a take whose body lacks joints.
+
+A mask with the bits of a word states which features a take knows. An unknown feature is 0 in its words, and that 0 is
+no evidence: entries of templates and keyframes on it are wildcards for this take, and where too few entries are left,
+template or query are not applied to it at all. The kernels know nothing of masks: takes of the same mask are searched
+together, by templates and queries that are restricted to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.words import NO_WORD, U64
+
+LEAST_KNOWN = 0.6
+"""Templates and queries are not applied to a take that knows a smaller share of their fixed entries."""
+
+
+def known_share(masks: Iterable[int], known: int) -> float:
+    """Return the share of fixed entries that are known; 1 where nothing is fixed.
+
+    Parameters
+    ----------
+    masks : iterable of int
+        The fixed bits of each column or keyframe.
+    known : int
+        The mask of the known features.
+    """
+    fixed = [int(mask) for mask in masks]
+    total = sum(mask.bit_count() for mask in fixed)
+    return sum((mask & known).bit_count() for mask in fixed) / total if total else 1.0
+
+
+def is_applied(masks: Iterable[int], known: int) -> bool:
+    """Return True where enough of the fixed entries are known, see `known_share` and `LEAST_KNOWN`."""
+    return known_share(masks, known) >= LEAST_KNOWN
+
+
+def known_bits(known: int, features: int) -> npt.NDArray[np.bool_]:
+    """Return which of f features are known, bool (f,)."""
+    return np.array([known >> bit & 1 for bit in range(features)], np.bool_)
+
+
+def compacted(words: U64, known: int, features: int) -> U64:
+    """Return words of the known features alone, in their order, shifted together.
+
+    Parameters
+    ----------
+    words : uint64 array (L,)
+        Whole words; `NO_WORD` stays.
+    known : int
+        The mask of the known features.
+    features : int
+        The number of features of whole words.
+    """
+    result = np.zeros(len(words), np.uint64)
+    for place, bit in enumerate(np.flatnonzero(known_bits(known, features)).tolist()):
+        result |= ((words >> np.uint64(bit)) & np.uint64(1)) << np.uint64(place)
+    return np.where(words == NO_WORD, NO_WORD, result)

@@ -1,0 +1,219 @@
+"""Bodies that lack joints: searched, annotated and ranked by what they know, beside whole bodies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kinedex.catalog.classes import load_classes
+from kinedex.catalog.queries.keyframe_query import (
+    Gap,
+    Keyframe,
+    KeyframeQuery,
+    query_share,
+    restricted_query,
+    word_pattern,
+)
+from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.ops.ranking.ranking import rank
+from kinedex.ops.templates.derived_templates import restricted_template
+from kinedex.ops.templates.templates import learn_soft, quantise
+from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
+from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
+from kinedex.pipelines.search.bit_slices import sliced_words
+from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.storage.store.store import Store, open_store
+from tests.oracles import known as naive
+from tests.pipelines.labelled import BODY, POSES, motion, write_store
+
+EVERY = BODY.every_bit
+ARMS = BODY.known(["lknee", "lankle", "ltoes", "rknee", "rankle", "rtoes"])
+MOST = EVERY & ~0b1111_1111  # without F1 to F8
+MASKS = (int(ALL_KNOWN), MOST, ARMS, 0b1111)
+
+QUERIES: tuple[KeyframeQuery, ...] = parse_queries(
+    """
+hands: {keyframes: [{on: [9]}, {off: [10], on: [1]}], gaps: [{range: [1, 9]}]}
+foot: {keyframes: [{off: [26]}, {on: [26, 27, 28]}], gaps: [{range: [1, 20]}]}
+either: {any_of: [{keyframes: [{on: [17]}]}, {keyframes: [{on: [12]}, {off: [5]}], gaps: [{range: [0, 30]}]}]}
+""",
+    BODY,
+)
+
+
+def partial(words: U64, known: int) -> U64:
+    return words & np.uint64(known)
+
+
+def laid_out(takes: list[tuple[U64, int]]) -> TakeWords:
+    offsets = np.cumsum([0, *(len(words) for words, _ in takes)]).astype(np.int64)
+    laid = np.concatenate([np.empty(0, np.uint64), *(partial(words, known) for words, known in takes)])
+    return TakeWords(np.arange(len(takes)), offsets, laid, np.array([known for _, known in takes], np.uint64))
+
+
+def seen(word: int, known: int) -> naive.Seen:
+    return [word >> i & 1 if known >> i & 1 else None for i in range(40)]
+
+
+def entries(mask: int, value: int) -> list[int | None]:
+    return [value >> i & 1 if mask >> i & 1 else None for i in range(40)]
+
+
+@given(takes=st.lists(st.tuples(st.integers(0, 80), st.sampled_from(MASKS)), max_size=6), seed=st.integers(0, 2**32))
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_query_asks_of_each_take_what_it_knows(takes: list[tuple[int, int]], seed: int) -> None:
+    random = np.random.default_rng(seed)
+    few = random.integers(0, 2**40, 4, dtype=np.uint64)
+    given_takes = [(random.choice(few, length), known) for length, known in takes]
+    words = laid_out(given_takes)
+    found = sliced_words(words, BODY).search(QUERIES)
+    for query, ranges in zip(QUERIES, found, strict=True):
+        chains = []
+        for chain in query.chains:
+            pattern = word_pattern(chain, BODY)
+            poses = [entries(*pair) for pair in zip(pattern.masks, pattern.values, strict=True)]
+            chains.append((poses, pattern.gaps))
+        for index, (own, known) in enumerate(given_takes):
+            take = [seen(word, known) for word in own.tolist()]
+            expected = naive.hits(chains, take)
+            assert [tuple(one) for one in ranges.take(index).tolist()] == expected
+
+
+def test_alternatives_of_which_too_little_is_known_are_excluded() -> None:
+    either = QUERIES[2]
+    assert restricted_query(either, BODY, EVERY) is either
+    found = restricted_query(either, BODY, EVERY & ~(1 << 16))
+    assert found is not None
+    assert [chain.keyframes for chain in found.chains] == [either.alternatives[0].keyframes]
+    assert query_share(either, BODY, EVERY & ~(1 << 16)) == 1
+    assert restricted_query(either, BODY, 0b1_0000) is None
+    assert query_share(either, BODY, 0b1_0000) == 1 / 2
+
+
+def template(subclass: str) -> SubclassTemplate:
+    return SubclassTemplate(subclass, "soft", learn_soft([motion(subclass)], 40), ("clip",))
+
+
+def annotator(method: type = ThesisMethod, queries: tuple[KeyframeQuery, ...] = ()) -> Annotator:
+    names = ("kick", "rest", "walk")
+    clips = [motion(name) for name in names]
+    made = [template(name) for name in names]
+    return make_annotator(
+        BODY, made, load_classes("own", names), 0.05, 0.13, queries, method=method, clips=lambda: clips
+    )
+
+
+TAKE = np.concatenate([motion(name) for name in ("rest", "walk", "rest", "kick", "kick", "rest")])
+
+
+@pytest.mark.parametrize("method", [ThesisMethod, BestMethod])
+def test_whole_bodies_are_annotated_as_without_partial_ones_beside_them(method: type) -> None:
+    chosen = annotator(method)
+    alone = TakeWords(np.arange(1), np.array([0, len(TAKE)]), TAKE)
+    (expected,) = annotate_words(chosen, alone, store_curves=True)
+    mixed = laid_out([(TAKE, MOST), (TAKE, int(ALL_KNOWN)), (TAKE, 0b1111)])
+    found = annotate_words(chosen, mixed, store_curves=True)
+    assert found[1].segments == expected.segments
+    np.testing.assert_array_equal(found[1].curves, expected.curves)
+    assert found[1].applied is None
+    # with 32 of 40 features the motions are found where they are, and with 4 nothing is tried
+    assert [(one.class_index, one.start, one.stop) for one in found[0].segments] == [
+        (one.class_index, one.start, one.stop) for one in expected.segments
+    ]
+    assert found[0].applied is not None
+    assert found[0].applied.all()
+    assert found[2].applied is not None
+    assert not found[2].applied.any()
+    assert found[2].segments == ()
+    assert np.isinf(found[2].curves).all()
+    assert not found[2].preselected.any()
+
+
+def test_curves_of_a_partial_body_cost_what_is_known() -> None:
+    chosen = annotator()
+    (found,) = annotate_words(chosen, laid_out([(TAKE, MOST)]), store_curves=True)
+    for s, one in enumerate(chosen.templates):
+        columns = [entries(*pair) for pair in zip(one.mask.tolist(), one.value.tolist(), strict=True)]
+        expected = naive.curve(columns, [seen(word, MOST) for word in partial(TAKE, MOST).tolist()])
+        np.testing.assert_allclose(found.curves[s], expected, atol=1e-6)
+
+
+def test_the_order_of_segments_names_the_right_subclass_where_some_are_not_applied() -> None:
+    chosen = annotator()
+    words = POSES["kick"]
+    fixed = np.bitwise_or.reduce(words ^ words[0])
+    known = EVERY & ~int(fixed)  # of a kick only what never changes
+    few = [s for s, one in enumerate(chosen.templates) if restricted_template(one, known) is not None]
+    (found,) = annotate_words(chosen, laid_out([(TAKE, known)]))
+    assert {one.subclass for one in found.segments} <= set(few)
+    for one in found.segments:
+        assert chosen.class_index[one.subclass] == one.class_index
+
+
+def test_a_template_is_matched_in_all_frames_where_its_query_is_not_applied() -> None:
+    legs = KeyframeQuery(
+        "legs", "kick", (Keyframe("lower", 0xFFF, int(POSES["kick"][0] >> np.uint64(14)) & 0xFFF),), ()
+    )
+    known = EVERY & ~(0x3F << 14)  # half of the query's entries
+    chosen = annotator(queries=(legs,))
+    places = [chosen.subclasses.index("kick"), chosen.subclasses.index("walk")]
+    whole, some = annotate_words(chosen, laid_out([(TAKE, int(ALL_KNOWN)), (TAKE, known)]))
+    assert whole.preselected[places[0]] < 1
+    assert some.preselected[places].tolist() == [1, 1]
+
+
+def test_margins_of_a_restricted_query_are_those_of_the_whole_one() -> None:
+    kick = KeyframeQuery(
+        "kick",
+        "kick",
+        tuple(Keyframe("upper", 0x3FFF, int(word) & 0x3FFF) for word in POSES["kick"][[0, 4]]),
+        (Gap(1, 40),),
+    )
+    chosen = annotator(queries=(kick,))
+    restricted, places = chosen.restricted(EVERY & ~0b111)
+    assert restricted is not None
+    assert places.tolist() == [0, 1, 2]
+    assert restricted.margins == chosen.margins
+    (query,) = restricted.queries[chosen.subclasses.index("kick")]
+    assert [one.mask for one in query.keyframes] == [0x3FF8, 0x3FF8]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    rows = [
+        {"name": f"take_{number}", "actor": "a", "words": partial(TAKE, known), "known": None if number == 1 else known}
+        for number, known in enumerate((MOST, EVERY, 0b1111))
+    ]
+    return open_store(write_store(tmp_path / "store", rows))
+
+
+def test_partial_bodies_are_ranked_by_what_they_know(store: Store) -> None:
+    kick = quantise(template("kick").learned.template, 0.05)
+    found, again = rank_takes(store, [RankedTemplate("kick", kick), RankedTemplate("again", kick)], 0.2)
+    words = store.words()
+    assert words.known is not None
+    assert words.known.tolist() == [MOST, int(ALL_KNOWN), 0b1111]
+    expected = []
+    for take, known in (("take_0", MOST), ("take_1", EVERY)):
+        own = store.words([store.take_id(take)]).words
+        restricted = restricted_template(kick, known)
+        assert restricted is not None
+        hits = rank(restricted, TakeWords(np.arange(1), np.array([0, len(own)]), own), 0.2)
+        expected += list(zip([take] * len(hits), hits.starts.tolist(), hits.stops.tolist(), strict=True))
+    assert sorted((hit.take, hit.start, hit.stop) for hit in found.hits) == sorted(expected)
+    assert (found.frames, found.searched) == (3 * len(TAKE), 2 * len(TAKE))
+    assert found.hits == again.hits
+
+
+def test_only_takes_that_lack_features_have_a_mask(store: Store) -> None:
+    ids = [store.take_id(f"take_{number}") for number in range(3)]
+    assert store.known == {ids[0]: MOST, ids[2]: 0b1111}
+    assert store.words([ids[1]]).known is None
+    assert store.words([ids[2]]).masks == [0b1111]
