@@ -1,0 +1,174 @@
+"""Legs and arms in a tree: pairs of branches alike, and the three nodes of each that bend it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
+
+_LEAST = 0.12  # a limb is at least this share of the way across the whole tree
+_OF_LIMBS = frozenset({*LEG, *ARM, "clavicle", "pelvis side"})
+_NAME_WEIGHT = 4.0  # a named part outweighs a length that is a third off
+_LONGEST = 14  # nodes of a limb that are looked at
+
+
+@dataclass(frozen=True)
+class Limb:
+    """Three nodes of a branch as hip, knee and ankle, or as shoulder, elbow and wrist.
+
+    Attributes
+    ----------
+    path : tuple of int
+        The nodes of the branch, from its first down to its end.
+    nodes : tuple of int
+        The three nodes, from the body outwards.
+    bones : tuple of float
+        The lengths from the body to the first node, between the three, and past the last.
+    names : float
+        How well the names fit, up to 3; negative where they name another limb.
+    shape : float
+        How well the lengths fit; 0 is perfect, and less is worse.
+    """
+
+    path: tuple[int, ...]
+    nodes: tuple[int, int, int]
+    bones: tuple[float, float, float, float]
+    names: float
+    shape: float
+
+    @property
+    def score(self) -> float:
+        """Return the sum of both fits."""
+        return _NAME_WEIGHT * self.names + self.shape
+
+    @property
+    def length(self) -> float:
+        """Return the length of the two bones."""
+        return self.bones[1] + self.bones[2]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two limbs that hang from one node and are alike."""
+
+    at: int
+    first: Limb
+    second: Limb
+
+    @cached_property
+    def likeness(self) -> float:
+        """Return how alike the two are; 0 is perfect, and less is worse."""
+        parts = [
+            abs(math.log(max(a, 1e-9) / max(b, 1e-9)))
+            for a, b in zip(self.first.bones[1:3], self.second.bones[1:3], strict=True)
+        ]
+        return -sum(min(part / 0.15, 4.0) ** 2 / 2 for part in parts)
+
+    @cached_property
+    def score(self) -> float:
+        """Return the score of both limbs and of their likeness."""
+        return self.first.score + self.second.score + self.likeness
+
+    @property
+    def names(self) -> float:
+        """Return how well the names of both fit, up to 3."""
+        return (self.first.names + self.second.names) / 2
+
+    @property
+    def shape(self) -> float:
+        """Return how well the lengths of both fit."""
+        return (self.first.shape + self.second.shape) / 2 + self.likeness / 2
+
+    @property
+    def length(self) -> float:
+        """Return the mean length of their two bones."""
+        return (self.first.length + self.second.length) / 2
+
+
+def limb_pairs(tree: Tree, kind: Sequence[str], most: int = 6) -> list[Pair]:
+    """Return the pairs of branches that may be legs (`LEG`) or arms (`ARM`), the best first."""
+    whole = max((tree.reach[i] for i, parent in enumerate(tree.parents) if parent < 0), default=0.0)
+    found: list[Pair] = []
+    known: dict[int, Limb | None] = {}
+    for at, children in enumerate(tree.children):
+        long = [c for c in children if tree.lengths[c] + tree.reach[c] > _LEAST * whole > 0]
+        for a, b in combinations(long[:24], 2):
+            sides = {tree.names[a].side, tree.names[b].side}
+            if sides not in ({""}, {"l", "r"}):
+                continue
+            near, far = sorted(tree.lengths[c] + tree.reach[c] for c in (a, b))
+            if near < 0.55 * far:
+                continue
+            for top in (a, b):
+                if top not in known:
+                    known[top] = _best_limb(tree, top, kind)
+            first, second = known[a], known[b]
+            if first is not None and second is not None:
+                found.append(_matched(tree, at, first, second, kind))
+    return sorted(found, key=lambda pair: -pair.score)[:most]
+
+
+def _matched(tree: Tree, at: int, first: Limb, second: Limb, kind: Sequence[str]) -> Pair:
+    """Return two limbs as a pair; where they were cut differently, the better cut counts for both if they allow it."""
+    pair = Pair(at, first, second)
+    if pair.likeness < -1.0:
+        for own, other, swapped in ((first, second, False), (second, first, True)):
+            places = [own.path.index(node) for node in own.nodes]
+            if places[2] < len(other.path):
+                twin = _limb(tree, other.path, (places[0], places[1], places[2]), kind)
+                both = Pair(at, twin, own) if swapped else Pair(at, own, twin)
+                pair = max(pair, both, key=lambda one: one.score)
+    return pair
+
+
+def _best_limb(tree: Tree, top: int, kind: Sequence[str]) -> Limb | None:
+    path = tuple(tree.longest_way(top)[:_LONGEST])
+    cuts = combinations(range(len(path)), 3)
+    found = [_limb(tree, path, cut, kind) for cut in cuts]
+    return max(found, key=lambda limb: limb.score, default=None)
+
+
+def _limb(tree: Tree, path: tuple[int, ...], cut: tuple[int, int, int], kind: Sequence[str]) -> Limb:
+    i, j, k = cut
+    steps = [tree.lengths[node] for node in path]
+    before, upper, lower = sum(steps[: i + 1]), sum(steps[i + 1 : j + 1]), sum(steps[j + 1 : k + 1])
+    rest = sum(steps[k + 1 :])
+    nodes = (path[i], path[j], path[k])
+    names = sum(_named(tree, path, at, part, kind) for at, part in zip(cut, kind, strict=True))
+    return Limb(path, nodes, (before, upper, lower, rest), names, _shape(before, upper, lower, rest, kind))
+
+
+def _named(tree: Tree, path: Sequence[int], at: int, part: str, kind: Sequence[str]) -> float:
+    """Return how well the name of one node fits a part: up to 1, and below 0 if it names another one."""
+    name, parts = tree.names[path[at]], tree.parts[path[at]]
+    if part in parts:
+        sure = _only(parts)
+        before = any(part in tree.parts[node] and _only(tree.parts[node]) >= sure for node in path[:at])
+        helper = name.end or name.text.startswith("_")  # `__UpLeg_L` leads from the pelvis to `UpLeg_L`
+        return (1.0 if sure else 0.75) * (0.6 if before else 1.0) * (0.5 if helper else 1.0)
+    if not parts:
+        return 0.0
+    limb = [other for other in parts if other in (*LEG, *ARM)]
+    return -1.0 if limb and not any(other in kind for other in limb) else -0.5
+
+
+def _only(parts: tuple[str, ...]) -> bool:
+    """Return whether a name means one part of a limb only."""
+    return len({part for part in parts if part in _OF_LIMBS}) == 1
+
+
+def _shape(before: float, upper: float, lower: float, rest: float, kind: Sequence[str]) -> float:
+    """Return how well the lengths of a limb fit a human's; 0 is perfect, and less is worse."""
+    if min(upper, lower) <= 0:
+        return -20.0
+    whole = upper + lower
+    arm = tuple(kind) == ARM
+    score = -((math.log(upper / lower) / 0.25) ** 2) / 2
+    score -= (max(before / whole - (0.75 if arm else 0.4), 0.0) / 0.12) ** 2 / 2
+    score -= (max(rest / whole - (0.5 if arm else 0.5), 0.0) / 0.1) ** 2 / 2
+    score -= 0.3 if not arm and rest < 0.02 * whole else 0.0
+    return max(score, -10.0)

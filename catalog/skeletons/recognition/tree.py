@@ -1,0 +1,138 @@
+"""The tree of a file's nodes with what recognition asks of it: lengths, reach, and the parts that names may mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.recognition.names import NodeName, Vocabulary, normal_names
+
+F64 = npt.NDArray[np.float64]
+
+LEG = ("thigh", "calf", "foot")
+ARM = ("upperarm", "forearm", "hand")
+FINGERS = ("middle", "index", "ring", "finger", "little", "thumb")
+ASIDE = frozenset({"helper", "face", "cloth", "animal"})
+"""Parts that no named joint is made of."""
+
+_CORE = frozenset({*LEG, *ARM, "clavicle", "neck", "head", "hips", "spine"})
+
+
+@dataclass(frozen=True)
+class Tree:
+    """The nodes of one body as a tree.
+
+    Attributes
+    ----------
+    names : tuple of NodeName
+        The names of N nodes.
+    parts : tuple of tuple of str
+        The parts of the body that each name may mean; empty for names that no vocabulary knows.
+    parents : tuple of int
+        −1 for a root.
+    children : tuple of tuple of int
+        The children of each node, without branches that are no part of a limb (twists, faces, clothes).
+    places : float64 array (N, 3, K)
+        Where the nodes are in the sampled frames.
+    rest : float64 array (N, 3)
+        Where they are in the rest pose.
+    lengths : tuple of float
+        The distance of each node from its parent, 0 for a root.
+    reach : tuple of float
+        The longest way down from each node.
+    """
+
+    names: tuple[NodeName, ...]
+    parts: tuple[tuple[str, ...], ...]
+    parents: tuple[int, ...]
+    children: tuple[tuple[int, ...], ...]
+    places: F64
+    rest: F64
+    lengths: tuple[float, ...]
+    reach: tuple[float, ...]
+
+    def ancestors(self, node: int) -> list[int]:
+        """Return a node and all above it, the root last."""
+        path = [node]
+        while self.parents[path[-1]] >= 0:
+            path.append(self.parents[path[-1]])
+        return path
+
+    def way(self, above: int, below: int) -> list[int]:
+        """Return the nodes from one down to another, both included; empty if the other does not hang from it."""
+        path = [below]
+        while path[-1] != above:
+            if self.parents[path[-1]] < 0:
+                return []
+            path.append(self.parents[path[-1]])
+        return path[::-1]
+
+    def longest_way(self, node: int) -> list[int]:
+        """Return the nodes from one down to the end that is farthest along the bones."""
+        path = [node]
+        while self.children[path[-1]]:
+            path.append(max(self.children[path[-1]], key=lambda child: self.lengths[child] + self.reach[child]))
+        return path
+
+    def below(self, node: int) -> list[int]:
+        """Return a node and all below it, parents first."""
+        found = [node]
+        for other in found:
+            found.extend(self.children[other])
+        return found
+
+    def distance(self, a: int, b: int) -> float:
+        """Return the median distance of two nodes."""
+        return float(np.median(np.linalg.norm(self.places[a] - self.places[b], axis=0)))
+
+
+def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
+    """Build the tree of a file's nodes.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Nodes with `parents`.
+    vocabulary : Vocabulary
+        The names of parts.
+    """
+    assert evidence.parents is not None
+    parents = evidence.parents
+    count = len(parents)
+    names = normal_names(evidence.names, vocabulary)
+    parts = tuple(vocabulary.parts(name) for name in names)
+    above = np.array(parents, dtype=np.intp)
+    offsets = np.zeros((count, 3)) if evidence.offsets is None else evidence.offsets
+    rest = np.zeros((count, 3))
+    for i, parent in enumerate(parents):
+        rest[i] = offsets[i] + (rest[parent] if parent >= 0 else 0.0)
+    places = evidence.places if evidence.places.shape[2] else rest[:, :, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        far = np.median(np.linalg.norm(places - places[above], axis=1), axis=1)
+    lengths = np.where(above < 0, 0.0, np.nan_to_num(far, nan=0.0, posinf=0.0)).tolist()
+    used = _used(parts, parents)
+    children: list[list[int]] = [[] for _ in range(count)]
+    reach = [0.0] * count
+    for i in range(count - 1, -1, -1):
+        parent = parents[i]
+        if parent >= 0 and used[i]:
+            children[parent].insert(0, i)
+            reach[parent] = max(reach[parent], lengths[i] + reach[i])
+    return Tree(names, parts, parents, tuple(map(tuple, children)), places, rest, tuple(lengths), tuple(reach))
+
+
+def _used(parts: tuple[tuple[str, ...], ...], parents: tuple[int, ...]) -> list[bool]:
+    """Return whether each node may be part of a limb: it is none of the others, or a node below it has a core name."""
+    used = [True] * len(parts)
+    core = [False] * len(parts)
+    for i in range(len(parts) - 1, -1, -1):
+        core[i] = core[i] or bool(_CORE & set(parts[i]))
+        used[i] = core[i] or not ASIDE & set(parts[i])
+        if core[i] and parents[i] >= 0:
+            core[parents[i]] = True
+    for i, parent in enumerate(parents):
+        used[i] = used[i] and (parent < 0 or used[parent])
+    return used
