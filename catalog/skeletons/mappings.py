@@ -18,6 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
 from kinedex.ops.errors import SourceError, did_you_mean
 
@@ -86,6 +88,12 @@ class Mappings:
 
     of_format: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Return the named joints that the mappings define."""
+        first = next((mappings[0] for mappings in self.of_format.values() if mappings), None)
+        return tuple(JOINT_PARENTS) if first is None else tuple(first.joints)
+
     def digest(self, form: Format) -> str:
         """Return a hash of the mappings of one format, on which the takes read with them depend."""
         return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
@@ -121,6 +129,8 @@ class Mappings:
         best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
         if len(best) == 1:
             return best[0]
+        if evidence is not None and evidence.parents is not None and not best:
+            return recognise_tree(source, evidence, self.joints, form)
         way_out = "give one by `skeleton`, a shipped name or a .yaml file of your own"
         if best:
             names = ", ".join(f"'{fit.mapping.name}'" for fit in best)

@@ -180,6 +180,19 @@ class SkeletonMapping:
         return fit.apply(positions, joints)
 
 
+def axes_of_up(up: str, mirrored: bool = False) -> F64:
+    """Return the rotation (3, 3) that takes a vertical axis, such as "z" or "-y", to +Y.
+
+    The next axis in cyclic order becomes +Z, which keeps the three right-handed; the hips determine where a body faces.
+    Left-handed axes (`mirrored`) are reflected at the plane of these two.
+    """
+    index, sign = "xyz".index(up[-1]), -1.0 if up[0] == "-" else 1.0
+    axes: F64 = np.eye(3)[[(index + 2) % 3, index, (index + 1) % 3]]
+    axes[1:] *= sign
+    axes[0] *= -1.0 if mirrored else 1.0
+    return axes
+
+
 @dataclass(frozen=True)
 class Fit:
     """A mapping laid over one skeleton.
@@ -258,9 +271,7 @@ class Fit:
         mapping = self.mapping
         if up is None or not mapping.screen or np.array_equal(mapping.axes[1], np.eye(3)["xyz".index(up)]):
             return self
-        index = "xyz".index(up)
-        # The next two axes in cyclic order keep the three right-handed; the hips determine the facing direction.
-        return replace(self, mapping=replace(mapping, axes=np.eye(3)[[(index + 2) % 3, index, (index + 1) % 3]]))
+        return replace(self, mapping=replace(mapping, axes=axes_of_up(up)))
 
     def check(self, source: str | Path, way_out: str = "") -> None:
         """Raise a SourceError that names `source`, the first node that is missing, if there is one, and a way out."""

@@ -16,7 +16,8 @@ ARM_TO_LEG = 0.68
 TRUNK_TO_LEG = 0.6
 """The way from between the hips to between the shoulders as a share of thigh and calf, in the same skeletons."""
 
-_NAMED = 1.5  # of 3: two parts of a limb are named
+_NAMED = 2.2  # of 3: the parts of a limb are named
+_UNLIKELY = -4.0
 _HEAD = ("neck", "head", "headtop")
 
 
@@ -53,16 +54,14 @@ class Anatomy:
 
 
 def find_anatomies(tree: Tree) -> list[Anatomy]:
-    """Return the bodies that a tree may be, the best first: whole ones, and parts of ones where names leave no doubt."""
+    """Return the bodies that a tree may be, the best first: whole ones, and halves whose names leave no doubt."""
     legs, arms = limb_pairs(tree, LEG), limb_pairs(tree, ARM)
     found = [
         body for leg in legs for arm in arms if _apart(tree, leg, arm) and (body := _whole(tree, leg, arm)) is not None
     ]
     if not any(body.score > -6.0 for body in found):
         for kind, pairs in (("legs", legs), ("arms", arms)):
-            for pair in pairs:
-                if pair.names >= 2 * _NAMED * 0.75 and pair.shape > -4.0:
-                    found.append(_part(tree, pair, kind))
+            found += [_part(tree, pair, kind) for pair in pairs if pair.names >= _NAMED and pair.shape > _UNLIKELY]
     return sorted(found, key=lambda body: -body.score)
 
 
@@ -128,8 +127,9 @@ def _trunk_and_head(
         for child in tree.children[node]
         if child not in limbs and child not in line and child != legs.at and not tree.names[child].side
     ]
-    best = max(branches, key=lambda pair: _head_score(tree, *pair, line, legs), default=None)
-    if best is None or _head_score(tree, *best, line, legs) <= 0:
+    scores = [_head_score(tree, at, child, line, legs) for at, child in branches]
+    best = branches[int(np.argmax(scores))] if max(scores, default=0.0) > 0 else None
+    if best is None:
         # The arms may hang from the neck itself.
         neck = next((i for i, node in enumerate(line) if i and set(tree.parts[node]) & {"neck", "head"}), len(line))
         return _from_hips(hips, common, line[:neck]), tuple(line[neck:])

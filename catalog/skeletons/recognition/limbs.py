@@ -150,6 +150,8 @@ def _named(tree: Tree, path: Sequence[int], at: int, part: str, kind: Sequence[s
         before = any(part in tree.parts[node] and _only(tree.parts[node]) >= sure for node in path[:at])
         helper = name.end or name.text.startswith("_")  # `__UpLeg_L` leads from the pelvis to `UpLeg_L`
         return (1.0 if sure else 0.75) * (0.6 if before else 1.0) * (0.5 if helper else 1.0)
+    if any(part in tree.parts[node] and _only(tree.parts[node]) and not tree.names[node].end for node in path):
+        return -1.0  # another node of the branch has the name
     if not parts:
         return 0.0
     limb = [other for other in parts if other in (*LEG, *ARM)]
@@ -169,6 +171,6 @@ def _shape(before: float, upper: float, lower: float, rest: float, kind: Sequenc
     arm = tuple(kind) == ARM
     score = -((math.log(upper / lower) / 0.25) ** 2) / 2
     score -= (max(before / whole - (0.75 if arm else 0.4), 0.0) / 0.12) ** 2 / 2
-    score -= (max(rest / whole - (0.5 if arm else 0.5), 0.0) / 0.1) ** 2 / 2
+    score -= (max(rest / whole - 0.5, 0.0) / 0.1) ** 2 / 2
     score -= 0.3 if not arm and rest < 0.02 * whole else 0.0
     return max(score, -10.0)

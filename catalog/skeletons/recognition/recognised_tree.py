@@ -1,0 +1,324 @@
+"""Recognition of the body in a skeleton tree that no mapping fits by its names."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.recognition.anatomy import (
+    ARM_TO_LEG,
+    TRUNK_TO_LEG,
+    Anatomy,
+    find_anatomies,
+    trunk_length,
+)
+from kinedex.catalog.skeletons.recognition.limbs import Limb
+from kinedex.catalog.skeletons.recognition.named_joints import JointMixes, joint_mixes, leg_length
+from kinedex.catalog.skeletons.recognition.names import Vocabulary, load_vocabulary
+from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
+from kinedex.catalog.skeletons.recognition.sides import Sides, find_sides
+from kinedex.catalog.skeletons.recognition.tree import Tree, build_tree
+from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
+from kinedex.ops.body.up_axis import up_axis
+from kinedex.ops.errors import SourceError
+
+F64 = npt.NDArray[np.float64]
+
+LEAST_CONFIDENCE = 0.35
+"""A body that is recognised with less is refused."""
+
+NAME = "recognised"
+"""The name of a mapping that recognition makes."""
+
+_UNNAMED = 0.6  # the confidence of a body of perfect proportions without any name
+_LEAD = 1.0  # the score by which a nameless body must surpass the next one
+_WHOLE_NAMES = 0.6  # the share of named parts above which names leave no choice
+
+
+def recognise_tree(
+    source: str | Path,
+    evidence: Evidence,
+    joints: Sequence[str],
+    form: Format = "bvh",
+    vocabulary: Vocabulary | None = None,
+) -> Fit:
+    """Recognise the body in a skeleton tree by its names, structure and geometry.
+
+    Parameters
+    ----------
+    source : path
+        The file that errors name.
+    evidence : Evidence
+        Nodes with `parents`, and their places in some frames.
+    joints : sequence of str
+        The named joints wanted; a joint that the body lacks is unknown.
+    form : str, optional
+        The format of the mapping that is made.
+    vocabulary : Vocabulary, optional
+        The names of parts, `configs/names/joints.yaml` by default.
+
+    Returns
+    -------
+    Fit
+        A mapping made for this file, with `confidence`, `reasons` and `estimated`.
+
+    Raises
+    ------
+    SourceError
+        If there is no human body (`not human`), only a part of one that cannot be used (`incomplete`), or several that
+        fit equally well (`ambiguous`).
+    """
+    fit, fault = _recognised(evidence, joints, form, vocabulary or load_vocabulary("joints"), Path(source))
+    if fault:
+        raise SourceError(
+            source,
+            f"no skeleton mapping fits its names, and no body is recognised: {fault}; `kinedex mapping new` writes a "
+            "mapping with what was found, to be edited and given by `skeleton`",
+        )
+    return fit
+
+
+def propose_tree(
+    evidence: Evidence, joints: Sequence[str], form: Format = "bvh", vocabulary: Vocabulary | None = None
+) -> Fit:
+    """Return the best fit to a skeleton tree, however bad it is: a proposal for a person to edit.
+
+    Parameters
+    ----------
+    evidence, joints, form, vocabulary
+        As for `recognise_tree`.
+    """
+    return _recognised(evidence, joints, form, vocabulary or load_vocabulary("joints"), Path())[0]
+
+
+def _recognised(
+    evidence: Evidence, joints: Sequence[str], form: Format, vocabulary: Vocabulary, source: Path
+) -> tuple[Fit, str]:
+    """Return the best fit, and why it cannot be used; an empty text if it can."""
+    tree = build_tree(evidence, vocabulary)
+    places = {name: i for i, name in enumerate(evidence.names)}
+    bodies = find_anatomies(tree)
+    if not bodies:
+        return _fit(JointMixes(), evidence, joints, form, source, places, False), _missing_parts(tree)
+    body = bodies[0]
+    sides = find_sides(tree, body)
+    found = joint_mixes(tree, body, sides)
+    fit = _fit(found, evidence, joints, form, source, places, sides.mirrored)
+    fit, up_reason, up_sure = _upright(fit, tree, evidence)
+    fit = replace(fit, mapping=replace(fit.mapping, root_axes=_root_axes(tree, body, sides, fit.mapping.axes)))
+    confidence = _confidence(tree, body, sides) * (1.0 if up_sure else 0.9)
+    fault = _fault(tree, bodies, confidence)
+    reasons = (*_reasons(tree, body, sides), up_reason)
+    fit = replace(fit, estimated=found.estimated, reasons=reasons, confidence=round(confidence, 3))
+    digest = hashlib.sha256(mapping_yaml(fit).encode()).hexdigest()[:16]
+    return replace(fit, mapping=replace(fit.mapping, digest=digest)), fault
+
+
+def _fit(
+    found: JointMixes,
+    evidence: Evidence,
+    joints: Sequence[str],
+    form: Format,
+    source: Path,
+    places: Mapping[str, int],
+    mirrored: bool,
+) -> Fit:
+    """Return the mapping of some joints, laid over the nodes; the other joints are unknown."""
+    mixes: dict[str, tuple[Mix | None, ...]] = {joint: (found.mixes.get(joint),) for joint in joints}
+    axes = axes_of_up(evidence.up or "y", mirrored)
+    mapping = SkeletonMapping(
+        name=NAME,
+        path=source,
+        digest="",
+        format=form,
+        unit_m=evidence.unit_m,
+        axes=axes,
+        root_axes=axes,
+        strip_prefix=None,
+        bones={},
+        joints=mixes,
+    )
+    return replace(mapping.fit(places), reasons=("no body is recognised",), confidence=0.0)
+
+
+def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
+    """Return the fit with the vertical axis that the file states or the body shows, in words, and whether surely."""
+    if evidence.up is not None:
+        return fit, f"{evidence.up} is up, as the file states", True
+    judged = up_axis(*joint_places(fit, tree.places, tree.rest))
+    if not judged.axis:
+        return fit, "no axis is clearly up (" + "; ".join(judged.reasons) + "): y is taken", False
+    mirrored = np.linalg.det(fit.mapping.axes) < 0
+    axes = axes_of_up(judged.axis, bool(mirrored))
+    mapping = replace(fit.mapping, axes=axes, root_axes=axes)
+    return replace(fit, mapping=mapping), f"{judged.axis} is up: " + "; ".join(judged.reasons), True
+
+
+def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
+    """Return the axes of the root node in the rest pose, each the nearest of the file's; `axes` if unclear."""
+    if sides.legs is None or not (body.trunk[1:] or body.head):
+        return axes
+    across = tree.rest[sides.legs[0].nodes[0]] - tree.rest[sides.legs[1].nodes[0]]
+    ways = [tree.rest[node] - tree.rest[body.hips] for node in (*body.trunk[1:], *body.head)]
+    up = next((way for way in ways if np.linalg.norm(way) > 0.02 * leg_length(body)), np.zeros(3))
+    found = np.zeros((3, 3))
+    for row, vector in ((0, across), (1, up)):
+        index = int(np.argmax(np.abs(vector)))
+        if abs(vector[index]) <= 0.8 * float(np.linalg.norm(vector)) or not vector[index]:
+            return axes
+        found[row, index] = np.sign(vector[index])
+    hand = np.sign(np.linalg.det(axes))
+    found[2] = hand * np.cross(found[0], found[1])
+    return found if abs(np.linalg.det(found)) > 0.5 else axes
+
+
+def joint_places(fit: Fit, places: F64, rest: F64 | None) -> tuple[dict[str, F64], dict[str, F64] | None]:
+    """Return the known joints in sampled frames, (3, K) each, and in the rest pose, (3,) each, in the file's axes.
+
+    Parameters
+    ----------
+    fit : Fit
+        The mapping over the nodes.
+    places : float64 array (N, 3, K)
+        The nodes in sampled frames.
+    rest : float64 array (N, 3), optional
+        The nodes in the rest pose.
+    """
+    axes = np.diag([np.sign(np.linalg.det(fit.mapping.axes)), 1.0, 1.0])  # keeps the side to which `aside` leads
+    plain = replace(fit, mapping=replace(fit.mapping, axes=axes))
+    known = tuple(joint for joint in fit.joints if joint not in fit.unknown)
+
+    def apply(nodes: F64) -> dict[str, F64]:
+        placed = np.einsum("ab,jbt->jat", axes, plain.apply(nodes, known)) if known else np.empty((0, 3, 1))
+        return dict(zip(known, placed, strict=True))
+
+    resting = None if rest is None else {joint: place[:, 0] for joint, place in apply(rest[:, :, None]).items()}
+    return apply(places), resting
+
+
+def _confidence(tree: Tree, body: Anatomy, sides: Sides) -> float:
+    """Return from 0 to 1 how surely this is a human body whose joints are these."""
+    pairs = [pair for pair in (body.legs, body.arms) if pair is not None]
+    shape = sum(pair.shape for pair in pairs) / len(pairs) + _proportions(tree, body)
+    names = max(body.names, 0.0)
+    surely = math.exp(shape / 8.0) * (_UNNAMED + (1.0 - _UNNAMED) * names)
+    if sides.mirrored or sides.crossed:
+        surely *= 0.6
+    elif not sides.named and abs(sides.facing) < 0.5:
+        surely *= 0.5
+    if body.legs is None or body.arms is None:
+        surely *= 0.8
+    return min(surely, 0.99)
+
+
+def _proportions(tree: Tree, body: Anatomy) -> float:
+    """Return how well arms and trunk fit the legs; 0 is perfect, and less is worse."""
+    if body.legs is None or body.arms is None:
+        return 0.0
+    arms = math.log(body.arms.length / body.legs.length / ARM_TO_LEG) / 0.3
+    trunk = math.log(max(trunk_length(tree, body.legs, body.arms) / body.legs.length, 1e-3) / TRUNK_TO_LEG) / 0.4
+    return -(arms**2 + trunk**2) / 2
+
+
+def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float) -> str:
+    """Return why the best body cannot be used; an empty text if it can."""
+    body = bodies[0]
+    if _on_four_legs(tree, body):
+        return "not human (its trunk lies between four legs)"
+    tails = [i for i, parts in enumerate(tree.parts) if "animal" in parts and not tree.names[i].end]
+    if tails and _proportions(tree, body) < -1.0:
+        return f"not human (it has '{tree.names[tails[0]].text}', and its proportions are no human's)"
+    if body.names < _WHOLE_NAMES and len(bodies) > 1 and body.score - bodies[1].score < _LEAD:
+        one, other = (_in_words(tree, pair) for pair in bodies[:2])
+        return f"ambiguous (the limbs may be {one}, or {other})"
+    if confidence < LEAST_CONFIDENCE:
+        kind = "ambiguous" if body.names > _WHOLE_NAMES else "not human"
+        return f"{kind} (the nearest body, {_in_words(tree, body)}, has a confidence of {confidence:.2f})"
+    return ""
+
+
+def _on_four_legs(tree: Tree, body: Anatomy) -> bool:
+    """Return whether the arms are legs as well: as long, parallel to them, and across from a level trunk."""
+    if body.legs is None or body.arms is None or body.arms.length < 0.85 * body.legs.length:
+        return False
+    hips, ankles = _middle(tree, body, 0)
+    shoulders, wrists = _middle(tree, body, 1)
+    legs, arms, trunk = ankles - hips, wrists - shoulders, shoulders - hips
+    level = np.abs(_cosine(legs, trunk)) < 0.6
+    return bool(np.mean(level & (_cosine(legs, arms) > 0.7)) > 0.7)
+
+
+def _middle(tree: Tree, body: Anatomy, which: int) -> tuple[F64, F64]:
+    """Return the middle of the first and of the last nodes of the legs (0) or the arms (1), (3, K) each."""
+    pair = (body.legs, body.arms)[which]
+    assert pair is not None
+    near, far = ((tree.places[pair.first.nodes[i]] + tree.places[pair.second.nodes[i]]) / 2 for i in (0, 2))
+    return near, far
+
+
+def _cosine(a: F64, b: F64) -> F64:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((a * b).sum(axis=0) / (np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)))
+
+
+def _missing_parts(tree: Tree) -> str:
+    """Return why no body is found at all."""
+    named = {part for parts in tree.parts for part in parts}
+    limbs = named & {"thigh", "calf", "foot", "upperarm", "forearm", "hand"}
+    if len(limbs) >= 3:
+        return "incomplete (there are limbs, but no two legs or two arms alike)"
+    return "not human (no two legs and no two arms in its tree)"
+
+
+def _in_words(tree: Tree, body: Anatomy) -> str:
+    pairs = [pair for pair in (body.legs, body.arms) if pair is not None]
+    return " with ".join(f"{_limb(tree, pair.first)} and {_limb(tree, pair.second)}" for pair in pairs)
+
+
+def _limb(tree: Tree, limb: Limb) -> str:
+    return "–".join(tree.names[node].text for node in limb.nodes)
+
+
+def _reasons(tree: Tree, body: Anatomy, sides: Sides) -> tuple[str, ...]:
+    """Return sentences on what was recognised, and by what."""
+    found = []
+    for called, limbs in (("legs", sides.legs), ("arms", sides.arms)):
+        if limbs is not None:
+            found.append(f"{called}: left {_limb(tree, limbs[0])}, right {_limb(tree, limbs[1])}")
+        else:
+            found.append(f"no {called}")
+    if body.trunk:
+        trunk = "–".join(tree.names[node].text for node in (*body.trunk, *body.head))
+        found.append(f"trunk and head: {trunk}")
+    found.append(f"names state {100 * max(body.names, 0):.0f} % of the parts of the limbs")
+    if body.legs is not None and body.arms is not None:
+        arms = body.arms.length / body.legs.length
+        trunk_share = trunk_length(tree, body.legs, body.arms) / body.legs.length
+        found.append(
+            f"arms are {arms:.2f} and the trunk is {trunk_share:.2f} of the legs (a human's: {ARM_TO_LEG} and "
+            f"{TRUNK_TO_LEG})"
+        )
+    found.append(_sides_in_words(sides))
+    return tuple(found)
+
+
+def _sides_in_words(sides: Sides) -> str:
+    if sides.crossed:
+        return "the left leg and the left arm, by their names, lie on different sides"
+    if sides.mirrored:
+        return (
+            f"what names call left lies on the right by feet and knees ({sides.facing:+.2f}): the file's axes are "
+            "taken for left-handed"
+        )
+    seen = f"{sides.facing:+.2f} of 1"
+    if sides.named:
+        agree = "agree" if sides.facing > 0.5 else "show nothing clear"
+        return f"left and right by names; feet and knees {agree} ({seen})"
+    return f"left and right by feet and knees ({seen}); names state no side"
