@@ -7,8 +7,6 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Literal
 
 import pyarrow as pa
 
@@ -19,15 +17,14 @@ from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugi
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
+from kinedex.pipelines.ingestion.known_files import FileContent, KnownFile, KnownFiles, Row, file_name
 from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
+from kinedex.pipelines.ingestion.take_names import Naming, TakeNames, file_names, person_name
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body, readers_by_ending
-from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups
+from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
+from kinedex.storage.formats.motion.sources import Scan, SourceFile, path_groups
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
-
-Naming = Literal["stem", "path", "file"]
-"""The name of a take: the stem of its file, its path without the ending, or with it."""
 
 
 @dataclass(frozen=True)
@@ -38,30 +35,42 @@ class Changes:
     ----------
     tasks : list of Task
         The files to read, in the order of their take ids.
-    unchanged : int
-        The number of unchanged files.
+    unchanged : dict of str to KnownFile
+        Path → the file that the store has takes of, for the files that need not be read.
     damaged : list of int
         The ids of takes whose part of the store is damaged.
     restated : list of dict
         New rows of unchanged takes whose file has another place or time.
     gone : list of int
         The ids of takes without a file.
+    surplus : list of int
+        The ids of takes of persons whom their unchanged files do not hold.
     renamed : list of (int, str, str)
         Id, old and new name of takes whose file would get another name.
     failures : list of Failure
         Files that cannot be read or named.
     skeletons : pyarrow.Table
         Rows of `skeleton_files`.
+    names : TakeNames
+        The names of all takes, for those of persons to be added.
+    known : dict of str to KnownFile
+        Path → the file that the store has takes of.
+    by_path : dict of str to str
+        Path → name of new files that are named by their paths, since others have the same stem.
     """
 
     tasks: list[Task]
-    unchanged: int
+    unchanged: dict[str, KnownFile]
     damaged: list[int]
-    restated: list[dict[str, Any]]
+    restated: list[Row]
     gone: list[int]
+    surplus: list[int]
     renamed: list[tuple[int, str, str]]
     failures: list[Failure]
     skeletons: pa.Table
+    names: TakeNames
+    known: dict[str, KnownFile]
+    by_path: dict[str, str]
 
 
 def compare(
@@ -75,7 +84,8 @@ def compare(
 ) -> Changes:
     """Compare a source with a store, by size and time; only files that seem to be changed are read for it.
 
-    A file whose take lies in a damaged part of the store counts as changed.
+    A file is known by its place, whose takes keep their names, or by its content where it was moved. A file whose take
+    lies in a damaged part of the store counts as changed.
 
     Parameters
     ----------
@@ -91,54 +101,145 @@ def compare(
         The rule for the names of takes.
     patterns : sequence of str
         Regular expressions for paths, whose named groups become columns.
-    given : Given
+    given : ReadSettings
         Settings of the user for reading files.
     """
-    known = {row["name"]: row for row in writer.store.takes().iter_rows(named=True)}
+    work = _Comparison(writer, found, naming)
+    work.find_files()
+    work.name_files()
     damaged = {take for part in damaged_frames(writer.store) for take in part.live}
     compiled = [re.compile(pattern) for pattern in patterns]
     made_by = recipes(feature_set, mappings, given)
     skeleton_sums = SkeletonSums(writer.store.result("skeleton_files"))
-    tasks: list[Task] = []
-    restated: list[dict[str, Any]] = []
-    failures = [refusal(refused) for refused in found.refused]
-    unchanged = 0
-    former = {found.motions[0].root}  # the roots of this archive, now and before it was moved
-    names: dict[str, list[str]] = {}
     for motion in found.motions:
-        names.setdefault(_name(naming, motion), []).append(motion.path)
-    for motion in found.motions:
-        name = _name(naming, motion)
-        if len(names[name]) > 1:
-            failures.append(failure(motion, _namesake(name, motion, names[name]), clash=name))
+        if motion.path not in work.names:
             continue
         try:
             skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
             made = recipe_of(made_by[motion.format], of_skeleton, groups)
-            row = known.get(name)
-            read_so = row is not None and row["recipe"] == made and row["take_id"] not in damaged
-            if row is not None and _moved(row, motion):
-                former.add(row["source_root"])
-            elif row is not None and read_so and _same_content(row, motion):
-                unchanged += 1
-                restated += _restated(row, motion)
+            if work.is_unchanged(motion, made, damaged):
                 continue
-            elif row is not None and not _same_place(row, motion) and not _same_content(row, motion):
-                raise _stranger(row, motion)
             warnings = () if groups is not None or not compiled else ("its path matches no pattern of the config",)
-            tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
+            name = work.names[motion.path]
+            work.tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
         except SourceError as fault:
-            failures.append(failure(motion, fault))
-    ids = writer.assign_take_ids(task.name for task in tasks)
-    tasks = sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
-    absent = (row for name, row in known.items() if name not in names and row["source_root"] in former)
-    vanished = [row for row in absent if not found.hidden(row["source"])]
-    called = {path: name for name, paths in names.items() for path in paths}
-    renamed = [(row["take_id"], row["name"], called[row["source"]]) for row in vanished if row["source"] in called]
-    gone = [row["take_id"] for row in vanished if row["source"] not in called]
-    return Changes(tasks, unchanged, sorted(damaged), restated, gone, renamed, failures, skeleton_sums.table())
+            work.failures.append(failure(motion, fault))
+    return work.result(sorted(damaged), skeleton_sums.table())
+
+
+class _Comparison:
+    """The comparison of a source with a store on its way."""
+
+    def __init__(self, writer: StoreWriter, found: Scan, naming: Naming) -> None:
+        self.writer = writer
+        self.found = found
+        self.naming = naming
+        self.root = found.motions[0].root
+        self.files = KnownFiles(writer.store.take_rows.to_pylist())
+        self.known: dict[str, KnownFile] = {}
+        self.places: set[tuple[str, str]] = set()
+        self.contents = {motion.path: FileContent(motion) for motion in found.motions}
+        self.motions = list(found.motions)
+        self.names: dict[str, str] = {}
+        self.take_names = TakeNames(naming, {})
+        self.by_path: dict[str, str] = {}
+        self.tasks: list[Task] = []
+        self.unchanged: dict[str, KnownFile] = {}
+        self.restated: list[Row] = []
+        self.surplus: list[int] = []
+        self.renamed: list[tuple[int, str, str]] = []
+        self.failures = [refusal(refused) for refused in found.refused]
+
+    def find_files(self) -> None:
+        """Find the files of the source among those that the store has takes of, by place first, then by content."""
+        refused: set[str] = set()
+        for motion in self.found.motions:
+            if (file := self.files.at_place(motion)) is not None:
+                self.known[motion.path] = file
+        self.places = {file.place for file in self.known.values()}
+        for motion in self.found.motions:
+            if motion.path in self.known:
+                continue
+            try:
+                content = self.contents[motion.path]
+                file = self.files.of_same_content(content, file_names(self.naming, motion.path), self.places)
+            except SourceError as fault:
+                self.failures.append(failure(motion, fault))
+                refused.add(motion.path)
+                continue
+            if file is not None and self._keeps_names(file):
+                self.known[motion.path] = file
+                self.places.add(file.place)
+        self.motions = [motion for motion in self.found.motions if motion.path not in refused]
+
+    def name_files(self) -> None:
+        """Name the files; those that the store knows keep their names, unless the rule for names has changed."""
+        paths = {file.place: path for path, file in self.known.items()}
+        owners = {row["name"]: paths.get(file.place, "") for file in self.files for row in file.rows}
+        keep = {path: file.name for path, file in self.known.items() if self._keeps_names(file)}
+        names = TakeNames(self.naming, owners)
+        self.names = names.add_files([motion.path for motion in self.motions], keep)
+        self.take_names = names
+        for motion in self.motions:
+            path = motion.path
+            if path not in self.names:
+                self.failures.append(failure(motion, _no_name(motion)))
+            elif path not in self.known and self.names[path] != file_names(self.naming, path)[0]:
+                self.by_path[path] = self.names[path]
+        for path, file in list(self.known.items()):
+            if path in keep or path not in self.names:
+                continue
+            name = self.names[path]
+            rows = tuple(row for row in file.rows if file_name(row) == name)
+            self.known.pop(path)
+            if rows:
+                self.known[path] = replace(file, rows=rows)
+            others = (row for row in file.rows if row not in rows)
+            self.renamed += [
+                (row["take_id"], row["name"], person_name(name, row.get("person") or "")) for row in others
+            ]
+
+    def _keeps_names(self, file: KnownFile) -> bool:
+        """Return whether the takes of a file were named by the rule of this ingest, or as it would name them."""
+        source = self.writer.manifest.sources.get(file.root)
+        same_rule = source is not None and source.settings.get("name") == self.naming
+        return same_rule or file.name == file_names(self.naming, file.path)[0]
+
+    def is_unchanged(self, motion: SourceFile, recipe: str, damaged: set[int]) -> bool:
+        """Return whether a file need not be read, and note what its takes change nevertheless."""
+        file = self.known.get(motion.path)
+        rows = file.current_rows(self.contents[motion.path], recipe, damaged) if file is not None else ()
+        if file is None or not rows:
+            return False
+        self.unchanged[motion.path] = file
+        self.restated += file.rows_at(motion, rows)
+        self.surplus += [row["take_id"] for row in file.rows if row not in rows]
+        return True
+
+    def result(self, damaged: list[int], skeletons: pa.Table) -> Changes:
+        """Return the changes, once all files were looked at."""
+        ids = self.writer.assign_take_ids(task.name for task in self.tasks)
+        tasks = sorted((replace(task, take_id=ids[task.name]) for task in self.tasks), key=lambda task: task.take_id)
+        # the roots of this archive, now and before it was moved
+        moved = (file.root for path, file in self.known.items() if path == file.path and file.root != self.root)
+        former = {self.root, *moved}
+        here = {(self.root, motion.path) for motion in self.found.motions} | self.places
+        absent = [file for file in self.files if file.root in former and file.place not in here]
+        vanished = [file for file in absent if file.root == self.root or not file.is_there]
+        gone = [row["take_id"] for file in vanished if not self.found.hidden(file.path) for row in file.rows]
+        return Changes(
+            tasks, self.unchanged, damaged, self.restated, gone, self.surplus, self.renamed, self.failures, skeletons,
+            self.take_names, self.known, self.by_path,
+        )  # fmt: skip
+
+
+def _no_name(motion: SourceFile) -> SourceError:
+    """Return the error of a file for whose take no name is free."""
+    return SourceError(
+        motion.absolute, f"other takes have every name that its take could have, such as '{motion.path}'; rename it"
+    )
 
 
 def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None) -> str:
@@ -161,7 +262,7 @@ def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings)
 
     The format of an .npz is known when it is read: settings that count for any reader of an ending count for all.
     """
-    code = code_digest(read_body, analyse, blind, known_features)
+    code = code_digest(read_body, persons_of, analyse, blind, known_features)
     return {
         ending[1:]: digest(
             [features_digest(feature_set), code, *(_reader_recipe(reader, mappings, settings) for reader in readers)]
@@ -173,60 +274,6 @@ def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings)
 def _reader_recipe(reader: Reader, mappings: Mappings, settings: ReadSettings) -> list[object]:
     plugin = plugin_digest(reader.distribution, type(reader)) if reader.distribution else ""
     return [mappings.digest(reader.format), reader.relevant_settings(settings), plugin]
-
-
-def _name(naming: Naming, motion: SourceFile) -> str:
-    if naming == "stem":
-        return motion.stem
-    return motion.path if naming == "file" else str(Path(motion.path).with_suffix(""))
-
-
-def _namesake(name: str, motion: SourceFile, paths: Sequence[str]) -> SourceError:
-    """Return the error of files whose takes would have the same name, with a rule of naming that distinguishes them."""
-    rule = "path" if len({Path(path).with_suffix("") for path in paths}) == len(paths) else "file"
-    others = [path for path in paths if path != motion.path]
-    also = ", ".join(others[:2]) + (f" and {len(others) - 2} more" if len(others) > 2 else "")
-    many, rename = ("two", "one") if len(paths) == 2 else (len(paths), "them")
-    return SourceError(
-        motion.absolute, f"{many} takes would be named '{name}' (also {also}); rename {rename}, or set `name: {rule}`"
-    )
-
-
-def _same_place(row: dict[str, Any], motion: SourceFile) -> bool:
-    return (row["source_root"], row["source"]) == (motion.root, motion.path)
-
-
-def _same_content(row: dict[str, Any], motion: SourceFile) -> bool:
-    """Return if the content of a file is unchanged; it is read only where its place, size or time differ."""
-    if row["source_bytes"] != motion.size:
-        return False
-    untouched = _same_place(row, motion) and row["source_mtime_ns"] == motion.mtime_ns
-    return bool(untouched or row["checksum"] == checksum(motion.absolute))
-
-
-def _restated(row: dict[str, Any], motion: SourceFile) -> list[dict[str, Any]]:
-    """Return the row of an unchanged take with the new place or time of its file, so that it is not read again."""
-    if _same_place(row, motion):
-        return [] if row["source_mtime_ns"] == motion.mtime_ns else [row | {"source_mtime_ns": motion.mtime_ns}]
-    if (Path(row["source_root"]) / row["source"]).exists():
-        return []  # a copy of the file that was read
-    place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
-    return [row | place]
-
-
-def _moved(row: dict[str, Any], motion: SourceFile) -> bool:
-    """Return if the file of a take was moved with its archive: it has the same place below another root only."""
-    same = row["source"] == motion.path and row["source_root"] != motion.root
-    return same and not (Path(row["source_root"]) / row["source"]).exists()
-
-
-def _stranger(row: dict[str, Any], motion: SourceFile) -> SourceError:
-    """Return the error of another file with the name of a take; only a changed file replaces its take."""
-    return SourceError(
-        motion.absolute,
-        f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and its content "
-        "differs; rename one, set `name: path`, or use a store of its own",
-    )
 
 
 def features_digest(feature_set: FeatureSet) -> str:

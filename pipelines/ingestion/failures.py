@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import pyarrow as pa
@@ -14,7 +14,7 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.motion.sources import Refused, SourceFile, readable
 from kinedex.storage.snapshot.schemas import result_schema
 
-MOST_TOLD = 10
+MOST_MESSAGES = 10
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Failure:
         The absolute path of the file.
     line : int, optional
         The line of the fault.
-    clash : str, optional
-        The name that several files would have; their messages are the same.
+    person : str
+        The person of a file of several who could not be read; empty for the whole file.
     """
 
     source: str
@@ -42,10 +42,15 @@ class Failure:
     message: str
     file: str
     line: int | None
-    clash: str | None = None
+    person: str = ""
+
+    @property
+    def subject(self) -> tuple[str, str]:
+        """The path of the file, and the person."""
+        return self.source, self.person
 
 
-def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> Failure:
+def failure(motion: SourceFile, fault: Exception, person: str | None = None) -> Failure:
     """Return the failure of a motion file.
 
     An error that is neither the project's own nor of the operating system is a defect of kinedex: the other files are
@@ -57,12 +62,14 @@ def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> F
         The motion file.
     fault : Exception
         The error.
-    clash : str, optional
-        The name that several files would have.
+    person : str, optional
+        The person of a file of several.
     """
+    if person:
+        return _of_person(failure(motion, fault), person)
     file = readable(str(motion.absolute))
     if isinstance(fault, SourceError):
-        return Failure(motion.path, "SourceError", readable(str(fault)), readable(fault.path), fault.line, clash)
+        return Failure(motion.path, "SourceError", readable(str(fault)), readable(fault.path), fault.line)
     error = type(fault).__name__
     if isinstance(fault, KinedexError):
         message = f"{file}: {fault}"
@@ -84,8 +91,17 @@ def failure(motion: SourceFile, fault: Exception, clash: str | None = None) -> F
     return Failure(motion.path, error, readable(message), file, None)
 
 
-def killer(motion: SourceFile, fault: Exception) -> Failure:
-    """Return the failure of a file that ends every process that reads it."""
+def _of_person(found: Failure, person: str) -> Failure:
+    """Return the failure of a person, whose message names the person behind the place."""
+    place = found.file if found.line is None else f"{found.file}:{found.line}"
+    reason = found.message.removeprefix(f"{place}: ")
+    return replace(found, message=f"{place}: person '{readable(person)}': {reason}", person=person)
+
+
+def killer(motion: SourceFile, fault: Exception, person: str | None = None) -> Failure:
+    """Return the failure of a file, or of a person of it, that ends every process that reads it."""
+    if person:
+        return _of_person(killer(motion, fault), person)
     file = readable(str(motion.absolute))
     message = (
         f"{file}: {fault}; most likely this file of {motion.size / 1e6:.1f} MB needs more memory than there is: run "
@@ -100,14 +116,10 @@ def refusal(refused: Refused) -> Failure:
 
 
 def failure_messages(failures: Sequence[Failure]) -> list[str]:
-    """Return messages for the terminal: ten at most, one for each name that several files would have."""
-    groups: dict[str, list[Failure]] = {}
-    for index, one in enumerate(failures):
-        groups.setdefault(f"name {one.clash}" if one.clash is not None else f"{index}", []).append(one)
-    alike = list(groups.values())
-    lines = [f"excluded: {group[0].message}" for group in alike[:MOST_TOLD]]
-    more = sum(len(group) for group in alike[MOST_TOLD:])
-    return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more else [])
+    """Return messages for the terminal, ten at most."""
+    lines = [f"excluded: {one.message}" for one in failures[:MOST_MESSAGES]]
+    more = len(failures) - MOST_MESSAGES
+    return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more > 0 else [])
 
 
 def log_table(failures: Sequence[Failure], run: str) -> pa.Table:

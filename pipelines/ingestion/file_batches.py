@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings, source_bytes
-from kinedex.storage.formats.motion.reader_table import read_body, reader_of
+from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.formats.motion.text_blocks import BLOCK
 from kinedex.storage.snapshot.manifest import Part
@@ -30,7 +30,29 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Task:
-    """One motion file to read."""
+    """One motion file to read, or one person of it.
+
+    Attributes
+    ----------
+    name : str
+        The name of the take; of a file of several persons, that of the file.
+    take_id : int
+        The id of the take.
+    motion : SourceFile
+        The file.
+    skeleton : SourceFile, optional
+        Its skeleton file.
+    groups : dict of str to str
+        The named groups of its path.
+    recipe : str
+        A hash of all that the take depends on besides the file.
+    warnings : tuple of str
+        Reservations about the file.
+    person : str or None
+        The person to read, empty for a file of one; None where it is not known yet whether the file holds several.
+    persons : int
+        The number of persons in the file.
+    """
 
     name: str
     take_id: int
@@ -39,6 +61,8 @@ class Task:
     groups: dict[str, str]
     recipe: str
     warnings: tuple[str, ...]
+    person: str | None = None
+    persons: int = 1
 
 
 @dataclass(frozen=True)
@@ -62,59 +86,90 @@ class Batch:
 
 @dataclass(frozen=True)
 class Written:
-    """The outcome of a batch: rows of `takes`, the frames part (None where every file failed), and the failures."""
+    """The outcome of a batch.
+
+    Attributes
+    ----------
+    takes : list of dict
+        Rows of `takes`.
+    part : Part or None
+        The frames part; None where no file was read.
+    failures : list of Failure
+        The files and persons that could not be read.
+    persons : dict of str to tuple of str
+        Path → persons of the files of several, which are not read before each person has an id.
+    """
 
     takes: list[dict[str, Any]]
     part: Part | None
     failures: list[Failure]
+    persons: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def read_batch(batch: Batch) -> Written:
     """Read the files of one batch and write their frames as one part; runs in any process."""
-    takes: list[dict[str, Any]] = []
-    failures: list[Failure] = []
+    done = Written([], None, [])
     writer: FramesWriter | None = None
     try:
         for task in batch.tasks:
             try:
-                take, frames = _analysed(batch, task)
+                found = _analysed(batch, task)
             except StoreError:
                 raise
             except Exception as fault:
                 # whatever one file brings about, even a defect or a lack of memory, must not cost the others
-                failures.append(failure(task.motion, fault))
+                done.failures.append(failure(task.motion, fault, person=task.person))
                 if batch.strict:
                     break
                 continue
+            if isinstance(found, tuple):
+                done.persons[task.motion.path] = found
+                continue
             if writer is None:
                 writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
-            writer.add(task.take_id, *frames)
-            takes.append(take)
-            del frames  # not to be there while the next file is read
-        return Written(takes, writer.close() if writer is not None else None, failures)
+            writer.add(task.take_id, *found.frames)
+            done.takes.append(found.row)
+            del found  # not to be there while the next file is read
+        return replace(done, part=writer.close()) if writer is not None else done
     except BaseException:
         if writer is not None:
             writer.__exit__(None, None, None)
         raise
 
 
-def _analysed(batch: Batch, task: Task) -> tuple[dict[str, Any], tuple[F64, F64, npt.NDArray[np.uint64]]]:
-    """Return the row of `takes` of a file, and its frames."""
-    content, body = _read(batch, task)
+@dataclass(frozen=True)
+class _Take:
+    """A take that was read: its row of `takes`, and its positions, orientation and words."""
+
+    row: dict[str, Any]
+    frames: tuple[F64, F64, npt.NDArray[np.uint64]]
+
+
+def _analysed(batch: Batch, task: Task) -> _Take | tuple[str, ...]:
+    """Return the take of a file, or the persons of a file of several."""
+    found = _read(batch, task)
+    if not isinstance(found[1], Body):
+        return found[1]
+    content, body = found[0], found[1]
     frames = analyse(body, batch.feature_set, batch.rate_hz)
-    return _take_row(batch, task, content, body, frames[2]), frames
+    return _Take(_take_row(batch, task, content, body, frames[2]), frames)
 
 
-def _read(batch: Batch, task: Task) -> tuple[str, Body]:
-    """Return the checksum of a file and its body, of the same bytes: read once if it is short, else unchanged since."""
+def _read(batch: Batch, task: Task) -> tuple[str, Body | tuple[str, ...]]:
+    """Return the checksum of a file and its body, of the same bytes: read once if it is short, else unchanged since.
+
+    Of a file of several persons, they are returned where the task names none of them.
+    """
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
     before = _stamp(motion)
     if batch.memory is not None:
         batch.memory.refuse_large(MotionFile(motion, asf), batch.feature_set, batch.rate_hz, batch.given)
     data = source_bytes(motion) if reader_of(motion).reads_whole and before[0] <= BLOCK else None
+    if task.person is None and (persons := persons_of(MotionFile(motion, asf, data), batch.mappings)):
+        return "", persons
     # not before: it reads the whole file, which is work for many processes
     content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
-    body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data)
+    body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data, task.person or "")
     if data is None and _stamp(motion) != before:
         raise SourceError(motion, "was changed while it was read; run again when it is whole")
     return content, body
@@ -155,5 +210,6 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
         "clip": groups.pop("clip", None),
         "groups": json.dumps(groups, sort_keys=True),
         "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body)],
+        **({"person": task.person, "persons": task.persons} if task.persons > 1 else {}),
         "known": None if known == batch.feature_set.every_bit else known,
     }

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from kinedex.pipelines.ingestion.changes import Naming
 from kinedex.pipelines.ingestion.memory_limit import parse_size
+from kinedex.pipelines.ingestion.take_names import Naming
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
 from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn
 

@@ -306,8 +306,8 @@ class _Work:
                 if task.take_id in rows:
                     names.append(task.name)
                 else:
-                    why = next((one.message for one in written.failures if one.source == task.motion.path), "")
-                    lost.append(LostTake(task.name, task.take_id, str(task.motion.absolute), why))
+                    whys = [one.message for one in written.failures if one.subject == (task.motion.path, task.person)]
+                    lost.append(LostTake(task.name, task.take_id, str(task.motion.absolute), "".join(whys[:1])))
             if written.part is None or (part is not None and written.part.sha256 == part.sha256):
                 continue  # the part has its content back, under the same name
             table = pa.Table.from_pylist([_same_row(sources, row) for row in written.takes], schema=writer.takes_schema)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -105,7 +105,8 @@ class Sources:
             if skeleton.path != row["skeleton_source"] or before != content:
                 raise SourceError(skeleton.absolute, "is not known to be the skeleton that it was read with")
         groups = path_groups(motion.path, self._readers[number].patterns)
-        return number, Task(row["name"], row["take_id"], motion, skeleton, dict(groups or {}), recipe, ())
+        task = Task(row["name"], row["take_id"], motion, skeleton, dict(groups or {}), recipe, ())
+        return number, replace(task, person=row.get("person") or "", persons=row.get("persons") or 1)
 
     def _reader_of(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> tuple[int, str]:
         """Return the number of the settings that a take was read with, and its recipe with them."""

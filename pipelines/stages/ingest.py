@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from contextlib import closing
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.plugins import Plugins
-from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
-from kinedex.ops import textnumbers
-from kinedex.ops.body import features, kinematics
+from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
-from kinedex.pipelines.engine.executors import WorkerDied, batches_of
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
-from kinedex.pipelines.ingestion.failures import Failure, failure, failure_messages, killer, log_table
-from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
-from kinedex.pipelines.ingestion.memory_limit import MemoryShare
+from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.parameters import IngestParameters
-from kinedex.pipelines.ingestion.task_batches import run_batches
+from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
@@ -35,8 +27,6 @@ from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
-
-MEGABYTE = 1 << 20
 
 
 class Ingest(Stage[IngestParameters]):
@@ -73,11 +63,13 @@ class Ingest(Stage[IngestParameters]):
                 raise _named_otherwise(plan)
             _report_changes(context, params, found, plan)
             _declare_groups(context, writer, params)
-            writer.record_source(found.motions[0].root, context.key(), params.remembered)
-            failures = list(plan.failures)
-            frames = 0
-            if not (params.strict and failures):
-                frames = _read_files(context, params, mappings, writer, plan.tasks, failures)
+            root = found.motions[0].root
+            if not plan.renamed:
+                writer.record_source(root, context.key(), params.remembered)
+            done = FilesRead()
+            if not (params.strict and plan.failures):
+                done = ReadRounds(context, params, mappings, writer, plan).run()
+            failures = [*plan.failures, *done.failures]
             writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
             writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
             if params.strict and failures:
@@ -85,16 +77,19 @@ class Ingest(Stage[IngestParameters]):
                 raise KinedexError(
                     f"{failures[0].message}\n(strict: stopped at this file; files before it stay in the store)"
                 )
-            read = len(plan.tasks) - (len(failures) - len(plan.failures))
-            if not plan.unchanged + read:
+            if not plan.unchanged and not done.takes:
                 writer.commit()
                 _report_failures(context, failures)
                 count = len(found.motions)
                 none = f"none of the {count} files could be read" if count > 1 else "the only file could not be read"
                 raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
-            dropped = [*plan.gone, *(take for take, _, _ in plan.renamed)] if params.prune else []
+            surplus = [*plan.surplus, *done.surplus]
+            _report_persons(context, params, done, surplus)
+            dropped = [*plan.gone, *surplus, *(take for take, _, _ in plan.renamed)] if params.prune else []
             if dropped:
                 writer.drop_takes(dropped)
+            # not before all takes have their new names: until then, a next run has to know the former rule
+            writer.record_source(root, context.key(), params.remembered)
             writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=writer.takes_schema))
             writer.commit()
             _compact(context, writer)
@@ -102,9 +97,9 @@ class Ingest(Stage[IngestParameters]):
         _report_failures(context, failures)
         return {
             "takes": total,
-            "read": read,
-            "unchanged": plan.unchanged,
-            "frames_read": frames,
+            "read": len(done.takes),
+            "unchanged": len(plan.unchanged),
+            "frames_read": done.frames,
             "left_out": len(failures),
             "not_read": len(found.unread),
             "dropped": len(dropped),
@@ -138,11 +133,17 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
     """Report the files to read, those that are not read, and takes whose file is gone or renamed."""
     context.say(
         f"{counted(len(found.motions), 'motion file')} below {params.source}: "
-        f"{len(plan.tasks)} to read, {plan.unchanged} unchanged"
+        f"{len(plan.tasks)} to read, {len(plan.unchanged)} unchanged"
         + (f", {len(plan.failures)} excluded" if plan.failures else "")
     )
     for line in found.unread_lines():
         context.say(line)
+    if plan.by_path:
+        path, name = next(iter(plan.by_path.items()))
+        context.say(
+            f"{counted(len(plan.by_path), 'new take')} named by the path of the file, since others have its stem: "
+            f"'{name}' for {path}" + (", …" if len(plan.by_path) > 1 else "")
+        )
     if plan.damaged:
         again = len({task.take_id for task in plan.tasks}.intersection(plan.damaged))
         others = len(plan.damaged) - again
@@ -155,6 +156,19 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
         context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
     if plan.renamed:
         context.say(f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were")
+
+
+def _report_persons(context: StageContext, params: IngestParameters, done: FilesRead, surplus: Sequence[int]) -> None:
+    """Report files of several persons, and takes of persons whom they do not hold any more."""
+    if done.persons:
+        path, takes = next(((path, takes) for path, takes in done.takes.items() if path in done.persons), ("", []))
+        context.say(
+            f"{counted(len(done.persons), 'file')} of several persons, {sum(done.persons.values())} in all: a take each"
+            + (f", such as '{takes[0]}' of {path}" if takes else "")
+        )
+    if surplus:
+        what = "dropped" if params.prune else "kept; `prune: true` drops them"
+        context.say(f"{counted(len(surplus), 'take')} of persons whom their files do not hold any more: {what}")
 
 
 def _named_otherwise(plan: Changes) -> NewStoreError:
@@ -173,46 +187,6 @@ def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None
         context.say(line)
 
 
-def _read_files(
-    context: StageContext,
-    params: IngestParameters,
-    mappings: Mappings,
-    writer: StoreWriter,
-    tasks: Sequence[Task],
-    failures: list[Failure],
-) -> int:
-    """Read all files, commit them batch by batch, and return the number of frames."""
-    if not tasks:
-        return 0
-    if context.executor.workers > 1:
-        _compile_kernels(context.feature_set)
-    frames, workers = 0, context.executor.workers
-    memory = MemoryShare.of(params.max_memory, workers) if params.max_memory is not None else None
-    with context.progress("reading takes", len(tasks)) as progress:
-        batches = [
-            Batch(
-                context.store_path, context.feature_set, writer.manifest.rate_hz, mappings, params.given,
-                params.strict, part, memory,
-            )
-            for part in _batches(tasks, params.batch_mb * MEGABYTE, workers)
-        ]  # fmt: skip
-        with closing(run_batches(context.executor, read_batch, batches, _give_up)) as results:
-            for batch, written in results:
-                failures.extend(written.failures)
-                if written.part is not None:
-                    writer.add_takes(pa.Table.from_pylist(written.takes, schema=writer.takes_schema), written.part)
-                    writer.commit()
-                    frames += written.part.rows
-                progress.advance(len(batch.tasks))
-                if params.strict and failures:
-                    break
-    return frames
-
-
-def _give_up(batch: Batch, fault: Exception) -> Written:
-    return Written([], None, [(killer if isinstance(fault, WorkerDied) else failure)(batch.tasks[0].motion, fault)])
-
-
 def _compact(context: StageContext, writer: StoreWriter) -> None:
     done = compact(writer, spread=context.executor.map, workers=context.executor.workers)
     for fault in done.damaged:
@@ -222,19 +196,3 @@ def _compact(context: StageContext, writer: StoreWriter) -> None:
             f"compacted: {done.frames_before} frames parts to {done.frames_after}, {done.takes_before} takes parts to "
             f"{done.takes_after}; `kinedex gc {context.store_path}` removes the old files"
         )
-
-
-def _batches(tasks: Sequence[Task], limit: int, workers: int) -> list[tuple[Task, ...]]:
-    """Divide tasks by bytes: at most `limit` each, and two for every worker where there is enough work."""
-    sizes = [task.motion.size for task in tasks]
-    return batches_of(tasks, sizes, min(limit, max(4 * MEGABYTE, sum(sizes) // (2 * workers) + 1)))
-
-
-def _compile_kernels(feature_set: FeatureSet) -> None:
-    """Compile kernels into the cache, before several processes would each do so."""
-    node = kinematics.Node("root", -1, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), ())
-    kinematics.forward((node,), np.zeros((2, 1)))
-    textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])
-    textnumbers.parse_rows(b"0\n", 0, 1, 1)
-    body, upright = np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2))
-    features.words(body, upright, 30.0, feature_set.rules, None, feature_set.plugin_primitives)

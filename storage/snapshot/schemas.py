@@ -77,8 +77,8 @@ class TakeColumn:
     type : str
         One of `COLUMN_TYPES`.
     origin : str
-        Source of its values: "pattern" (a named group of `patterns`), "metadata" (a table of the user's) or "quality"
-        (a figure that is measured at ingest).
+        Source of its values: "pattern" (a named group of `patterns`), "metadata" (a table of the user's), "quality"
+        (a figure that is measured at ingest) or "file" (what the file itself states).
     unit : str
         Unit of its values; empty if they have none.
     meaning : str
@@ -86,7 +86,7 @@ class TakeColumn:
     """
 
     type: str
-    origin: Literal["pattern", "metadata", "quality"]
+    origin: Literal["pattern", "metadata", "quality", "file"]
     unit: str = ""
     meaning: str = ""
 

@@ -12,9 +12,9 @@ import yaml
 
 import kinedex
 from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.keyframes import runs
 from kinedex.pipelines.repair.repair import repair_store
-from kinedex.pipelines.stages import ingest
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store
@@ -65,7 +65,7 @@ class Work:
 
 def bring_in(folder: Path, store: Path) -> None:
     """Ingest the folder's sources in small batches."""
-    ingest.MEGABYTE = BATCH_BYTES
+    read_rounds.MEGABYTE = BATCH_BYTES
     stages: dict[str, dict[str, object]] = {"ingest": {"source": str(folder / "source"), "prune": True}}
     kinedex.run_pipeline(str(_written(folder, "ingest", "ingest", stages)), store)
 
@@ -163,7 +163,7 @@ def _upgrade(folder: Path, store: Path) -> None:
 
 
 def _repair(folder: Path, store: Path) -> None:
-    ingest.MEGABYTE = BATCH_BYTES
+    read_rounds.MEGABYTE = BATCH_BYTES
     repair_store(store, Terminal())
 
 

@@ -113,19 +113,14 @@ def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, sou
         bring_in(tmp_path / "other", tmp_path / "only")
 
 
-def test_one_take_in_two_formats_is_two_takes_of_one_name_until_named_with_the_ending(
-    tmp_path: Path, source: Path
-) -> None:
+def test_one_take_in_two_formats_is_two_takes_named_with_their_endings(tmp_path: Path, source: Path) -> None:
     write_bvh(source / "a" / "x_1.bvh", 9)
-    for rule in ("stem", "path"):
+    for rule in ("stem", "path", "file"):
         summary, _ = bring_in(tmp_path / rule, source, name=rule)
-        assert summary["left_out"] == 2
-        message = open_store(tmp_path / rule).result("ingest_log").to_pylist()[0]["message"]
-        assert "(also a/x_1.bvh); rename one, or set `name: file`" in message
-    summary, _ = bring_in(tmp_path / "file", source, name="file")
-    assert summary["left_out"] == 0
-    names = [row["name"] for row in rows(open_store(tmp_path / "file"))]
-    assert names == ["a/x_1.amc", "a/x_1.bvh", "b/fast.BVH", "b/wave.bvh"]
+        assert summary["left_out"] == 0
+        names = [row["name"] for row in rows(open_store(tmp_path / rule))]
+        others = {"stem": ["fast", "wave"], "path": ["b/fast", "b/wave"], "file": ["b/fast.BVH", "b/wave.bvh"]}
+        assert names == ["a/x_1.amc", "a/x_1.bvh", *others[rule]]
 
 
 def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_says_which(

@@ -77,6 +77,7 @@ def read_body(
     joints: tuple[str, ...],
     settings: ReadSettings = DEFAULT_SETTINGS,
     data: bytes | None = None,
+    person: str = "",
 ) -> Body:
     """Read a motion file of any format.
 
@@ -94,10 +95,40 @@ def read_body(
         Settings of the user.
     data : bytes, optional
         The file's bytes, if its reader `reads_whole` and they have been read already.
+    person : str, optional
+        The person to read, one of `persons_of`.
 
     Raises
     ------
     SourceError
         The file cannot be read; the error names the file and the place of the first fault.
     """
-    return reader_of(path).read(MotionFile(path, skeleton, data), mappings, joints, settings)
+    return reader_of(path).read(MotionFile(path, skeleton, data, person), mappings, joints, settings)
+
+
+def persons_of(file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+    """Return the names of the persons in a motion file of several; empty for a file of one person.
+
+    Parameters
+    ----------
+    file : MotionFile
+        The file.
+    mappings : Mappings
+        Skeleton mappings in which the file's nodes are looked up.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or its persons cannot be distinguished by their names.
+    """
+    persons = reader_of(file.path).persons(file, mappings)
+    if len(persons) < 2:
+        return ()
+    twice = [name for name in dict.fromkeys(persons) if persons.count(name) > 1 or not name.strip()]
+    if twice or any(name != name.encode("utf-8", "replace").decode() for name in persons):
+        raise SourceError(
+            file.path,
+            f"holds {len(persons)} persons that their names do not distinguish ({', '.join(persons)}); rename them in "
+            "the file",
+        )
+    return persons

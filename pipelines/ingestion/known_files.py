@@ -1,0 +1,185 @@
+"""The files that a store has takes of, looked up by place and by name, to compare a source with them."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.sources import SourceFile, checksum
+
+Row = dict[str, Any]
+
+
+def file_name(row: Mapping[str, Any]) -> str:
+    """Return the name that a take has of its file, without that of the person."""
+    person = row.get("person")
+    return str(row["name"]).removesuffix(f"-{person}") if person else str(row["name"])
+
+
+class FileContent:
+    """A motion file of a source, whose content is read once at most.
+
+    Parameters
+    ----------
+    motion : SourceFile
+        The file.
+    """
+
+    def __init__(self, motion: SourceFile) -> None:
+        self.motion = motion
+
+    @cached_property
+    def checksum(self) -> str:
+        """The SHA-256 of the file; a SourceError reports that it cannot be read."""
+        return checksum(self.motion.absolute)
+
+
+@dataclass(frozen=True)
+class KnownFile:
+    """A file of which a store has takes.
+
+    Attributes
+    ----------
+    root : str
+        The source root.
+    path : str
+        The path below the root.
+    rows : tuple of dict
+        The rows of its takes: one, or one for each person.
+    """
+
+    root: str
+    path: str
+    rows: tuple[Row, ...]
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """The root and the path."""
+        return self.root, self.path
+
+    @property
+    def name(self) -> str:
+        """The name that its takes have of it."""
+        return file_name(self.rows[0])
+
+    @cached_property
+    def is_there(self) -> bool:
+        """True if the file is still at its place."""
+        return (Path(self.root) / self.path).exists()
+
+    def current_rows(self, content: FileContent, recipe: str, damaged: Iterable[int]) -> tuple[Row, ...]:
+        """Return the rows of takes that need not be read again; none if a person of the file is not among them.
+
+        Parameters
+        ----------
+        content : FileContent
+            The file as it is now.
+        recipe : str
+            A hash of all that its takes depend on besides the file.
+        damaged : collection of int
+            The ids of takes whose part of the store is damaged.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read.
+        """
+        sound = [row for row in self.rows if row["recipe"] == recipe and row["take_id"] not in damaged]
+        rows = tuple(row for row in sound if self._has_content(row, content))
+        return rows if rows and len(rows) >= (rows[0].get("persons") or 1) else ()
+
+    def has_content_of(self, content: FileContent) -> bool:
+        """Return whether a take was read from a file of this content; a SourceError reports an unreadable file."""
+        return any(self._has_content(row, content) for row in self.rows)
+
+    def _has_content(self, row: Row, content: FileContent) -> bool:
+        """Compare contents; the file is read only where place, size or time differ."""
+        motion = content.motion
+        if row["source_bytes"] != motion.size:
+            return False
+        same_place = (self.root, self.path) == (motion.root, motion.path)
+        untouched = same_place and row["source_mtime_ns"] == motion.mtime_ns
+        return bool(untouched or row["checksum"] == content.checksum)
+
+    def rows_at(self, motion: SourceFile, rows: Iterable[Row]) -> list[Row]:
+        """Return those rows that change with the new place or time of their file, as they are then."""
+        place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
+        if (self.root, self.path) != (motion.root, motion.path) and self.is_there:
+            return []  # a copy of the file that was read
+        return [row | place for row in rows if any(row[name] != value for name, value in place.items())]
+
+
+class KnownFiles:
+    """All files of which a store has takes.
+
+    Parameters
+    ----------
+    rows : iterable of dict
+        The rows of its takes.
+    """
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        places: dict[tuple[str, str], list[Row]] = {}
+        for row in rows:
+            places.setdefault((row["source_root"], row["source"]), []).append(row)
+        self._at = {place: KnownFile(*place, tuple(those)) for place, those in places.items()}
+        self._with_path: dict[str, list[KnownFile]] = {}
+        self._named: dict[str, list[KnownFile]] = {}
+        for file in self._at.values():
+            self._with_path.setdefault(file.path, []).append(file)
+            for name in {file_name(row) for row in file.rows}:
+                self._named.setdefault(name, []).append(file)
+
+    def __iter__(self) -> Iterator[KnownFile]:
+        return iter(self._at.values())
+
+    def at_place(self, motion: SourceFile) -> KnownFile | None:
+        """Return the file at the place of a motion file, also where its whole archive was moved to another root."""
+        here = self._at.get((motion.root, motion.path))
+        moved = (file for file in self._with_path.get(motion.path, ()) if not file.is_there)
+        return here or next(moved, None)
+
+    def of_same_content(
+        self, content: FileContent, names: Iterable[str], taken: Container[tuple[str, str]]
+    ) -> KnownFile | None:
+        """Return the file that a motion file was before it was moved, or that it is a copy of in another root.
+
+        Parameters
+        ----------
+        content : FileContent
+            The motion file, at whose place no file is known.
+        names : iterable of str
+            The names that its take can have.
+        taken : container of (str, str)
+            The places of files that are other files of the source.
+
+        Raises
+        ------
+        SourceError
+            A take of the same path below another root, which is still there, has other content: it may be another
+            version of the same motion.
+        """
+        motion = content.motion
+        for name in names:
+            for file in self._named.get(name, ()):
+                elsewhere = file.root != motion.root or not file.is_there
+                if file.place in taken:
+                    continue
+                if elsewhere and file.has_content_of(content):
+                    return file
+                if file.root != motion.root and file.path == motion.path:
+                    raise _stranger(file, motion)
+        return None
+
+
+def _stranger(file: KnownFile, motion: SourceFile) -> SourceError:
+    """Return the error of another file with the name of a take; only a changed file replaces its take."""
+    return SourceError(
+        motion.absolute,
+        f"the store has a take '{file.rows[0]['name']}' already, from {file.root}/{file.path}, and its content "
+        "differs; rename it, put it into a folder of its own below the source, or use another store",
+    )

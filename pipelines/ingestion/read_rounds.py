@@ -1,0 +1,212 @@
+"""Rounds of reading: first the files, then the persons of those files that turned out to hold several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops import textnumbers
+from kinedex.ops.body import features, kinematics
+from kinedex.ops.errors import SourceError
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.executors import WorkerDied, batches_of
+from kinedex.pipelines.ingestion.changes import Changes
+from kinedex.pipelines.ingestion.failures import Failure, failure, killer
+from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
+from kinedex.pipelines.ingestion.memory_limit import MemoryShare
+from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.pipelines.ingestion.task_batches import run_batches
+from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
+from kinedex.storage.store.writer import StoreWriter
+
+MEGABYTE = 1 << 20
+
+PERSON_COLUMNS = {
+    "person": TakeColumn("VARCHAR", "file", meaning="the person, of a file that holds several"),
+    "persons": TakeColumn("BIGINT", "file", meaning="the number of persons in the file, where it holds several"),
+}
+"""The declared columns of takes in a store with files of several persons."""
+
+
+@dataclass
+class FilesRead:
+    """The outcome of all rounds.
+
+    Attributes
+    ----------
+    failures : list of Failure
+        The files and persons that could not be read.
+    frames : int
+        The number of frames of all takes.
+    takes : dict of str to list of str
+        Path → names of the takes that were read from a file.
+    persons : dict of str to int
+        Path → number of persons of the files that hold several.
+    surplus : list of int
+        The ids of takes of persons whom their files do not hold any more.
+    """
+
+    failures: list[Failure] = field(default_factory=list)
+    frames: int = 0
+    takes: dict[str, list[str]] = field(default_factory=dict)
+    persons: dict[str, int] = field(default_factory=dict)
+    surplus: list[int] = field(default_factory=list)
+
+
+class ReadRounds:
+    """The rounds of reading of one ingest.
+
+    Parameters
+    ----------
+    context : StageContext
+        The place of the stage in its pipeline.
+    params : IngestParameters
+        The parameters of the stage.
+    mappings : Mappings
+        The skeleton mappings.
+    writer : StoreWriter
+        The writer of the store.
+    plan : Changes
+        The changes of the source.
+    """
+
+    def __init__(
+        self,
+        context: StageContext,
+        params: IngestParameters,
+        mappings: Mappings,
+        writer: StoreWriter,
+        plan: Changes,
+    ) -> None:
+        self.context = context
+        self.params = params
+        self.mappings = mappings
+        self.writer = writer
+        self.plan = plan
+        self.done = FilesRead()
+
+    def run(self) -> FilesRead:
+        """Read all files, commit them batch by batch, and return the outcome."""
+        tasks: Sequence[Task] = self.plan.tasks
+        if tasks and self.context.executor.workers > 1:
+            _compile_kernels(self.context.feature_set)
+        while tasks:
+            several = self._read(tasks)
+            tasks = [] if self._is_stopped else self._persons(several)
+        return self.done
+
+    @property
+    def _is_stopped(self) -> bool:
+        return self.params.strict and bool(self.done.failures)
+
+    def _read(self, tasks: Sequence[Task]) -> list[tuple[Task, tuple[str, ...]]]:
+        """Read one round, and return the files that hold several persons."""
+        workers = self.context.executor.workers
+        memory = MemoryShare.of(self.params.max_memory, workers) if self.params.max_memory is not None else None
+        several: list[tuple[Task, tuple[str, ...]]] = []
+        what = "reading takes" if tasks[0].person is None else "reading persons"
+        with self.context.progress(what, len(tasks)) as progress:
+            batches = [
+                Batch(
+                    self.context.store_path, self.context.feature_set, self.writer.manifest.rate_hz, self.mappings,
+                    self.params.given, self.params.strict, part, memory,
+                )
+                for part in _batches(tasks, self.params.batch_mb * MEGABYTE, workers)
+            ]  # fmt: skip
+            with closing(run_batches(self.context.executor, read_batch, batches, _give_up)) as results:
+                for batch, written in results:
+                    self._add(batch, written)
+                    several += [(task, written.persons[task.motion.path]) for task in _split(batch, written)]
+                    progress.advance(len(batch.tasks))
+                    if self._is_stopped:
+                        break
+        return several
+
+    def _add(self, batch: Batch, written: Written) -> None:
+        """Commit the takes of a batch."""
+        self.done.failures += written.failures
+        for row in written.takes:
+            self.done.takes.setdefault(row["source"], []).append(row["name"])
+        for task in batch.tasks:
+            file = self.plan.known.get(task.motion.path)
+            if task.person is None and file is not None and any(row["name"] == task.name for row in written.takes):
+                # a file that held several persons holds one now
+                self.done.surplus += [row["take_id"] for row in file.rows if row["name"] != task.name]
+        if written.part is not None:
+            rows = pa.Table.from_pylist(written.takes, schema=self.writer.takes_schema)
+            self.writer.add_takes(rows, written.part)
+            self.writer.commit()
+            self.done.frames += written.part.rows
+
+    def _persons(self, several: Sequence[tuple[Task, tuple[str, ...]]]) -> list[Task]:
+        """Return a task for each person, whose take has the name of the file and of the person."""
+        if not several:
+            return []
+        problems = [
+            column_problem(name, column, self.writer.manifest.columns) for name, column in PERSON_COLUMNS.items()
+        ]
+        if not any(problems):
+            self.writer.declare_columns(PERSON_COLUMNS)
+        tasks: list[Task] = []
+        for task, persons in several:
+            if any(problems):
+                self.done.failures.append(failure(task.motion, _no_column(task, persons)))
+            else:
+                self.done.persons[task.motion.path] = len(persons)
+                tasks += self._named(task, persons)
+        ids = self.writer.assign_take_ids(task.name for task in tasks)
+        return sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
+
+    def _named(self, task: Task, persons: tuple[str, ...]) -> Iterator[Task]:
+        """Yield the tasks of the persons of a file; those whom the store knows keep their names."""
+        path = task.motion.path
+        rows = self.plan.known[path].rows if path in self.plan.known else ()
+        names = {row.get("person"): row["name"] for row in rows}
+        self.done.surplus += [row["take_id"] for row in rows if row.get("person") not in persons]
+        for person in persons:
+            name = names.get(person) or self.plan.names.add_person(path, task.name, person)
+            if name is None:
+                fault = SourceError(task.motion.absolute, "other takes have every name that the take could have")
+                self.done.failures.append(failure(task.motion, fault, person))
+            else:
+                yield replace(task, name=name, person=person, persons=len(persons))
+
+
+def _split(batch: Batch, written: Written) -> list[Task]:
+    return [task for task in batch.tasks if task.motion.path in written.persons]
+
+
+def _no_column(task: Task, persons: Sequence[str]) -> SourceError:
+    """Return the error of a file of several persons in a store that has other columns of these names."""
+    return SourceError(
+        task.motion.absolute,
+        f"holds {len(persons)} persons ({', '.join(persons)}), and the columns `person` and `persons` of takes, which "
+        "would name them, are named groups of `patterns`; give the groups other names, and use a new store",
+    )
+
+
+def _give_up(batch: Batch, fault: Exception) -> Written:
+    task = batch.tasks[0]
+    return Written([], None, [(killer if isinstance(fault, WorkerDied) else failure)(task.motion, fault, task.person)])
+
+
+def _batches(tasks: Sequence[Task], limit: int, workers: int) -> list[tuple[Task, ...]]:
+    """Divide tasks by bytes: at most `limit` each, and two for every worker where there is enough work."""
+    sizes = [task.motion.size for task in tasks]
+    return batches_of(tasks, sizes, min(limit, max(4 * MEGABYTE, sum(sizes) // (2 * workers) + 1)))
+
+
+def _compile_kernels(feature_set: FeatureSet) -> None:
+    """Compile kernels into the cache, before several processes would each do so."""
+    node = kinematics.Node("root", -1, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), ())
+    kinematics.forward((node,), np.zeros((2, 1)))
+    textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])
+    textnumbers.parse_rows(b"0\n", 0, 1, 1)
+    body, upright = np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2))
+    features.words(body, upright, 30.0, feature_set.rules, None, feature_set.plugin_primitives)
