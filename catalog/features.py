@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,25 @@ class WordSet:
     def numbers(self) -> range:
         """Return the numbers of the set's features."""
         return range(self.first, self.first + self.count)
+
+
+class AffectedFeatures(NamedTuple):
+    """The features that are affected when joints are unknown.
+
+    Attributes
+    ----------
+    unknown : tuple of Feature
+        Those that name one of the joints, are scaled by a length that nothing stands for, or measure from the lowest or
+        highest joint of a body whose lowest joints are among them.
+    narrowed : tuple of Feature
+        Known features that measure from the lowest or highest of the remaining joints.
+    scaled : tuple of Feature
+        Known features that are scaled by another length.
+    """
+
+    unknown: tuple[Feature, ...]
+    narrowed: tuple[Feature, ...]
+    scaled: tuple[Feature, ...]
 
 
 @dataclass(frozen=True)
@@ -191,7 +210,7 @@ class FeatureSet:
             raise KinedexError(f"no feature set '{name}'{did_you_mean(name, self.sets)}")
         return self.sets[name]
 
-    def without(self, joints: Iterable[str]) -> tuple[tuple[Feature, ...], tuple[Feature, ...]]:
+    def without(self, joints: Iterable[str]) -> AffectedFeatures:
         """Return the features that are affected when joints are unknown.
 
         Parameters
@@ -201,22 +220,24 @@ class FeatureSet:
 
         Returns
         -------
-        tuple[tuple of Feature, tuple of Feature]
-            First the features that are unknown: they name one of the joints, are scaled by a length that ends there, or
-            measure heights above the lowest joint of a body whose lowest joints are among them. Then those that measure
-            from the lowest or highest joint, and are known but use the remaining joints only.
+        AffectedFeatures
+            Unknown features, and those that are known without the joints.
         """
-        lost = {joint for joint in joints if joint in self.joints}
-        numbers = {self.joints.index(joint) for joint in lost}
-        standing = bool(self.ground) and all(set(group) - lost for group in self.ground)
-        off, narrowed = [], []
+        names = {joint for joint in joints if joint in self.joints}
+        lost = {self.joints.index(joint) for joint in names}
+        standing = bool(self.ground) and all(set(group) - names for group in self.ground)
+        unknown, narrowed, scaled = [], [], []
         for feature in self.features:
             fixed, several = feature.rule.joints(range(len(self.joints)))
-            if numbers & fixed or (numbers & several and not standing):
-                off.append(feature)
-            elif numbers & several:
+            lengths = feature.rule.length_joints
+            if lost & fixed or (lost & several and not standing) or (lengths and all(lost & own for own in lengths)):
+                unknown.append(feature)
+                continue
+            if lost & several:
                 narrowed.append(feature)
-        return tuple(off), tuple(narrowed)
+            if lengths and lost & lengths[0]:
+                scaled.append(feature)
+        return AffectedFeatures(tuple(unknown), tuple(narrowed), tuple(scaled))
 
     @property
     def every_bit(self) -> int:
@@ -231,8 +252,7 @@ class FeatureSet:
         unknown : iterable of str
             The joints that the body lacks.
         """
-        off, _ = self.without(unknown)
-        return self.every_bit & ~sum(1 << (feature.number - 1) for feature in off)
+        return self.every_bit & ~sum(1 << (feature.number - 1) for feature in self.without(unknown).unknown)
 
     def named(self, mask: int) -> list[str]:
         """Return the names of the features of a mask, in the order of their numbers."""
@@ -254,6 +274,12 @@ class FeatureSet:
         return next(s for s in self.sets.values() if number in s.numbers)
 
 
+class _StandIn(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    factor: float = Field(gt=0)
+    length: list[tuple[str, str]]
+
+
 class _FeatureFile(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str
@@ -264,6 +290,7 @@ class _FeatureFile(BaseModel):
     sets: dict[str, tuple[int, int]]
     mirror: list[tuple[int, int]] = []
     ground: list[list[str]] = []
+    stand_ins: dict[str, list[_StandIn]] = {}
     features: dict[int, dict[str, Any]]
 
 
@@ -308,6 +335,9 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     numbers = sorted(parsed.features)
     if numbers != list(range(1, len(numbers) + 1)) or len(numbers) > MOST_FEATURES:
         raise located.error(f"features must be numbered 1, 2, 3, … without gaps, at most {MOST_FEATURES}", "features")
+    for name in parsed.stand_ins:
+        if name not in parsed.lengths:
+            raise located.error(f"no length '{name}'{did_you_mean(name, parsed.lengths)}", "stand_ins", name)
     features = tuple(_feature(located, parsed, number) for number in numbers)
     names = [feature.name for feature in features]
     for feature in features:
@@ -327,8 +357,10 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
 
 
 def _digest(parsed: _FeatureFile) -> str:
-    """Return a hash of what the words of a whole body depend on; comments, layout, mirror and ground do not."""
-    text = json.dumps(parsed.model_dump(exclude={"mirror", "ground"}), sort_keys=True, separators=(",", ":"))
+    """Return a hash of what the words of a whole body depend on, without mirror, ground and stand-ins."""
+    text = json.dumps(
+        parsed.model_dump(exclude={"mirror", "ground", "stand_ins"}), sort_keys=True, separators=(",", ":")
+    )
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -379,21 +411,27 @@ def _feature(located: Located, parsed: _FeatureFile, number: int) -> Feature:
             raise located.error(
                 f"no length '{entry.length}'{did_you_mean(entry.length, parsed.lengths)}", *key, "length"
             )
-        length = tuple(
-            (
-                _joint(located, parsed, a, "lengths", entry.length),
-                _joint(located, parsed, b, "lengths", entry.length),
-            )
-            for a, b in parsed.lengths[entry.length]
-        )
+        length = _pairs(located, parsed, parsed.lengths[entry.length], "lengths", entry.length)
+    others = parsed.stand_ins.get(entry.length or "", [])
+    stand_ins = tuple(
+        (one.factor, _pairs(located, parsed, one.length, "stand_ins", str(entry.length), place))
+        for place, one in enumerate(others)
+    )
     rule = Rule(
         terms=_terms(located, parsed, entry.quantity, (*key, "quantity")),
         comparison=COMPARISONS[entry.when],
         weak=_bounds(located, entry, entry.weak, (*key, "weak")),
         strong=_bounds(located, entry, entry.strong, (*key, "strong")),
         length=length,
+        stand_ins=stand_ins,
     )
     return Feature(number, entry.name, entry.description, rule)
+
+
+def _pairs(
+    located: Located, parsed: _FeatureFile, pairs: list[tuple[str, str]], *key: str | int
+) -> tuple[tuple[int, int], ...]:
+    return tuple((_joint(located, parsed, a, *key), _joint(located, parsed, b, *key)) for a, b in pairs)
 
 
 def _bounds(

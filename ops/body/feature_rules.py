@@ -75,6 +75,9 @@ class Rule:
         Pairs of joints whose distances in frame 0, added up, scale the thresholds; empty for plain numbers.
     weak, strong : tuple[float, float]
         (low, high); one-sided comparisons use the first only.
+    stand_ins : tuple of (float, tuple of (int, int))
+        Factors and pairs of joints: where a joint of `length` is unknown, the first sum of distances whose joints are
+        known, times its factor, stands for it.
     """
 
     terms: tuple[Term, ...]
@@ -82,10 +85,17 @@ class Rule:
     weak: tuple[float, float]
     strong: tuple[float, float]
     length: tuple[tuple[int, int], ...] = ()
+    stand_ins: tuple[tuple[float, tuple[tuple[int, int], ...]], ...] = ()
+
+    @property
+    def length_joints(self) -> list[set[int]]:
+        """The joints of the length, and those of each that can stand for it; empty for plain numbers."""
+        every = [self.length, *(pairs for _, pairs in self.stand_ins)] if self.length else []
+        return [{joint for pair in pairs for joint in pair} for pairs in every]
 
     def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
-        """Return the joints that the rule requires, and those of `body` whose lowest or highest it uses."""
-        fixed = {joint for pair in self.length for joint in pair}
+        """Return the joints that the terms name, and those of `body` whose lowest or highest they use."""
+        fixed: set[int] = set()
         several: set[int] = set()
         for term in self.terms:
             fixed |= set(term.joints)

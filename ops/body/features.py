@@ -34,7 +34,7 @@ def words(
     """Compute the word of every frame.
 
     Invalid frames divide the take into segments in which velocities and hysteresis start anew. Limb lengths are
-    those of the first valid frame for the whole take.
+    those of the first valid frame for the whole take; a length whose joints are unknown is taken from its stand-ins.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def _stretch(
     body = _Body(positions, orientation, rate_hz, measured[:, :, 0], primitives)
     left = Counter(key for rule in rules for key in _used(rule))
     for bit, rule in enumerate(rules):
-        scale = body.length(rule.length) if rule.length else 1.0
+        scale = body.scale(rule)
         weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
         strong = p.bounds(rule.comparison, rule.strong[0] * scale, rule.strong[1] * scale)
         p.hysteresis(body.quantity(rule.terms), *weak, *strong, bit, out)
@@ -167,6 +167,13 @@ class _Body:
         if pairs not in self._lengths:
             self._lengths[pairs] = float(sum(np.linalg.norm(self.measured[a] - self.measured[b]) for a, b in pairs))
         return self._lengths[pairs]
+
+    def scale(self, rule: Rule) -> float:
+        """Return the length that scales the thresholds of a rule; NaN where neither it nor a stand-in is known."""
+        if not rule.length:
+            return 1.0
+        found = ((factor * self.length(pairs)) for factor, pairs in ((1.0, rule.length), *rule.stand_ins))
+        return next((length for length in found if not math.isnan(length)), math.nan)
 
     def quantity(self, terms: tuple[Term, ...]) -> F64:
         total = self._term(terms[0])

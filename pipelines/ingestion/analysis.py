@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.features import Feature, FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.resample import feature_rate, resample
 from kinedex.ops.words import NO_WORD
@@ -61,13 +63,16 @@ def blind(feature_set: FeatureSet, body: Body) -> list[str]:
     known = known_features(feature_set, body)
     if not body.unknown and known == feature_set.every_bit:
         return []
-    unknown = [f"F{one.number} {one.name}" for one in feature_set.features if not known >> (one.number - 1) & 1]
+    unknown = _listed(one for one in feature_set.features if not known >> (one.number - 1) & 1)
     lacks = f"has no {', '.join(body.unknown)}" if body.unknown else "does not give the orientation of the root"
-    warnings = [
-        f"skeleton mapping '{body.skeleton}' {lacks}; these features are unknown: {', '.join(unknown) or 'none'}"
-    ]
-    _, narrowed = feature_set.without(body.unknown)
-    if narrowed:
-        names = ", ".join(f"F{feature.number} {feature.name}" for feature in narrowed)
-        warnings.append(f"without {', '.join(body.unknown)} these features use the other joints only: {names}")
+    warnings = [f"skeleton mapping '{body.skeleton}' {lacks}; these features are unknown: {unknown or 'none'}"]
+    affected, joints = feature_set.without(body.unknown), ", ".join(body.unknown)
+    if affected.narrowed:
+        warnings.append(f"without {joints} these features use the other joints only: {_listed(affected.narrowed)}")
+    if affected.scaled:
+        warnings.append(f"without {joints} these features are scaled by another limb: {_listed(affected.scaled)}")
     return warnings
+
+
+def _listed(features: Iterable[Feature]) -> str:
+    return ", ".join(f"F{feature.number} {feature.name}" for feature in features)

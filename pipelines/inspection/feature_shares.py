@@ -59,14 +59,31 @@ def feature_shares(
 
 def _remarks(feature_set: FeatureSet, unknown: set[str]) -> list[str | None]:
     """Return for each feature the joints that it lacks, in words, and whether it is unknown without them."""
-    off, narrowed = feature_set.without(unknown)
+    affected = feature_set.without(unknown)
     remarks: list[str | None] = []
     for feature in feature_set.features:
-        fixed, several = (
-            [feature_set.joints[i] for i in sorted(which) if feature_set.joints[i] in unknown]
-            for which in feature.rule.joints(range(len(feature_set.joints)))
+        rule = feature.rule
+        fixed, several = rule.joints(range(len(feature_set.joints)))
+        lengths = set().union(*rule.length_joints[:1])
+        lacks = next(
+            (own for which in (fixed, lengths, several) if (own := _names(feature_set, which) & unknown)), set()
         )
-        lacks = fixed or several
-        start = "unknown: no" if feature in off else "without" if feature in narrowed else ""
-        remarks.append(f"{start} {', '.join(lacks)}" if start else None)
+        if feature in affected.unknown:
+            remarks.append(f"unknown: no {_in_order(feature_set, lacks)}")
+        elif feature in affected.scaled:
+            remarks.append(
+                f"scaled by another limb: no {_in_order(feature_set, _names(feature_set, lengths) & unknown)}"
+            )
+        elif feature in affected.narrowed:
+            remarks.append(f"without {_in_order(feature_set, lacks)}")
+        else:
+            remarks.append(None)
     return remarks
+
+
+def _names(feature_set: FeatureSet, joints: set[int]) -> set[str]:
+    return {feature_set.joints[joint] for joint in joints}
+
+
+def _in_order(feature_set: FeatureSet, names: set[str]) -> str:
+    return ", ".join(joint for joint in feature_set.joints if joint in names)
