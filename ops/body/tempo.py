@@ -81,7 +81,12 @@ def likely_rate(tracks: F64) -> float | None:
         if found[0] >= _TURNED:
             break
         lag *= 2
-    return None if rate is None else min(USUAL_HZ, key=lambda usual: abs(np.log(usual / rate)))
+    return None if rate is None else usual_rate(rate)
+
+
+def usual_rate(rate_hz: float) -> float:
+    """Return the one of `USUAL_HZ` that is nearest to a rate by its ratio."""
+    return min(USUAL_HZ, key=lambda usual: abs(np.log(usual / rate_hz)))
 
 
 def _differences(tracks: F64, lag: int) -> tuple[float, F64] | None:

@@ -36,13 +36,16 @@ def test_left_is_on_the_left_in_any_turn_and_size_and_on_the_right_in_a_mirror()
         assert found.swapped == (np.linalg.det(turn) < 0)
 
 
-def test_swapped_names_are_found_of_all_joints_and_of_arms_alone() -> None:
+def test_exchanged_names_are_found_of_all_joints_of_arms_and_of_knees_alone() -> None:
     named = places(standing(5))
     assert left_right(swapped(named)).legs == -left_right(named).legs
     assert "left is on the right" in left_right(swapped(named)).reasons[0]
     arms = left_right(swapped(named, tuple(joint for joint in JOINTS if "hip" not in joint and "toes" not in joint)))
     assert arms.swapped
-    assert "the shoulders lie the other way round than the hips" in arms.reasons[-1]
+    assert "the shoulders lie the other way round than the hips" in " ".join(arms.reasons)
+    knees = left_right(swapped(named, ("rknee",)))
+    assert knees.swapped
+    assert "the knees lie the other way round than the hips (-1.00)" in knees.reasons
 
 
 def test_frames_in_which_joints_are_not_seen_do_not_count_and_unknown_stays_unknown() -> None:

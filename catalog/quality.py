@@ -1,0 +1,188 @@
+"""The figures of takes that show a wrong reading: their columns of `takes`, and their limits.
+
+The limits lie outside of all that HDM05, CMU and Bandai have (`python -m studies.plausibility` prints both), and
+outside of the proportions of adults and children. A figure beyond its limits is a warning, never a refusal: a body with
+the proportions of a cartoon comes in, and the warning names what is odd.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from kinedex.ops.body.left_right import CLEAR
+from kinedex.ops.body.plausibility import Plausibility
+from kinedex.ops.body.tempo import TYPICAL_HZ, usual_rate
+
+TRAINING = "HDM05, CMU and Bandai"
+BODIES = "Drillis and Contini (1966), adults, widened to children"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a take: a column of `takes`, with its limits.
+
+    Attributes
+    ----------
+    name : str
+        The column, and the attribute of `Plausibility`.
+    type : str
+        The type of the column.
+    unit : str
+        Its unit; empty for shares and texts.
+    meaning : str
+        Its description.
+    low, high : float or None
+        The limits; None for none.
+    source : str
+        Where the limits come from.
+    advice : str
+        What to do where the figure is beyond them.
+    """
+
+    name: str
+    type: Literal["DOUBLE", "VARCHAR"]
+    unit: str
+    meaning: str
+    low: float | None = None
+    high: float | None = None
+    source: str = ""
+    advice: str = ""
+
+    def limits(self) -> str:
+        """Return the limits in words; empty where there are none."""
+        unit = f" {self.unit}" if self.unit else ""
+        if self.low is not None and self.high is not None:
+            return f"{self.low:g} to {self.high:g}{unit}"
+        return (
+            f"at least {self.low:g}{unit}" if self.low is not None else f"at most {self.high:g}{unit}" * bool(self.high)
+        )
+
+    def off(self, value: object) -> bool:
+        """Return whether a value lies beyond the limits; an unknown one does not."""
+        if not isinstance(value, float):
+            return False
+        return (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
+
+
+_LOOK = "compare the picture of `kinedex inspect` with the joints of the skeleton mapping"
+_PROPORTIONS = f"a joint may be mapped wrongly, or the figure is stylised: {_LOOK}"
+_RATE = "if the rate is wrong, give it by --rate"
+
+FIGURES = (
+    Figure(
+        "height_m", "DOUBLE", "m", "height of the body along its legs and trunk",
+        0.8, 2.3, "children of two years, and the tallest adults",
+        "the unit of length may be wrong: state `unit_m` in a skeleton mapping",
+    ),
+    Figure("thigh_share", "DOUBLE", "", "length of the thighs / height", 0.17, 0.34, BODIES, _PROPORTIONS),
+    Figure("shank_share", "DOUBLE", "", "length of the shanks / height", 0.17, 0.34, BODIES, _PROPORTIONS),
+    Figure("upper_arm_share", "DOUBLE", "", "length of the upper arms / height", 0.11, 0.25, BODIES, _PROPORTIONS),
+    Figure("forearm_share", "DOUBLE", "", "length of the forearms / height", 0.1, 0.23, BODIES, _PROPORTIONS),
+    Figure(
+        "neck_share", "DOUBLE", "", "height of the neck above the middle of the shoulders / height",
+        -0.072, 0.1, TRAINING, f"the neck or the shoulders are not where they belong: {_LOOK}",
+    ),
+    Figure(
+        "asymmetry", "DOUBLE", "", "largest difference of a left and a right limb / their mean",
+        None, 0.25, TRAINING, _PROPORTIONS,
+    ),
+    Figure(
+        "bone_variation", "DOUBLE", "", "largest standard deviation of the length of a limb / its length",
+        None, 0.15, TRAINING, f"joints or markers jump or are exchanged: {_LOOK}",
+    ),
+    Figure("up_axis", "VARCHAR", "", "axis along which the body stands: y if it is read rightly; empty if undecided"),
+    Figure("up_confidence", "DOUBLE", "", "confidence of `up_axis`, 0 to 1"),
+    Figure(
+        "left_right", "DOUBLE", "", "1 if toes and knees show left on the left, -1 if they show it on the right",
+        -CLEAR, None, TRAINING,
+        "left and right are exchanged or an axis is mirrored: correct `joints` or `handedness` in a skeleton mapping",
+    ),
+    Figure(
+        "floor_m", "DOUBLE", "m", "median height of the lowest foot; null for a body whose root is fixed",
+        -0.4, 2.0, TRAINING, "the floor is not at y = 0: the unit of the root may be wrong",
+    ),
+    Figure("speed_m_s", "DOUBLE", "m/s", "mean speed of all joints", 0.0005, 7.0, TRAINING),
+    Figure(
+        "fast_m_s", "DOUBLE", "m/s", "99th percentile of the speeds of joints",
+        None, 18.0, TRAINING, f"unit or rate may be wrong, or joints jump; {_RATE}",
+    ),
+    Figure("fastest_m_s", "DOUBLE", "m/s", "largest speed of a joint between two source frames"),
+    Figure("tempo_hz", "DOUBLE", "Hz", "frequency with which hands and feet turn round", 0.4, 7.0, TRAINING),
+    Figure(
+        "acceleration_m_s2", "DOUBLE", "m/s²", "90th percentile of the acceleration of hands and feet",
+        None, 120.0, TRAINING,
+    ),
+    Figure(
+        "repeated_share", "DOUBLE", "", "share of source frames that are equal to the one before",
+        None, 0.1, TRAINING,
+    ),
+)  # fmt: skip
+"""The figures, in the order of their columns."""
+
+JERKY_M_S3 = 1800.0
+"""Above this, 2π · `tempo_hz` · `acceleration_m_s2` is too much for a person; the archives have up to 1,205."""
+
+
+def quality_columns(figures: Plausibility) -> dict[str, Any]:
+    """Return the values of the columns of a take, None for an unknown one."""
+    values = {figure.name: getattr(figures, figure.name) for figure in FIGURES}
+    return {name: None if value != value else value for name, value in values.items()}
+
+
+def quality_warnings(figures: Plausibility, rate_hz: float) -> list[str]:
+    """Return a sentence for each figure beyond its limits: the figure, the limits, and what to do.
+
+    Parameters
+    ----------
+    figures : Plausibility
+        The figures of a take.
+    rate_hz : float
+        The rate that it is read at.
+    """
+    return [*_up(figures), *_beyond(figures), *_pace(figures, rate_hz)]
+
+
+def _up(figures: Plausibility) -> Iterator[str]:
+    if figures.up_axis not in ("", "y"):
+        yield (
+            f"the body stands along {figures.up_axis}, not along y ({figures.reasons[0]}): the file's vertical axis is "
+            f"another one; state `up: {figures.up_axis}` in a skeleton mapping whose `up` is y"
+        )
+
+
+def _beyond(figures: Plausibility) -> Iterator[str]:
+    for figure in FIGURES:
+        value = getattr(figures, figure.name)
+        if figure.advice and figure.off(value):
+            shown = f"{value:.3g}{f' {figure.unit}' if figure.unit else ''}"
+            yield f"{figure.name} is {shown}, expected {figure.limits()} ({figure.meaning}); {figure.advice}"
+
+
+def _pace(figures: Plausibility, rate_hz: float) -> Iterator[str]:
+    """Yield a warning on a take that stands still or repeats frames, or is too fast or slow for a person."""
+    limit = {figure.name: figure for figure in FIGURES}
+    if limit["repeated_share"].off(figures.repeated_share):
+        share = figures.repeated_share
+        if share > 0.99:
+            yield "nothing moves: all frames are equal; the file may hold a pose, or its motion was lost in the export"
+            return
+        yield (
+            f"{100 * share:.0f} % of its frames are equal to the one before: the motion was frozen where tracking was "
+            f"lost, or comes from {usual_rate(rate_hz * (1 - share)):g} Hz; features of speed suffer from it"
+        )
+    tempo, force = figures.tempo_hz, figures.acceleration_m_s2
+    jerky = tempo == tempo and 6.2832 * tempo * force > JERKY_M_S3
+    names = [name for name in ("speed_m_s", "tempo_hz", "acceleration_m_s2") if limit[name].off(getattr(figures, name))]
+    if names == ["speed_m_s"] and figures.speed_m_s < 1:
+        yield f"nothing moves: the mean speed of its joints is {figures.speed_m_s:.2g} m/s"
+    elif names or jerky:
+        shown = [f"{name} {getattr(figures, name):.3g} (expected {limit[name].limits()})" for name in names]
+        slow = tempo < (limit["tempo_hz"].low or 0)
+        shown = shown or [f"hands and feet turn {tempo:.2g} times a second with {force:.0f} m/s²"]
+        likely = f", such as --rate {usual_rate(rate_hz * TYPICAL_HZ / tempo):g}" if tempo == tempo else ""
+        yield (
+            f"at {rate_hz:g} Hz the motion is too {'slow' if slow else 'fast'} for a person: {', '.join(shown)}; "
+            f"{_RATE}{likely}"
+        )
