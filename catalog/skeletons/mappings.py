@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
 from kinedex.ops.errors import SourceError, did_you_mean
@@ -131,6 +132,8 @@ class Mappings:
             return best[0]
         if evidence is not None and evidence.parents is not None and not best:
             return recognise_tree(source, evidence, self.joints, form)
+        if evidence is not None and evidence.parents is None and not best:
+            return recognise_points(source, evidence, self.joints, form)
         way_out = "give one by `skeleton`, a shipped name or a .yaml file of your own"
         if best:
             names = ", ".join(f"'{fit.mapping.name}'" for fit in best)

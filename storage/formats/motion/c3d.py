@@ -8,6 +8,7 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.storage.formats.motion.c3d_layout import read_layout
 from kinedex.storage.formats.motion.c3d_markers import ezc3d_bytes, parse_c3d
 from kinedex.storage.formats.motion.points import body_of_points, points_bytes
+from kinedex.storage.formats.motion.points_reader import evidence_of
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
 
 
@@ -37,5 +38,5 @@ class C3dReader(Reader):
             The file contradicts itself or its size, no mapping fits, or no frame is whole.
         """
         markers = parse_c3d(file.path)
-        fit = mappings.detect(file.path, "c3d", markers.places()).upright(markers.up)
+        fit = mappings.detect(file.path, "c3d", markers.places(), evidence_of(markers, markers.up)).upright(markers.up)
         return body_of_points(markers, markers.names, fit, joints, settings, list(markers.warnings))

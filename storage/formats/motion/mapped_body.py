@@ -25,7 +25,10 @@ _BLOCK_SIZE = 2_000_000  # nodes times frames at once: some 50 MB of positions, 
 
 
 def virtual_joint_warnings(fit: Fit) -> list[str]:
-    """Return a warning that names the joints built from others, if there are any."""
+    """Return a warning that names the joints built from others or estimated, if there are any."""
+    if fit.reasons:
+        how = ", ".join(f"{joint} ({phrase})" for joint, phrase in fit.estimated.items())
+        return [f"joints that the file does not hold are estimated: {how}"] if how else []
     named = ", ".join(f"{joint} ({mix})" for joint, mix in fit.virtual.items())
     return [f"joints that the skeleton lacks are built from others: {named}"] if named else []
 

@@ -126,6 +126,9 @@ def body_of_points(
         unknown=fit.unknown,
         warnings=tuple(warnings),
         valid=None if valid.all() else valid,
+        estimated=tuple(fit.estimated),
+        confidence=fit.confidence,
+        evidence=fit.reasons,
     )
 
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
 from kinedex.storage.formats.motion.points import body_of_points, points_bytes
+from kinedex.storage.formats.motion.points_reader import evidence_of
 from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions, positions_extent
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
@@ -42,7 +43,7 @@ class PositionsReader(Reader):
         """
         points = parse_positions(file.path)
         names = points.names or mappings.names_in_order(file.path, len(points.positions))
-        fit = mappings.detect(file.path, "positions", points.places(names))
+        fit = mappings.detect(file.path, "positions", points.places(names), evidence_of(points))
         warnings = list(points.warnings)
         if not points.names:
             warnings.append(

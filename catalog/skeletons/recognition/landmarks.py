@@ -1,0 +1,366 @@
+"""The vocabulary of points: labels of landmarks, joint centres and keypoints, and the joints that are made of them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kinedex.catalog.configs import Located, load_yaml, shipped_configs
+from kinedex.catalog.skeletons.skeleton_fit import Mix
+
+_WORD = re.compile(r"[^\W_]+")
+_EXPLICIT = ("joint", "center", "centre", "jc")  # words by which a label of a marker set names a joint
+_MOST_CHOICES = 12  # alternatives of a joint; more never help
+_SKIN = 3  # labels of the skin that make a file one of markers
+_TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "strn")
+"""A set of markers on the skin has some of these."""
+
+_MODEL = "OALP"  # how Vicon's models end the names of a segment's origin and axes, which are no markers
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    sided: dict[str, list[str]] = Field(default_factory=dict)
+    middle: dict[str, list[str]] = Field(default_factory=dict)
+    clusters: dict[str, list[str]] = Field(default_factory=dict)
+    spine: list[str] = Field(default_factory=list)
+
+
+class _LandmarkFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    description: str = ""
+    left: list[str]
+    right: list[str]
+    suffixes: list[str] = Field(default_factory=list)
+    skin: _Part
+    centres: _Part
+    points: dict[str, list[dict[str, float]]]
+    joints: dict[str, list[dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One way to make a joint: weights over landmarks and points, and a way off their plane.
+
+    Attributes
+    ----------
+    weights : tuple of (str, float)
+        Landmark or point → weight; the weights add up to 1.
+    plane, out : tuple of str, float
+        As in `Mix`, over landmarks.
+    estimated : str
+        A phrase if this is an estimate; empty for a regression.
+    """
+
+    weights: tuple[tuple[str, float], ...]
+    plane: tuple[str, ...] = ()
+    out: float = 0.0
+    estimated: str = ""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The landmarks that the labels of a file name.
+
+    Attributes
+    ----------
+    labels : dict of str to tuple of str
+        Landmark → its labels in the file; several only for clusters and the spine.
+    skin : bool
+        True for a set of markers on the skin, False for one of joint centres.
+    unread : tuple of str
+        The labels that name nothing.
+    """
+
+    labels: dict[str, tuple[str, ...]]
+    skin: bool
+    unread: tuple[str, ...]
+
+    @property
+    def known(self) -> int:
+        """The number of labels that name a landmark."""
+        return sum(map(len, self.labels.values()))
+
+
+Table = dict[str, list[tuple[str, int]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Labels and regressions of `configs/names/landmarks.yaml`.
+
+    Attributes
+    ----------
+    skin, centres : Table
+        Label without case and marks → the landmarks that it may name, each with its place in the list of labels.
+    order : tuple of str
+        All landmarks in the order in which they choose their labels.
+    many : frozenset of str
+        Landmarks of which all labels count: clusters and the spine.
+    sides : dict of str to str
+        A word that states a side → "l" or "r".
+    joints : dict of str to tuple of Choice
+        The alternatives of each named joint that has a regression.
+    points : dict of str to tuple of Choice
+        The alternatives of each point that regressions use.
+    """
+
+    skin: Table
+    centres: Table
+    order: tuple[str, ...]
+    many: frozenset[str]
+    sides: Mapping[str, str]
+    suffixes: tuple[str, ...]
+    joints: Mapping[str, tuple[Choice, ...]]
+    points: Mapping[str, tuple[Choice, ...]]
+    _keys: dict[str, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False)
+
+    def read(self, labels: Sequence[str]) -> Reading:
+        """Return the landmarks that labels name, without the prefix with which they name most."""
+        prefixes = sorted({"", *_prefixes(labels)}, key=len)
+        return max((self._read(labels, prefix) for prefix in prefixes), key=lambda found: found.known)
+
+    def _read(self, labels: Sequence[str], prefix: str) -> Reading:
+        there = {label[:-1] for label in labels if label.endswith("O")} if len(labels) > 3 else set()
+        models = {stem for stem in there if all(f"{stem}{end}" in labels for end in _MODEL)}
+        keys = {
+            label: self._key_of(label.removeprefix(prefix))
+            for label in labels
+            if not (label[-1:] in _MODEL and label[:-1] in models)
+        }
+        skin = self._found(keys, self.skin)
+        centres = self._found(keys, self.centres)
+        own = len({label for label, _, _ in skin} - {label for label, _, _ in centres})
+        of_joints = len({label for label, _, _ in centres} - {label for label, _, _ in skin})
+        is_skin = own >= _SKIN and own >= of_joints // 2 and any(landmark in _TRUNK for _, landmark, _ in skin)
+        if is_skin:
+            explicit = {label for label in keys if any(word in keys[label][0] for word in _EXPLICIT)}
+            centres = [hit for hit in centres if hit[0] in explicit or hit[1][0] not in "lr"]
+        named = _assigned([*(skin if is_skin else ()), *centres], self.order, self.many)
+        used = {label for found in named.values() for label in found}
+        return Reading(named, is_skin, tuple(label for label in labels if label not in used))
+
+    def _key_of(self, label: str) -> tuple[str, ...]:
+        """Return the forms under which a label is looked up: all its words, and its words without a side."""
+        known = self._keys.get(label)
+        if known is not None:
+            return known
+        words = [word.lower() for word in _WORD.findall(label.rpartition(":")[2])]
+        forms = ["".join(words)]
+        at = next((i for i, word in enumerate(words) if word in self.sides), None)
+        if at is not None and len(words) > 1:
+            forms.insert(0, self.sides[words[at]] + " " + "".join(words[:at] + words[at + 1 :]))
+        if len(self._keys) > 20_000:
+            self._keys.clear()
+        self._keys[label] = tuple(forms)
+        return self._keys[label]
+
+    def _found(self, keys: Mapping[str, tuple[str, ...]], table: Table) -> list[tuple[str, str, int]]:
+        """Return the labels that a table knows, each with a landmark and its rank there."""
+        hits = []
+        for label, forms in keys.items():
+            known = next((table[form] for form in forms if form in table), ())
+            hits += [(label, landmark, rank) for landmark, rank in known]
+        return hits
+
+    def mixes(self, joint: str, labels: Mapping[str, tuple[str, ...]]) -> tuple[list[Mix], str]:
+        """Return the mixes of labels that make a joint, best first, and how the first one is estimated, if it is.
+
+        Parameters
+        ----------
+        joint : str
+            A named joint.
+        labels : Mapping of str to tuple of str
+            Landmark → its labels in the file.
+        """
+        mixes: list[Mix] = []
+        how = ""
+        for choice in self.joints.get(joint, ()):
+            if choice.estimated and mixes:
+                continue
+            found = self._expanded(choice, labels)
+            if found and not mixes:
+                how = choice.estimated
+            mixes += [mix for mix in found if mix not in mixes]
+        return mixes[:_MOST_CHOICES], how
+
+    def _expanded(self, choice: Choice, labels: Mapping[str, tuple[str, ...]]) -> list[Mix]:
+        used = list(dict.fromkeys([*(name for name, _ in choice.weights), *choice.plane]))
+        ways = [self._ways(name, labels) for name in used]
+        mixes = []
+        for combination in product(*ways):
+            way = dict(zip(used, combination, strict=True))
+            weights: dict[str, float] = {}
+            for name, weight in choice.weights:
+                for label, share in way[name]:
+                    weights[label] = weights.get(label, 0.0) + weight * share
+            plane = tuple(way[name][0][0] for name in choice.plane)
+            if len(set(plane)) == len(plane):
+                rounded = tuple((label, round(weight, 6)) for label, weight in weights.items() if abs(weight) > 1e-9)
+                mixes.append(Mix(rounded, plane=plane, out=choice.out if plane else 0.0))
+        return mixes
+
+    def _ways(self, name: str, labels: Mapping[str, tuple[str, ...]]) -> list[tuple[tuple[str, float], ...]]:
+        """Return the ways in which labels make a landmark or a point."""
+        if name in labels:
+            there = labels[name]
+            return [tuple((label, 1.0 / len(there)) for label in there)]
+        ways = []
+        for choice in self.points.get(name, ()):
+            parts = [self._ways(part, labels) for part, _ in choice.weights]
+            if all(parts):
+                ways.append(
+                    tuple(
+                        (label, weight * share)
+                        for (_, weight), part in zip(choice.weights, parts, strict=True)
+                        for label, share in part[0]
+                    )
+                )
+        return ways
+
+
+def _prefixes(labels: Sequence[str]) -> list[str]:
+    """Return what all labels, or most of them up to a mark, begin with."""
+    marks = Counter(label[: mark.end()] for label in labels for mark in re.finditer(r"[^A-Za-z0-9]", label))
+    usual = [prefix for prefix, count in marks.most_common(8) if 3 * count > len(labels)]
+    starts = Counter(label[:size] for label in labels for size in (1, 2, 3, 4, 5, 6, 8, 10) if len(label) > size + 1)
+    glued = [start for start, count in starts.items() if 3 * count > 2 * len(labels) > 6]
+    return [*usual, *glued]
+
+
+def _assigned(
+    hits: Iterable[tuple[str, str, int]], order: Sequence[str], many: frozenset[str]
+) -> dict[str, tuple[str, ...]]:
+    """Give each landmark its best label that no landmark before it has."""
+    wanted: dict[str, list[tuple[int, str]]] = {}
+    for label, landmark, rank in hits:
+        wanted.setdefault(landmark, []).append((rank, label))
+    used: set[str] = set()
+    named: dict[str, tuple[str, ...]] = {}
+    for landmark in order:
+        free = [label for _, label in sorted(wanted.get(landmark, ()), key=lambda hit: hit[0]) if label not in used]
+        chosen = tuple(free if landmark in many else free[:1])
+        if chosen:
+            named[landmark] = chosen
+            used.update(chosen)
+    return named
+
+
+def load_landmarks() -> Landmarks:
+    """Read `configs/names/landmarks.yaml`.
+
+    Raises
+    ------
+    ConfigError
+        At the first fault, with its file, line and key.
+    """
+    return _load(shipped_configs() / "names" / "landmarks.yaml")
+
+
+@lru_cache(maxsize=4)
+def _load(path: Path) -> Landmarks:
+    located = load_yaml(path)
+    located.mapping()
+    parsed = located.model(_LandmarkFile)
+    sides = {word.lower(): side for side, words in (("l", parsed.left), ("r", parsed.right)) for word in words}
+    skin, centres = _table(parsed.skin, parsed.suffixes), _table(parsed.centres, parsed.suffixes)
+    both = (parsed.skin, parsed.centres)
+    many = {f"{side}{name}" for part in both for name in part.clusters for side in "lr"} | {"spine"}
+    order = [name for part in both for name in _names(part)]
+    points = _mirrored({name: _choices(located, "points", name, ways) for name, ways in parsed.points.items()}, order)
+    known = {*order, *points}
+    joints = _mirrored({name: _choices(located, "joints", name, ways) for name, ways in parsed.joints.items()}, order)
+    for joint, choices in joints.items():
+        for choice in choices:
+            for name in (*(name for name, _ in choice.weights), *choice.plane):
+                if name not in known:
+                    raise located.error(f"no landmark is called '{name}'", "joints", joint)
+    return Landmarks(skin, centres, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points)
+
+
+def _names(part: _Part) -> list[str]:
+    names = [f"{side}{name}" for name in part.sided for side in "lr"]
+    names += list(part.middle)
+    names += [f"{side}{name}" for name in part.clusters for side in "lr"]
+    return [*names, *(["spine"] if part.spine else [])]
+
+
+def _table(part: _Part, suffixes: Sequence[str]) -> Table:
+    table: Table = {}
+
+    def add(key: str, landmark: str, rank: int) -> None:
+        if all(known != landmark for known, _ in table.setdefault(key, [])):
+            table[key].append((landmark, rank))
+
+    for group in (part.sided, part.clusters):
+        for name, labels in group.items():
+            for rank, label in enumerate(labels):
+                words = label.split()
+                for ending in ("", *suffixes):
+                    for side in "lr":
+                        for key in _glued([*words, *([ending] if ending else [])], side):
+                            add(key, f"{side}{name}", 2 * rank + (not ending))
+    for name, labels in (*part.middle.items(), *((("spine", part.spine),) if part.spine else ())):
+        for rank, label in enumerate(labels):
+            for ending in ("", *suffixes):
+                add(label.replace(" ", "") + ending, name, 2 * rank + (not ending))
+    return table
+
+
+def _glued(words: Sequence[str], side: str) -> list[str]:
+    """Return the forms of a label with its side in front, at the end and between its words."""
+    whole = "".join(words)
+    long = {"l": "left", "r": "right"}[side]
+    forms = [f"{side} {whole}", side + whole, long + whole, whole + long]
+    if len(whole) > 2:
+        forms.append(whole + side)
+    for at in range(1, len(words)):
+        before, after = "".join(words[:at]), "".join(words[at:])
+        forms += [before + side + after, before + long + after]
+    return forms
+
+
+def _choices(located: Located, section: str, name: str, ways: Sequence[Mapping[str, Any]]) -> tuple[Choice, ...]:
+    choices = []
+    for i, way in enumerate(ways):
+        aside, estimated = way.get("aside"), str(way.get("estimated", ""))
+        weights = {key: value for key, value in way.items() if key not in ("aside", "estimated")}
+        if any(not isinstance(value, (int, float)) for value in weights.values()):
+            raise located.error("expected weights over landmarks", section, name, i)
+        if abs(sum(weights.values()) - 1.0) > 1e-9:
+            raise located.error(f"the weights must add up to 1, got {sum(weights.values()):g}", section, name, i)
+        plane, out = (tuple(aside["plane"]), float(aside["times"])) if aside else ((), 0.0)
+        choices.append(Choice(tuple(weights.items()), plane, out, estimated))
+    return tuple(choices)
+
+
+def _mirrored(found: Mapping[str, tuple[Choice, ...]], names: Iterable[str]) -> dict[str, tuple[Choice, ...]]:
+    """Return choices with those of the left side repeated for the right one."""
+    sided = {name[1:] for name in names if name[0] == "l" and "r" + name[1:] in set(names)}
+    sided |= {name[1:] for name in found if name[0] == "l"}
+
+    def other(name: str) -> str:
+        return {"l": "r", "r": "l"}[name[0]] + name[1:] if name[0] in "lr" and name[1:] in sided else name
+
+    mirrored = dict(found)
+    for name, choices in found.items():
+        if name[0] == "l" and name[1:] in sided:
+            mirrored["r" + name[1:]] = tuple(
+                Choice(
+                    tuple((other(part), weight) for part, weight in choice.weights),
+                    tuple(other(part) for part in choice.plane),
+                    -choice.out,
+                    choice.estimated,
+                )
+                for choice in choices
+            )
+    return mirrored
