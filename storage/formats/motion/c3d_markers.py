@@ -156,15 +156,20 @@ def _texts(layout: Layout, name: str) -> list[str]:
     return layout.parameters[name].texts if name in layout.parameters else []
 
 
-def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ...]:
-    """Return a name for every marker; labels that several share are numbered, so that none is mistaken."""
+def labels_of(layout: Layout) -> tuple[str, ...]:
+    """Return the labels of all markers, those of POINT:LABELS2 and on included; markers without one are numbered."""
     labels = _texts(layout, "LABELS")
     for key in sorted(
         (key for key in layout.parameters if re.fullmatch(r"LABELS\d+", key)), key=lambda key: int(key[6:])
     ):
         labels += _texts(layout, key)
-    labels = [label or f"unnamed {i}" for i, label in enumerate(labels[: len(positions)])]
-    labels += [f"unnamed {i}" for i in range(len(labels), len(positions))]
+    named = [label or f"unnamed {i}" for i, label in enumerate(labels[: layout.points])]
+    return (*named, *(f"unnamed {i}" for i in range(len(named), layout.points)))
+
+
+def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ...]:
+    """Return a name for every marker; labels that several share are numbered, so that none is mistaken."""
+    labels = labels_of(layout)
     seen = [bool(np.isfinite(track[0]).any()) for track in positions]
     twice = [
         label

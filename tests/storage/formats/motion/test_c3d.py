@@ -16,8 +16,8 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import c3d_markers
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
-from kinedex.storage.formats.motion.reader import Body, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader_table import persons_of, read_body
 from tests.bodies import STANDING
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 
@@ -56,14 +56,19 @@ def test_markers_become_a_standing_body_in_metres_with_y_up(tmp_path: Path) -> N
     np.testing.assert_allclose(np.diff(joint(body, "root")[2]), 0.01, atol=1e-6)
 
 
-def test_subjects_names_do_not_matter_and_of_two_subjects_neither_is_taken(tmp_path: Path) -> None:
+def test_subjects_names_do_not_matter_and_two_subjects_are_two_persons(tmp_path: Path) -> None:
     points = 1000 * z_up(standing_markers(3))
     ann = tuple(f"Ann:{label}" for label in LABELS)
     body = read(write_c3d(tmp_path / "a.c3d", points, ann))
     np.testing.assert_array_equal(body.positions, read(walking(tmp_path / "b.c3d", 3)).positions)
-    both = (*ann, *(f"Bo:{label}" for label in LABELS))
-    with pytest.raises(SourceError, match=r"as Ann:LFWT and Bo:LFWT \(LFWT\), none is taken: write one figure"):
-        read(write_c3d(tmp_path / "c.c3d", np.concatenate([points, points]), both))
+    both = (*ann, *(f"Bo:{label}" for label in LABELS), *(f"Box:corner {i}" for i in range(12)))
+    path = write_c3d(tmp_path / "c.c3d", np.concatenate([points, points + 900.0, points[:12] - 900.0]), both)
+    assert persons_of(MotionFile(path), AUTO) == ("Ann", "Bo")
+    with pytest.raises(SourceError, match="the markers of 2 persons, Ann, Bo; ingest makes a take of each"):
+        read(path)
+    ann_alone, bo = (read_body(path, None, AUTO, JOINTS, person=person) for person in ("Ann", "Bo"))
+    np.testing.assert_array_equal(ann_alone.positions, body.positions)
+    np.testing.assert_allclose(bo.positions, body.positions + [[[-0.9], [0.9], [0.9]]] * np.array([[[-1], [1], [-1]]]))
 
 
 def test_a_label_that_two_markers_have_names_neither_unless_one_is_never_seen(tmp_path: Path) -> None:
@@ -73,8 +78,7 @@ def test_a_label_that_two_markers_have_names_neither_unless_one_is_never_seen(tm
     markers = parse_c3d(write_c3d(tmp_path / "b.c3d", points, (*LABELS, "LKNE")))
     assert markers.names[-1] == "LKNE (2)"
     assert markers.warnings == ["several markers are called LKNE; none of them is used"]
-    with pytest.raises(SourceError, match="lacks LKNE"):
-        read(tmp_path / "b.c3d")
+    assert read(tmp_path / "b.c3d").unknown == ("lknee",)
 
 
 def test_more_markers_than_one_list_of_labels_holds_and_markers_without_a_label(tmp_path: Path) -> None:
