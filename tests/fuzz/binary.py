@@ -159,3 +159,43 @@ def c3d_numbers(data: bytes, random: Random) -> bytes:
 
 C3D: tuple[Mutation, ...] = (c3d_header, c3d_header, c3d_parameter, c3d_parameter, c3d_parameter, c3d_numbers)
 """Mutations of a C3D file, besides those of its bytes."""
+
+
+# ---- scenes ----------------------------------------------------------------------------------------------
+
+
+def glb_header(data: bytes, random: Random) -> bytes:
+    """Change a number of the header of a GLB file or of its first chunk."""
+    at = random.choice((4, 8, 12, 16))
+    return data[:at] + struct.pack("<I", random.choice((0, 1, 2, 19, 1000, 0x7FFFFFFF, 0xFFFFFFFF))) + data[at + 4 :]
+
+
+def glb_json(data: bytes, random: Random) -> bytes:
+    """Change numbers of the JSON of a GLB file, whose length stays as it was."""
+    if len(data) < 20:
+        return data
+    stop = 20 + int.from_bytes(data[12:16], "little")
+    found = list(re.finditer(rb"(?<=[ :\[])-?[0-9.]+(?=[,}\] ])", data[20:stop]))
+    changed = bytearray(data)
+    for match in random.sample(found, min(len(found), random.choice((1, 1, 2, 8)))):
+        new = random.choice(
+            (b"0", b"1", b"2", b"3", b"-1", b"9", b"99999", b"1e9", b"5120", b"0.5", b"[]", b'""', b"null")
+        )
+        changed[20 + match.start() : 20 + match.end()] = new[: match.end() - match.start()].ljust(
+            match.end() - match.start()
+        )
+    return bytes(changed)
+
+
+def glb_numbers(data: bytes, random: Random) -> bytes:
+    """Numbers of the binary part of a GLB file are none, infinite, huge or small."""
+    if len(data) < 20:
+        return data
+    start = 28 + int.from_bytes(data[12:16], "little")
+    value = struct.pack("<f", random.choice((float("nan"), float("inf"), 0.0, -1.0, 1.0, 1e5, 3e38, 1e-40)))
+    at = start + 4 * random.randrange(max(1, (len(data) - start) // 4))
+    return data[:at] + (value * random.choice((1, 4, 100)))[: max(0, len(data) - at)] + data[at + 4 :]
+
+
+GLB: tuple[Mutation, ...] = (glb_header, glb_json, glb_json, glb_json, glb_numbers)
+"""Mutations of a GLB file, besides those of its bytes."""

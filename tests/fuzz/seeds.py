@@ -19,6 +19,7 @@ from tests import point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d
+from tests.gltf_files import dancing_gltf
 from tests.mvnx_files import dancing, mvnx_text, subject_text
 from tests.pipelines.archives import human_amc, human_asf
 
@@ -156,8 +157,21 @@ def npz() -> dict[str, bytes]:
 
 def mvnx() -> dict[str, bytes]:
     """A person, and two in a file."""
-    one, two = subject_text(*dancing(3)), subject_text(*dancing(2, seed=1), label="Bo")
+    one, two = subject_text(*dancing(3)), subject_text(*dancing(2, seed=1), label="Bo", suit="UpperBody")
     return {"one": mvnx_text([one]).encode(), "two": mvnx_text([one, two], version=3).encode()}
+
+
+def glb() -> dict[str, bytes]:
+    """A figure of a skin with one clip, and one without a skin with two."""
+    one, two = dancing_gltf(mixamo(), dance(mixamo(), 4)), dancing_gltf(mixamo(), dance(mixamo(), 3), skin=False)
+    places = {node["name"]: i for i, node in enumerate(two.json["nodes"])}
+    two.clip("jump", places, mixamo(), dance(mixamo(), 2, seed=1))
+    return {"skin": one.glb(), "clips": two.glb()}
+
+
+def gltf() -> dict[str, bytes]:
+    """The same with the numbers in the JSON."""
+    return {"skin": dancing_gltf(mixamo(), dance(mixamo(), 3)).gltf()}
 
 
 def c3d() -> dict[str, bytes]:

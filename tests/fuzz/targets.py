@@ -32,7 +32,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from tests.bodies import STANDING
 from tests.fuzz import seeds
-from tests.fuzz.binary import C3D, NPY, NPZ
+from tests.fuzz.binary import C3D, GLB, NPY, NPZ
 from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
 from tests.fuzz.words import (
     AMC_WORDS,
@@ -44,6 +44,7 @@ from tests.fuzz.words import (
     DEEP_MVNX,
     DEEP_YAML,
     EAF_WORDS,
+    GLTF_WORDS,
     JSON_WORDS,
     MOTIVE_WORDS,
     MVNX_WORDS,
@@ -308,6 +309,8 @@ TARGETS: dict[str, Target] = {
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
         Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
         Target("mvnx", ".mvnx", seeds.mvnx, _text(MVNX_WORDS, DEEP_MVNX), check_persons),
+        Target("glb", ".glb", seeds.glb, (*ANY, *GLB), check_persons),
+        Target("gltf", ".gltf", seeds.gltf, _text(GLTF_WORDS, DEEP_YAML), check_persons),
         Target("c3d", ".c3d", seeds.c3d, (*ANY, *C3D, *C3D), check_motion),
         Target("c3d-parser", ".c3d", seeds.strange_c3d, (*ANY, *C3D, *C3D), check_strange_c3d),
         Target("amass", ".npz", seeds.amass, (*ANY, *NPZ, *NPZ), check_amass),

@@ -74,6 +74,25 @@ DEEP_MVNX = (
     (b"<frame type='normal'>", b"</frame>"),
     (b"<a>", b"</a>"),
 )
+GLTF_WORDS = (
+    *(b'"byteStride": 4,', b'"byteOffset": 1,', b'"count": 1000000000,', b'"normalized": true,', b'"sparse": {},'),
+    *(
+        b'"uri": "../a.bin",',
+        b'"uri": "data:;base64,AAAA",',
+        b'"children": [0],',
+        b'"children": [1, 2],',
+        b'"joints": [1],',
+    ),
+    *(
+        b'"matrix": [0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0],',
+        b'"scale": [0, 0, 0],',
+        b'"scale": [-1, 1, 1e9],',
+        b"null",
+        b"-1",
+    ),
+    *(b'"interpolation": "STEP",', b'"interpolation": "CUBICSPLINE",', b'"rotation": [0, 0, 0, 0],', b"1e999", b"NaN"),
+    *(b'"extensions": {"VRM": {"humanoid": {"humanBones": [{"bone": "hips", "node": 1}]}}},', b'"name": "\\ud800",'),
+)
 VTT_WORDS = (
     b"NOTE",
     b"STYLE",

@@ -24,7 +24,10 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 AT_ONCE = 1024
-"""Frames that are posed at once."""
+"""Most frames that are posed at once."""
+
+MOST_FREE_FRAMES = 100_000
+"""Frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
 
 HEIGHTS_M = (0.4, 2.6)
 """Heights of a body, along legs and trunk, for which the unit that a file states is believed."""
@@ -72,6 +75,111 @@ class Figure:
     warnings: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Group:
+    """The nodes of one figure in a scene.
+
+    Attributes
+    ----------
+    nodes : tuple of int
+        Indices in the scene, parents first; the first is the top of the figure.
+    parents : tuple of int
+        Index in `nodes` of the nearest node above each; −1 for the first.
+    """
+
+    nodes: tuple[int, ...]
+    parents: tuple[int, ...]
+
+    def chain(self, above: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """Return the nodes with all that they hang from, their parents, and the places of the figure's own in them.
+
+        Parameters
+        ----------
+        above : sequence of int
+            The parent of every node of the scene; −1 for roots.
+        """
+        needed: set[int] = set()
+        for node in self.nodes:
+            while node >= 0 and node not in needed:
+                needed.add(node)
+                node = above[node]
+        chain = [node for node in parents_first(above) if node in needed]
+        place = {node: i for i, node in enumerate(chain)}
+        parents = tuple(place[above[node]] if above[node] >= 0 else -1 for node in chain)
+        return tuple(chain), parents, tuple(place[node] for node in self.nodes)
+
+
+def parents_first(above: Sequence[int]) -> list[int]:
+    """Return the nodes of a scene, every node after the one that it hangs from; nodes in circles are left out."""
+    below: list[list[int]] = [[] for _ in above]
+    for node, parent in enumerate(above):
+        if parent >= 0:
+            below[parent].append(node)
+    order: list[int] = []
+    waiting = [node for node, parent in enumerate(above) if parent < 0][::-1]
+    while waiting:
+        node = waiting.pop()
+        order.append(node)
+        waiting += reversed(below[node])
+    return order
+
+
+def groups_of(above: Sequence[int], bones: set[int], shown: set[int]) -> list[Group]:
+    """Return the figures of a scene: every bone that hangs from no other, with the nodes below it.
+
+    Parameters
+    ----------
+    above : sequence of int
+        The parent of every node of the scene; −1 for roots.
+    bones : set of int
+        The nodes that are surely bones.
+    shown : set of int
+        The nodes that a figure may have: bones, and ends of bones, but no meshes or cameras.
+    """
+    nearest: dict[int, int] = {}  # the nearest node of a figure at or above each node
+    top: dict[int, int] = {}
+    members: dict[int, list[int]] = {}
+    for node in parents_first(above):
+        parent = above[node]
+        inside = parent in top
+        if inside:
+            top[node], nearest[node] = top[parent], nearest[parent]
+        elif node in bones:
+            top[node] = node
+            members[node] = []
+        if node in top and (node in shown or node in bones):
+            members[top[node]].append(node)
+            nearest[node] = node
+    groups = []
+    for nodes in members.values():
+        place = {node: i for i, node in enumerate(nodes)}
+        groups.append(Group(tuple(nodes), (-1, *(place[nearest[above[node]]] for node in nodes[1:]))))
+    return groups
+
+
+class NamedClip(Protocol):
+    """A clip of a figure, with the names of both."""
+
+    @property
+    def figure(self) -> str:
+        """The name of the figure."""
+
+    @property
+    def clip(self) -> str:
+        """The name of the clip."""
+
+
+def clip_names(clips: Sequence[NamedClip]) -> tuple[str, ...]:
+    """Return a name for each clip of each figure: of the figure, of the clip, or of both, as far as they differ."""
+    figures = len({clip.figure for clip in clips}) > 1
+    several = len({clip.clip for clip in clips}) > 1
+    found = []
+    for clip in clips:
+        parts = [clip.figure] if figures else []
+        found.append(" ".join([*parts, clip.clip] if several or not figures else parts))
+    return unique_names(found)
+
+
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names, later ones of equal names with a number: `Hips`, `Hips (2)`."""
     taken: set[str] = set()
@@ -87,9 +195,21 @@ def unique_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
+def refuse_many_frames(path: Path, frames: int, keys: int) -> None:
+    """Raise a SourceError if a few keys claim a motion of absurd length."""
+    most = max(MOST_FREE_FRAMES, 100 * keys)
+    if frames > most:
+        raise SourceError(path, f"its {keys} key times make {frames} frames, more than {most}: a time must be wrong")
+
+
 def figure_bytes(frames: int, nodes: int, joints: int) -> int:
     """Return the memory of a figure's body, and of the nodes of a block of frames between it and the file."""
-    return body_bytes(frames, joints) + min(frames, AT_ONCE) * (600 * nodes + 96 * joints)
+    return body_bytes(frames, joints) + min(frames, _at_once(nodes)) * (600 * nodes + 96 * joints)
+
+
+def _at_once(nodes: int) -> int:
+    """Return the frames that are posed at once: some 100 MB of nodes at most."""
+    return min(AT_ONCE, max(SAMPLED_FRAMES, 200_000 // nodes))
 
 
 def body_of_figure(
@@ -144,8 +264,9 @@ def body_of_figure(
 def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
     """Return the joints (J, 3, T) and the root's rotation from its rest pose (9, T), computed in blocks of frames."""
     positions, turned = np.empty((len(joints), 3, figure.frames)), np.empty((9, figure.frames))
-    for start in range(0, figure.frames, AT_ONCE):
-        part = np.arange(start, min(start + AT_ONCE, figure.frames))
+    step = _at_once(len(figure.names))
+    for start in range(0, figure.frames, step):
+        part = np.arange(start, min(start + step, figure.frames))
         places, turned[:, part] = figure.poses.at(part, fit.root)
         positions[:, :, part] = fit.apply(places, joints)
     return positions, turned

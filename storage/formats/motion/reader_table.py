@@ -22,6 +22,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
         "mvnx": "kinedex.storage.formats.motion.mvnx:MvnxReader",
+        "gltf": "kinedex.storage.formats.motion.gltf:GltfReader",
     },
 )
 """Name → reader. Of readers that share an ending a plugin is asked first, then the built-in ones in this order."""

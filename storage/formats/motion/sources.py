@@ -20,7 +20,6 @@ UNREAD = {
     ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
     ".htr": "export it as BVH",
     ".bip": "export it as BVH",
-    ".glb": "convert it to BVH first, for instance with Blender (import glTF, export BVH)",
 }
 """Endings of motion files that kinedex does not read, and the way out."""
 

@@ -40,10 +40,13 @@ def test_joints_lie_where_the_segments_begin_and_end(tmp_path: Path) -> None:
     for name, segment in {"root": "Pelvis", "lknee": "LeftLowerLeg", "relbow": "RightForeArm", "neck": "Neck"}.items():
         expected = y_up(positions[:, SEGMENTS.index(segment)]).T
         np.testing.assert_allclose(joint(body, name), expected, atol=1e-6)
-    for name, segment in {"headtop": "Head", "ltoes": "LeftToe", "rfingers": "RightHand"}.items():
+    for name, segment in {"headtop": "Head", "ltoes": "LeftToe"}.items():
         at = SEGMENTS.index(segment)
         expected = [positions[t, at] + rotate(orientations[t, at], tip(segment)) for t in range(5)]
         np.testing.assert_allclose(joint(body, name), y_up(np.array(expected)).T, atol=2e-6)
+    assert body.estimated == ("lfingers", "rfingers")  # between wrist and finger tips
+    along = joint(body, "rfingers") - joint(body, "rwrist")
+    np.testing.assert_allclose(np.linalg.norm(along, axis=0), 0.442 * 0.19, atol=0.01)
     assert any("X forward and Z up" in sentence for sentence in body.evidence)
 
 
@@ -56,6 +59,13 @@ def test_the_root_turns_as_the_pelvis_does(tmp_path: Path) -> None:
         left = x_axes(read(path).orientation)[0]
         expected = [np.cos(np.deg2rad(degrees)), 0, -np.sin(np.deg2rad(degrees))]
         np.testing.assert_allclose(left, expected, atol=1e-6)
+
+
+def test_a_suit_for_the_upper_body_leaves_the_legs_unknown(tmp_path: Path) -> None:
+    write_mvnx(tmp_path / "a.mvnx", suit="UpperBody")
+    body = read(tmp_path / "a.mvnx")
+    assert body.unknown == tuple(joint for joint in JOINTS if joint[1:] in ("hip", "knee", "ankle", "toes"))
+    assert any("the suit UpperBody" in warning for warning in body.warnings)
 
 
 def test_every_subject_is_a_person(tmp_path: Path) -> None:

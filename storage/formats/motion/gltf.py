@@ -1,0 +1,309 @@
+"""The reader of glTF files: skeletons of skins, moved by the animations of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.ops.body.keyframe_tracks import OFF_GRID, likely_rate, sample_track
+from kinedex.ops.body.transforms import global_transforms, rotations, without_scale
+from kinedex.storage.formats.motion.figures import (
+    I64,
+    Figure,
+    Group,
+    body_of_figure,
+    chosen_person,
+    clip_names,
+    figure_bytes,
+    groups_of,
+    refuse_many_frames,
+    unique_names,
+)
+from kinedex.storage.formats.motion.gltf_document import Animation, Document, Node, Sampler, matrix_parts, read_gltf
+from kinedex.storage.formats.motion.reader import MOST_POINTS, Body, Extent, MotionFile, Reader, ReadSettings
+
+F64 = npt.NDArray[np.float64]
+
+PATHS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
+"""The properties of a node that move it, and the types of their values."""
+
+_HALF_TURN = np.diag([-1.0, 1.0, -1.0])
+"""From the axes of VRM 0, whose avatars face −Z, to those of glTF."""
+
+
+class GltfReader(Reader):
+    """Reads .gltf and .glb files, and the avatars and animations of VRM, which are such files."""
+
+    format: ClassVar[Format] = "bvh"
+    endings: ClassVar[tuple[str, ...]] = (".glb", ".gltf", ".vrm", ".vrma")
+
+    def relevant_settings(self, settings: ReadSettings) -> object:
+        """Return the rate that replaces the file's, the only setting that counts."""
+        return settings.override_rate_hz
+
+    def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
+        """Find the frames by the times of the keys; the memory is that of JSON, keys and joints."""
+        document = read_gltf(file.path)
+        clips = _clips(document)
+        clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
+        times = _times(document, clip.animation)
+        rate_hz, _ = likely_rate(times)
+        frames = _frames(times, rate_hz)
+        keys = sum(accessor.count for accessor in document.content.accessors) * 16 * 8
+        nodes = len(document.content.nodes)
+        need = figure_bytes(frames, nodes, joints) + 10 * document.json_bytes + min(keys, 50 * document.size)
+        return Extent(frames, need + (4 << 20), settings.rate_of(rate_hz, []))
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of figures and clips; empty where there is one clip of one figure."""
+        names = clip_names(_clips(read_gltf(file.path)))
+        return names if len(names) > 1 else ()
+
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read a clip of a figure of a glTF file.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, or holds no animation of a skeleton; the error names the key of the first fault.
+        """
+        document = read_gltf(file.path)
+        clips = _clips(document)
+        clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
+        return body_of_figure(file.path, _figure(document, clip), mappings, joints, settings)
+
+
+@dataclass(frozen=True)
+class _Clip:
+    """An animation of a figure."""
+
+    group: Group
+    animation: Animation
+    figure: str
+    clip: str
+
+
+def _clips(document: Document) -> list[_Clip]:
+    """Return the animations of every figure of a document.
+
+    Raises
+    ------
+    SourceError
+        No animation moves a skeleton.
+    """
+    content = document.content
+    if len(content.nodes) > MOST_POINTS:
+        raise document.error(f"has {len(content.nodes)} nodes, more than {MOST_POINTS}")
+    groups = [_humanoid(document)] if _human_bones(document) else _groups(document)
+    figures = unique_names([content.nodes[group.nodes[0]].name or "figure" for group in groups])
+    names = unique_names([animation.name or "clip" for animation in content.animations])
+    found = []
+    for group, figure in zip(groups, figures, strict=True):
+        nodes = set(group.nodes)
+        for animation, name in zip(content.animations, names, strict=True):
+            if any(channel.target.node in nodes for channel in animation.channels):
+                found.append(_Clip(group, animation, figure, name))
+    if not found:
+        what = "animations" if not content.animations else "animation of a skeleton (of joints of a skin)"
+        raise document.error(f"holds no {what}: {len(content.nodes)} nodes, {len(content.skins)} skins")
+    return found
+
+
+def _groups(document: Document) -> list[Group]:
+    """Return the skeletons: the joints of skins that hang together, else the nodes that animations turn."""
+    nodes = document.content.nodes
+    joints = {joint for skin in document.content.skins for joint in skin.joints}
+    if any(joint >= len(nodes) for joint in joints):
+        raise document.error(f"skins.joints must be nodes below {len(nodes)}, got {max(joints)}")
+    if joints:
+        shown = [i for i, node in enumerate(nodes) if (node.mesh is None and node.camera is None) or i in joints]
+    else:
+        shown = [i for i, node in enumerate(nodes) if node.camera is None]
+        channels = [channel for animation in document.content.animations for channel in animation.channels]
+        joints = {channel.target.node for channel in channels if channel.target.node is not None}
+        joints &= set(range(len(nodes)))
+    return groups_of(document.parents, joints, set(shown))
+
+
+def _human_bones(document: Document) -> dict[str, int]:
+    """Return the nodes of VRM's bones by the name of each: `leftUpperLeg`; empty for files without this extension."""
+    extensions = document.content.extensions
+    for key in ("VRMC_vrm", "VRMC_vrm_animation", "VRM"):
+        humanoid = extensions[key].get("humanoid") if isinstance(extensions.get(key), dict) else None
+        bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
+        if isinstance(bones, list):  # VRM 0
+            pairs = [(bone.get("bone"), bone) for bone in bones if isinstance(bone, dict)]
+        else:
+            pairs = list(bones.items()) if isinstance(bones, dict) else []
+        found = {}
+        for name, bone in pairs:
+            node = bone.get("node") if isinstance(bone, dict) else None
+            if isinstance(name, str) and isinstance(node, int) and 0 <= node < len(document.content.nodes):
+                found[name[:60]] = node
+        if found:
+            return found
+    return {}
+
+
+def _humanoid(document: Document) -> Group:
+    """Return the bones that VRM names, each below the nearest one above it."""
+    bones = _human_bones(document)
+    (group,) = groups_of(document.parents, set(bones.values()), set(bones.values()))[:1]
+    return group
+
+
+@dataclass(frozen=True)
+class _Track:
+    """A moved property of a node."""
+
+    node: int
+    path: str
+    times: F64
+    values: F64
+    interpolation: str
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """A clip, sampled at a rate: the chain of nodes from the scene's roots to the figure's last ones."""
+
+    chain: tuple[int, ...]
+    parents: tuple[int, ...]
+    shown: tuple[int, ...]
+    rest_linear: F64
+    rest_offsets: F64
+    rest_scales: F64
+    rest_turns: F64
+    tracks: Sequence[_Track]
+    start: float
+    rate_hz: float
+    axes: F64
+    unturned: F64
+
+    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
+        """Return the places of the figure's nodes, and the rotation of one from its rest pose."""
+        seconds = self.start + frames / self.rate_hz
+        count = len(frames)
+        offsets = np.repeat(self.rest_offsets[:, None], count, axis=1)
+        linear = np.repeat(self.rest_linear[:, None], count, axis=1)
+        for node in dict.fromkeys(track.node for track in self.tracks):
+            turned, scaled = self.rest_turns[node], self.rest_scales[node]
+            scales = np.repeat(scaled[None], count, axis=0)
+            turns = np.repeat(rotations(turned)[None], count, axis=0)
+            for track in self.tracks:
+                if track.node != node:
+                    continue
+                turning = track.path == "rotation"
+                late = OFF_GRID / self.rate_hz
+                found = sample_track(track.times, track.values, seconds, track.interpolation, turning, late)
+                if turning:
+                    turns = rotations(found[:, [3, 0, 1, 2]])
+                elif track.path == "scale":
+                    scales = found
+                else:
+                    offsets[node] = found
+            linear[node] = turns * scales[:, None, :]
+        whole, places = global_transforms(self.parents, linear, offsets)
+        shown = places[list(self.shown)] @ self.axes.T
+        turned = self.axes @ without_scale(whole[self.shown[oriented]]) @ self.unturned[oriented].T
+        return np.ascontiguousarray(shown.transpose(0, 2, 1)), turned.reshape(-1, 9).T
+
+
+def _figure(document: Document, clip: _Clip) -> Figure:
+    """Return a figure with the motion of a clip."""
+    tracks, nodes = _tracks(document, clip.animation), document.content.nodes
+    times = _times(document, clip.animation)
+    rate_hz, usual = likely_rate(times)
+    frames = _frames(times, rate_hz)
+    refuse_many_frames(document.path, frames, len(times))
+    chain, parents, shown = clip.group.chain(document.parents)
+    place = {node: i for i, node in enumerate(chain)}
+    parts = [_rest(nodes[node]) for node in chain]
+    turns, scales, offsets = (np.array([part[i] for part in parts]) for i in range(3))
+    linear = rotations(turns) * scales[:, None, :]
+    for i, node in enumerate(chain):
+        if nodes[node].matrix is not None:
+            linear[i], offsets[i] = matrix_parts(nodes[node])
+    axes = _HALF_TURN if "VRM" in document.content.extensions else np.eye(3)
+    whole, places = global_transforms(parents, linear[:, None], offsets[:, None])
+    poses = _Poses(
+        chain, parents, shown, linear, offsets, scales, turns,
+        [replace(track, node=place[track.node]) for track in tracks if track.node in place],
+        float(times[0]), rate_hz, axes, axes @ without_scale(whole[list(shown), 0]),
+    )  # fmt: skip
+    sampled = f"its keys have times and no rate; they are sampled at {rate_hz:.6g} Hz"
+    warnings = () if usual else (f"{sampled}, which is no usual rate: its keys lie on the frames of none",)
+    evidence = ("glTF defines metres, and Y up", sampled) if usual else ("glTF defines metres, and Y up",)
+    return Figure(
+        names=_names(document, clip.group),
+        parents=clip.group.parents,
+        rest=places[list(shown), 0] @ axes.T,
+        poses=poses,
+        frames=frames,
+        rate_hz=rate_hz,
+        evidence=evidence,
+        warnings=warnings,
+    )
+
+
+def _rest(node: Node) -> tuple[F64, F64, F64]:
+    """Return the quaternion w, x, y, z, the scale and the place of a node outside of any clip."""
+    x, y, z, w = node.rotation
+    return np.array([w, x, y, z]), np.array(node.scale), np.array(node.translation)
+
+
+def _names(document: Document, group: Group) -> tuple[str, ...]:
+    """Return the names of a figure's nodes; those of VRM's bones where the file has such."""
+    bones = {node: name for name, node in _human_bones(document).items()}
+    nodes = document.content.nodes
+    return unique_names([bones.get(node) or nodes[node].name or f"node {node}" for node in group.nodes])
+
+
+def _tracks(document: Document, animation: Animation) -> list[_Track]:
+    """Return the tracks of a clip that move nodes."""
+    tracks = []
+    for channel in animation.channels:
+        kind, node = PATHS.get(channel.target.path), channel.target.node
+        if kind is None or node is None:
+            continue  # weights of morph targets, or an extension's
+        sampler = _sampler(document, animation, channel.sampler)
+        times = _input(document, sampler)
+        values = document.numbers(sampler.output, kind)
+        per_key = 3 if sampler.interpolation == "CUBICSPLINE" else 1
+        if len(values) != per_key * len(times):
+            where = f"accessors.{sampler.output}"
+            raise document.error(f"{where} must have {per_key} values for each of {len(times)} keys, got {len(values)}")
+        tracks.append(_Track(node, channel.target.path, times, values, sampler.interpolation))
+    return tracks
+
+
+def _sampler(document: Document, animation: Animation, index: int) -> Sampler:
+    if index >= len(animation.samplers):
+        raise document.error(f"a channel of '{animation.name[:60]}' names samplers.{index}, which is not there")
+    return animation.samplers[index]
+
+
+def _input(document: Document, sampler: Sampler) -> F64:
+    times = document.numbers(sampler.input, "SCALAR")[:, 0]
+    if not len(times) or (np.diff(times) < 0).any():
+        raise document.error(f"accessors.{sampler.input} must be ascending times of at least one key")
+    return times
+
+
+def _times(document: Document, animation: Animation) -> F64:
+    """Return the times of all keys of a clip that move nodes."""
+    used = {channel.sampler for channel in animation.channels if channel.target.path in PATHS}
+    samplers = {_sampler(document, animation, index).input: _sampler(document, animation, index) for index in used}
+    times = [_input(document, sampler) for sampler in samplers.values()]
+    if not times:
+        raise document.error(f"animation '{animation.name[:60]}' moves no node")
+    return np.unique(np.concatenate(times))
+
+
+def _frames(times: F64, rate_hz: float) -> int:
+    return 1 + int((times[-1] - times[0]) * rate_hz + 0.1)
