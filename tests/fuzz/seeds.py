@@ -15,7 +15,7 @@ from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_ske
 from kinedex.storage.formats.labels.formats import FORMATS
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.formats.motion.body_models import BODY, HANDS
-from tests import point_files
+from tests import osim_files, point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d
@@ -105,6 +105,17 @@ def nexus() -> dict[str, bytes]:
     points = point_files.walk()
     sections = point_files.nexus_csv(1000 * points, list(STANDING), before=point_files.DEVICES, after=",,\r\n")
     return {"nexus": sections.encode(), "workstation": point_files.workstation_csv(points, list(STANDING)).encode()}
+
+
+def opensim_motion() -> dict[str, bytes]:
+    """A motion in degrees, and states in radians."""
+    values = {name: [0.1 * i, 0.2, 0.3] for i, name in enumerate(osim_files.coordinates())}
+    states = osim_files.motion(values, degrees="no", states=True)
+    return {"degrees": osim_files.motion(values).encode(), "states": states.encode()}
+
+
+def opensim_model() -> dict[str, bytes]:
+    return {f"version-{version}": osim_files.model(version).encode() for version in (3, 4)}
 
 
 def trc() -> dict[str, bytes]:

@@ -307,7 +307,7 @@ def c3d_markers(data: bytes, random: Random) -> bytes:
 
 
 _OF_ENDING: dict[str, Callable[[bytes, Random], bytes]] = {
-    ".json": json_tree, ".yaml": yaml_tree, ".eaf": xml_tree, ".npy": npy_array, ".npz": npz_arrays,
+    ".json": json_tree, ".yaml": yaml_tree, ".eaf": xml_tree, ".osim": xml_tree, ".npy": npy_array, ".npz": npz_arrays,
     ".c3d": c3d_markers,
 }  # fmt: skip
 

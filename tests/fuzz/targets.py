@@ -27,6 +27,7 @@ from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.mapped_body import FARTHEST_M
+from kinedex.storage.formats.motion.opensim import OpenSimReader
 from kinedex.storage.formats.motion.position_files import is_positions_csv
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
@@ -46,9 +47,11 @@ from tests.fuzz.words import (
     EAF_WORDS,
     GLTF_WORDS,
     JSON_WORDS,
+    MOT_WORDS,
     MOTIVE_WORDS,
     MVNX_WORDS,
     NEXUS_WORDS,
+    OSIM_WORDS,
     VTT_WORDS,
     YAML_WORDS,
 )
@@ -215,6 +218,36 @@ def check_body_model(path: Path) -> None:
         raise Broken("places that are no numbers, or a joint before its parent")
 
 
+def check_opensim_motion(path: Path) -> None:
+    """A mutated motion with a valid model."""
+    _check_opensim(path, _model_beside())
+
+
+def check_opensim_model(path: Path) -> None:
+    """A mutated model with a valid motion."""
+    motion = path.with_suffix(".mot")
+    motion.write_bytes(seeds.opensim_motion()["degrees"])
+    try:
+        _check_opensim(motion, path)
+    finally:
+        motion.unlink()
+
+
+def _check_opensim(motion: Path, model: Path) -> None:
+    points = OpenSimReader().points(MotionFile(motion), ReadSettings(body_model=str(model)))
+    if not SLOWEST_HZ <= (points.rate_hz or 0.0) <= FASTEST_HZ or len(set(points.names)) != len(points.positions):
+        raise Broken(f"{len(points.names)} names of {len(points.positions)} points at {points.rate_hz} Hz")
+
+
+@lru_cache(maxsize=1)
+def _model_beside() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="kinedex-fuzz-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    model = folder / "model.osim"
+    model.write_bytes(seeds.opensim_model()["version-4"])
+    return model
+
+
 def check_csv(path: Path) -> None:
     """Recognise a table of positions, and check the motion that is read from it."""
     if is_positions_csv(path):
@@ -306,6 +339,8 @@ TARGETS: dict[str, Target] = {
         Target("csv", ".csv", seeds.csv, _text(CSV_WORDS), check_csv),
         Target("motive", ".csv", seeds.motive, _text(MOTIVE_WORDS), check_motion),
         Target("nexus", ".csv", seeds.nexus, _text(NEXUS_WORDS), check_motion),
+        Target("mot", ".mot", seeds.opensim_motion, _text(MOT_WORDS), check_opensim_motion),
+        Target("osim", ".osim", seeds.opensim_model, _text(OSIM_WORDS, DEEP_EAF), check_opensim_model),
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),
         Target("npz", ".npz", seeds.npz, (*ANY, *NPZ, *NPZ), check_motion),
         Target("mvnx", ".mvnx", seeds.mvnx, _text(MVNX_WORDS, DEEP_MVNX), check_persons),

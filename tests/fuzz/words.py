@@ -46,6 +46,13 @@ NEXUS_WORDS = (
     *(b"Trajectories\n100\n", b"Model Outputs\n100\n", b"Devices\n", b"Frame,Sub Frame,X,Y,Z\n", b",,Ann:root,,,"),
     *(b",,mm,mm,mm", b"\n\n", b",,,\n", b"TX,TY,TZ", b"*11", b"Field #,", b"100,Hz\n"),
 )
+MOT_WORDS = (b"endheader\n", b"inDegrees=no\n", b"nan", b"time\t", b"pelvis_ty\t", b"/value")
+OSIM_WORDS = (
+    *(b"<coordinates>hip_r_q0</coordinates>", b"<axis>0 0 0</axis>", b"<Constant><value>1e5</value></Constant>"),
+    *(b"<PolynomialFunction><coefficients>1 2 3</coefficients></PolynomialFunction>", b"<reverse>true</reverse>"),
+    *(b"<MultiplierFunction/>", b"<LinearFunction/>", b"/bodyset/pelvis", b'name="pelvis"', b"<x>0 0 0</x>"),
+    *(b"<!DOCTYPE a [<!ENTITY b 'cc'>]>", b"&b;", b"<![CDATA[", b"<!--", b"<Joint>", b"<FreeJoint>", b"<WeldJoint/>"),
+)
 
 EAF_WORDS = (
     *(

@@ -12,7 +12,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
 from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
 
 _HEADER_LINES = 16  # the first line, some empty ones, and up to six rows that describe the columns
@@ -54,7 +54,7 @@ class MotiveReader(PointsReader):
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows
 
-    def points(self, file: MotionFile) -> Points:
+    def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Read the positions of the bones of a skeleton, or of markers where there is none."""
         path, layout = file.path, _layout(file.path)
         stated, warnings = layout.stated, list[str]()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,7 +14,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
 from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
-from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.table_sections import Section, beginning, refuse_jumps, text_of
 from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
 
@@ -63,7 +64,7 @@ class NexusReader(PointsReader):
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows
 
-    def points(self, file: MotionFile) -> Points:
+    def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Read the markers of a subject, or the points that its model computes where there are no markers."""
         path, layout = file.path, _layout(file.path)
         warnings: list[str] = []
@@ -98,7 +99,7 @@ def _layout(path: Path) -> _Layout:
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise SourceError(path, f"expected a rate of {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}", line=start)
     if len(rows) < 4 or not rows[3] or rows[3][0].lower() not in _FIRST_CELLS:
-        raise SourceError(path, "expected a line of labels and one that begins with 'Frame'", line=start + 3)
+        raise SourceError(path, "expected a line of labels and one that begins with 'Frame'", line=min(start + 3, stop))
     has_units = len(rows) > 4 and any(cell in _UNITS_M or cell == "deg" for cell in rows[4])
     labels, columns, unit_m = _points(path, rows[2], rows[3], rows[4] if has_units else [], start)
     cells = tuple(f"{axis} {i}" for i, axis in enumerate(rows[3]))
@@ -135,7 +136,7 @@ def _points(
     """Return the labels of points, the columns of each, and the metres of their unit."""
     starts = [i for i, name in enumerate(names) if name]
     labels, columns, units_m = [], [], set[float | None]()
-    for start, stop in zip(starts, [*starts[1:], len(axes)], strict=True):
+    for start, stop in pairwise([*starts, len(axes)]):
         at = {axis.upper(): i for i, axis in enumerate(axes[start:stop], start)}
         own = next((own for own in _AXES if all(axis in at for axis in own)), None)
         unit = units[at[own[0]]] if own is not None and at[own[0]] < len(units) else ""

@@ -25,7 +25,7 @@ class PointsReader(Reader):
     format: ClassVar[Format] = "positions"
 
     @abstractmethod
-    def points(self, file: MotionFile) -> Points:
+    def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Return the points of a file, or of the person that is asked for.
 
         Raises
@@ -61,7 +61,7 @@ class PointsReader(Reader):
         SourceError
             The file is damaged, the body is not recognised, no frame is whole, or no rate is known.
         """
-        points = self.points(file)
+        points = self.points(file, settings)
         fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points))
         warnings = [*points.warnings, *virtual_joint_warnings(fit)]
         return body_of_points(points, points.names, fit, joints, settings, warnings)

@@ -20,6 +20,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "amass": "kinedex.storage.formats.motion.amass:AmassReader",
         "motive": "kinedex.storage.formats.motion.motive:MotiveReader",
         "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
+        "opensim": "kinedex.storage.formats.motion.opensim:OpenSimReader",
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
         "mvnx": "kinedex.storage.formats.motion.mvnx:MvnxReader",
         "gltf": "kinedex.storage.formats.motion.gltf:GltfReader",

@@ -98,7 +98,7 @@ def test_trajectories_of_nexus_come_in_between_other_sections(tmp_path: Path) ->
 
 def test_workstation_files_have_no_unit_and_no_sub_frames(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", workstation_csv(WALK, JOINTS))
-    assert NexusReader().points(MotionFile(path)).unit_m is None
+    assert NexusReader().points(MotionFile(path), DEFAULT_SETTINGS).unit_m is None
     np.testing.assert_allclose(read(path).positions, EXPECTED, atol=1e-4)
 
 
@@ -139,7 +139,7 @@ def test_other_tables_are_no_motion_files(tmp_path: Path) -> None:
 
 def test_files_of_nexus_and_workstation_in_the_wild_hold_what_their_c3d_holds(shared: Path) -> None:
     folder = shared / "data" / "wild"
-    plain = NexusReader().points(MotionFile(folder / "pyCGM" / "Sample_Static.csv"))
+    plain = NexusReader().points(MotionFile(folder / "pyCGM" / "Sample_Static.csv"), DEFAULT_SETTINGS)
     c3d = ezc3d.c3d(str(folder / "pyCGM" / "Sample_Static.c3d"))
     labels = [name.strip() for name in c3d["parameters"]["POINT"]["LABELS"]["value"]]
     for name in ("LFHD", "RASI", "LTOE", "RFIN"):
@@ -147,10 +147,10 @@ def test_files_of_nexus_and_workstation_in_the_wild_hold_what_their_c3d_holds(sh
         np.testing.assert_allclose(
             plain.positions[plain.names.index(name)][:, : expected.shape[1]], expected, atol=0.01
         )
-    model = NexusReader().points(MotionFile(folder / "pyCGM" / "Movement_trial.csv"))
+    model = NexusReader().points(MotionFile(folder / "pyCGM" / "Movement_trial.csv"), DEFAULT_SETTINGS)
     assert (model.rate_hz, model.positions.shape[2], model.unit_m) == (120.0, 323, 0.001)
     assert {"LFEO", "PELO", "RHUO"} <= set(model.names)
-    arm = NexusReader().points(MotionFile(folder / "pyomeca" / "markers.csv"))
+    arm = NexusReader().points(MotionFile(folder / "pyomeca" / "markers.csv"), DEFAULT_SETTINGS)
     assert (arm.rate_hz, arm.positions.shape) == (100.0, (43, 3, 580))
     assert any("boite" in warning for warning in arm.warnings)
     assert not is_motion_file(folder / "pyomeca" / "markers_without_header.csv")

@@ -1,0 +1,383 @@
+"""OpenSim models (.osim): the joints of a skeleton and the markers on it, of versions 3 and 4."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body import multibody
+from kinedex.ops.body.multibody import Function, Joint, Placed
+from kinedex.ops.errors import ParameterError, SourceError
+from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.motion.xml_tree import parse_xml
+
+F64 = npt.NDArray[np.float64]
+
+LARGEST = 1e6
+"""No number of a model of a body is larger: places in metres, angles in radians, coefficients of functions."""
+
+MOST_KNOTS = 1000
+"""A spline of more knots is no joint's."""
+
+_SKIPPED = (
+    "ForceSet", "attached_geometry", "WrapObjectSet", "FrameGeometry", "VisibleObject", "ContactGeometrySet",
+    "ControllerSet", "ProbeSet", "ModelVisualPreferences", "Appearance", "geometry",
+)  # fmt: skip
+
+_TURNS: dict[str, str] = {
+    "PinJoint": "z", "UniversalJoint": "xy", "GimbalJoint": "xyz", "BallJoint": "xyz", "WeldJoint": "",
+    "FreeJoint": "xyz", "SliderJoint": "", "PlanarJoint": "z",
+}  # fmt: skip
+_SHIFTS: dict[str, str] = {"FreeJoint": "xyz", "SliderJoint": "x", "PlanarJoint": "xy"}
+"""The axes of joints of fixed kind; their coordinates are those of the turns, then those of the shifts, in order."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A generalised coordinate.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    default : float
+        Its value where nothing gives another, in radians or metres.
+    turns : bool
+        True if motion files in degrees hold it in degrees.
+    """
+
+    name: str
+    default: float
+    turns: bool
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A coordinate that follows from others."""
+
+    of: tuple[int, ...]
+    function: Function
+
+
+@dataclass(frozen=True)
+class Model:
+    """An OpenSim model.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    coordinates : tuple of Coordinate
+        The Q coordinates.
+    couplings : Mapping[int, Coupling]
+        The coordinates that follow from others where a motion does not hold them.
+    joints : tuple of Joint
+        The joints, each after the one of its parent.
+    names, bodies : tuple of str
+        The names of the joints, and of their child bodies.
+    markers : Mapping[str, tuple[int, float64 array (3,)]]
+        Marker → index of the joint whose child body it is on, and its place there in metres.
+    """
+
+    name: str
+    coordinates: tuple[Coordinate, ...]
+    couplings: Mapping[int, Coupling]
+    joints: tuple[Joint, ...]
+    names: tuple[str, ...]
+    bodies: tuple[str, ...]
+    markers: Mapping[str, tuple[int, F64]]
+
+
+@dataclass
+class _Parser:
+    """The state of a file that is read: its path for errors, and the coordinates so far."""
+
+    path: Path
+    coordinates: dict[str, Coordinate] = field(default_factory=dict)
+
+    def error(self, what: str, expected: str) -> SourceError:
+        return SourceError(self.path, f"{what}: {expected}")
+
+    def numbers(self, element: Element | None, what: str, count: int | None, default: float | None = None) -> F64:
+        """Return the numbers of an element's text, or `count` defaults where there is no element."""
+        if element is None and default is not None and count is not None:
+            return np.full(count, default)
+        words = ((element.text if element is not None else "") or "").split()
+        try:
+            found = np.array([float(word) for word in words])
+        except ValueError:
+            found = np.zeros(0)
+        if not len(found) or (count is not None and len(found) != count) or not (np.abs(found) <= LARGEST).all():
+            size = f"{count} numbers" if count is not None else "numbers"
+            raise self.error(what, f"expected {size} within {LARGEST:g}, got {' '.join(words)[:60]!r}")
+        return found
+
+    def function(self, element: Element, what: str) -> Function:
+        """Return the function that an element describes."""
+        kind = element.tag
+        if kind == "Constant":
+            return multibody.Linear((), float(self.numbers(element.find("value"), f"{what} value", 1, 0.0)[0]))
+        if kind == "LinearFunction":
+            found = self.numbers(element.find("coefficients"), f"{what} coefficients", None)
+            return multibody.Linear(tuple(found[:-1].tolist()), float(found[-1]))
+        if kind == "PolynomialFunction":
+            found = self.numbers(element.find("coefficients"), f"{what} coefficients", None)
+            return multibody.Polynomial(tuple(found[:MOST_KNOTS].tolist()))
+        if kind == "MultiplierFunction":
+            factor = float(self.numbers(element.find("scale"), f"{what} scale", 1, 1.0)[0])
+            inner = element.find("function")
+            if inner is not None and len(inner):
+                return multibody.Multiple(self.function(inner[0], what), factor)
+        if kind in ("SimmSpline", "NaturalCubicSpline"):
+            x, y = (self.numbers(element.find(axis), f"{what} {axis}", None) for axis in "xy")
+            try:
+                if len(x) <= MOST_KNOTS:
+                    return multibody.spline(x, y)
+            except ParameterError:
+                pass
+            raise self.error(what, f"expected a {kind} of 2 to {MOST_KNOTS} knots that ascend, got {len(x)}")
+        raise self.error(
+            what, f"has a function of type {kind}, which is not read; Constant, LinearFunction, PolynomialFunction, "
+            "MultiplierFunction and SimmSpline are"
+        )  # fmt: skip
+
+
+def read_osim(path: Path) -> Model:
+    """Read an OpenSim model of version 3 (bodies hold their joint) or 4 (a set of joints).
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    SourceError
+        The file is no OpenSim model, or has a joint or function that is not read; the error names it.
+    """
+    root = parse_xml(path, _SKIPPED)
+    model = root if root.tag == "Model" else root.find("Model")
+    if model is None:
+        raise SourceError(
+            path, f"is no OpenSim model: expected <OpenSimDocument> with a <Model>, got <{root.tag[:60]}>"
+        )
+    parser = _Parser(path)
+    found: dict[str, tuple[str, str, Joint]] = {}
+    for name, parent, child, element, frames in _joint_elements(model):
+        if child in found or child == "ground" or len(found) >= MOST_POINTS:
+            raise parser.error(f"joint '{name}'", f"body '{child}' has a joint already, and none may have two")
+        found[child] = (name, parent, _joint(parser, name, element, frames))
+    if not found:
+        raise SourceError(path, "has no joints")
+    order = _order(parser, {child: parent for child, (_, parent, _) in found.items()})
+    place = {"ground": -1} | {child: i for i, child in enumerate(order)}
+    joints = tuple(
+        Joint(place[found[child][1]], at.in_parent, at.in_child, at.turns, at.shifts)
+        for child in order
+        for at in [found[child][2]]
+    )
+    return Model(
+        name=model.get("name", path.stem),
+        coordinates=tuple(parser.coordinates.values()),
+        couplings=_couplings(parser, model),
+        joints=joints,
+        names=tuple(found[child][0] for child in order),
+        bodies=tuple(order),
+        markers=_markers(parser, model, place),
+    )
+
+
+def _last(path: str | None) -> str:
+    """Return the last name of a component's path, such as femur_r of /bodyset/femur_r."""
+    return (path or "").strip().rpartition("/")[2]
+
+
+def _text(element: Element, *names: str) -> str:
+    """Return the text of the first child with one of the names."""
+    return next((found.text or "" for name in names if (found := element.find(name)) is not None), "").strip()
+
+
+Frames = tuple[tuple[Element, ...], tuple[Element, ...]]
+"""The elements that place a joint's frame in the parent and in the child; the outermost first."""
+
+
+def _joint_elements(model: Element) -> Iterator[tuple[str, str, str, Element, Frames]]:
+    """Yield name, parent body, child body, element and frames of every joint."""
+    for body in model.iterfind("BodySet/objects/Body"):
+        for element in body.iterfind("Joint/*"):
+            parent = _text(element, "parent_body")
+            yield element.get("name", ""), parent, body.get("name", ""), element, ((element,), (element,))
+    for element in model.iterfind("JointSet/objects/*"):
+        frames = {frame.get("name", ""): frame for frame in element.iterfind("frames/*")}
+        ends: list[tuple[str, tuple[Element, ...]]] = []
+        for side in ("parent", "child"):
+            name = _last(_text(element, f"socket_{side}_frame", f"connector_{side}_frame_connectee_name"))
+            chain: list[Element] = []
+            while name in frames and frames[name] not in chain:
+                chain.insert(0, frames[name])
+                name = _last(_text(frames[name], "socket_parent", "connector_parent_connectee_name"))
+            ends.append((name, tuple(chain)))
+        (parent, above), (child, below) = ends
+        yield element.get("name", ""), parent, child, element, (above, below)
+
+
+def _placed(parser: _Parser, frames: tuple[Element, ...], keys: tuple[str, str], what: str) -> Placed:
+    """Return the frame that is reached through others, each placed by a translation and an orientation."""
+    rotation, origin = np.eye(3), np.zeros(3)
+    for frame in frames:
+        origin = origin + rotation @ parser.numbers(frame.find(keys[0]), f"{what} {keys[0]}", 3, 0.0)
+        angles = parser.numbers(frame.find(keys[1]), f"{what} {keys[1]}", 3, 0.0)
+        rotation = rotation @ multibody.euler_xyz(angles)
+    return Placed(rotation, origin)
+
+
+def _joint(parser: _Parser, name: str, element: Element, frames: Frames) -> Joint:
+    """Return a joint whose parent is not known yet."""
+    what = f"joint '{name}'"
+    old = frames[0][:1] == (element,)
+    keys = [("location_in_parent", "orientation_in_parent"), ("location", "orientation")]
+    sides = [
+        _placed(parser, chain, own if old else ("translation", "orientation"), what)
+        for chain, own in zip(frames, keys, strict=True)
+    ]
+    if _text(element, "reverse") == "true":
+        raise parser.error(what, "is reversed, which is not read; open the model in OpenSim 4 and save it again")
+    elements = [*element.iterfind("coordinates/Coordinate"), *element.iterfind("CoordinateSet/objects/Coordinate")]
+    names = [coordinate.get("name", "") for coordinate in elements]
+    turns: tuple[multibody.Motion, ...] = ()
+    shifts: tuple[multibody.Motion, ...] = ()
+    if element.tag == "CustomJoint":
+        turning = {other for other in names if _turns(element, other)}
+    elif element.tag in _TURNS:
+        turning = set(names[: len(_TURNS[element.tag])])
+    else:
+        raise parser.error(what, f"is a {element.tag}, which is not read; {', '.join(_TURNS)} and CustomJoint are")
+    for other, coordinate in zip(names, elements, strict=True):
+        kind = _text(coordinate, "motion_type") if element.tag == "CustomJoint" else ""
+        default = float(parser.numbers(coordinate.find("default_value"), f"coordinate '{other}'", 1, 0.0)[0])
+        if other in parser.coordinates:
+            raise parser.error(f"coordinate '{other}'", "stands twice")
+        parser.coordinates[other] = Coordinate(other, default, kind == "rotational" if kind else other in turning)
+    if element.tag == "CustomJoint":
+        turns, shifts = _spatial(parser, what, element)
+    else:
+        axes = [*_TURNS[element.tag], *_SHIFTS.get(element.tag, "")]
+        if len(names) != len(axes):
+            raise parser.error(what, f"expected {len(axes)} coordinates of a {element.tag}, got {len(names)}")
+        index = list(parser.coordinates)
+        motions = [
+            multibody.Motion(np.eye(3)["xyz".index(axis)], (index.index(other),), multibody.Linear((1.0,), 0.0))
+            for axis, other in zip(axes, names, strict=True)
+        ]
+        count = len(_TURNS[element.tag])
+        turns, shifts = tuple(motions[:count]), tuple(motions[count:])
+    return Joint(-1, sides[0], sides[1], turns, shifts)
+
+
+def _axis_function(axis: Element) -> Element | None:
+    """Return the element of an axis's function: in version 3 it is in <function>, in version 4 it stands itself."""
+    inner = axis.find("function")
+    if inner is not None:
+        return inner[0] if len(inner) else None
+    return next((part for part in axis if part.tag not in ("coordinates", "axis")), None)
+
+
+def _turns(joint: Element, coordinate: str) -> bool:
+    """Return whether a coordinate is the angle about an axis of a custom joint, as it is or with the sign changed."""
+    for axis in joint.iterfind("SpatialTransform/TransformAxis"):
+        function = _axis_function(axis)
+        slope = ["1"] if function is None else _text(function, "coefficients").lstrip("+-").split()[:1]
+        plain = function is None or function.tag == "LinearFunction"
+        about = axis.get("name", "").startswith("rotation") and coordinate in _text(axis, "coordinates").split()
+        if about and plain and slope and re.fullmatch(r"1(\.0*)?(e[+-]?0+)?", slope[0]):
+            return True
+    return False
+
+
+def _spatial(
+    parser: _Parser, what: str, joint: Element
+) -> tuple[tuple[multibody.Motion, ...], tuple[multibody.Motion, ...]]:
+    """Return the turns and shifts of a custom joint."""
+    index = list(parser.coordinates)
+    found: dict[bool, list[multibody.Motion]] = {True: [], False: []}
+    for nth, axis in enumerate(joint.findall("SpatialTransform/TransformAxis")[:6]):
+        own = f"{what} {axis.get('name', '')}"
+        names = _text(axis, "coordinates").split()
+        for name in names:
+            if name not in parser.coordinates:
+                raise parser.error(own, f"takes the coordinate '{name}', which no joint before it has")
+        element = _axis_function(axis)
+        if element is not None:
+            function = parser.function(element, own)
+        else:
+            function = multibody.Linear((1.0,) if names else (), 0.0)
+        if not _fits(function, len(names)):
+            raise parser.error(own, f"has a function that does not go with {len(names)} coordinates")
+        direction = parser.numbers(axis.find("axis"), f"{own} axis", 3)
+        if not direction.any():
+            raise parser.error(own, "has an axis without a direction")
+        found[nth < 3].append(multibody.Motion(direction, tuple(map(index.index, names)), function))
+    return tuple(found[True]), tuple(found[False])
+
+
+def _fits(function: Function, count: int) -> bool:
+    """Return whether a function can be computed of so many coordinates."""
+    if isinstance(function, multibody.Multiple):
+        return _fits(function.function, count)
+    if isinstance(function, multibody.Linear):
+        return len(function.slopes) <= count
+    return count == 1
+
+
+def _order(parser: _Parser, parents: dict[str, str]) -> list[str]:
+    """Return the bodies, each after its parent."""
+    order: list[str] = []
+    known = {"ground"}
+    while len(order) < len(parents):
+        ready = [child for child, parent in parents.items() if child not in known and parent in known]
+        if not ready:
+            child = next(child for child in parents if child not in known)
+            raise parser.error(
+                f"body '{child}'", f"its parent '{parents[child]}' leads to no body that stands on the ground"
+            )
+        order += ready
+        known.update(ready)
+    return order
+
+
+def _couplings(parser: _Parser, model: Element) -> dict[int, Coupling]:
+    """Return the coordinates that a constraint couples to others."""
+    index = {name: i for i, name in enumerate(parser.coordinates)}
+    found = {}
+    for element in model.iterfind("ConstraintSet/objects/CoordinateCouplerConstraint"):
+        own = f"constraint '{element.get('name', '')}'"
+        names = _text(element, "independent_coordinate_names").split()
+        dependent = _text(element, "dependent_coordinate_name")
+        function = element.find("coupled_coordinates_function")
+        if function is None or not len(function) or dependent not in index or not set(names) <= set(index):
+            raise parser.error(own, "expected a function, and coordinates that joints have")
+        made = multibody.Multiple(
+            parser.function(function[0], own),
+            float(parser.numbers(element.find("scale_factor"), f"{own} scale_factor", 1, 1.0)[0]),
+        )
+        if not _fits(made, len(names)):
+            raise parser.error(own, f"has a function that does not go with {len(names)} coordinates")
+        found[index[dependent]] = Coupling(tuple(index[name] for name in names), made)
+    return found
+
+
+def _markers(parser: _Parser, model: Element, place: dict[str, int]) -> dict[str, tuple[int, F64]]:
+    """Return the markers on bodies."""
+    found: dict[str, tuple[int, F64]] = {}
+    for element in model.iterfind("MarkerSet/objects/Marker"):
+        name = element.get("name", "")
+        body = _last(_text(element, "socket_parent_frame", "connector_parent_frame_connectee_name", "body"))
+        if name and place.get(body, -1) >= 0 and len(found) < MOST_POINTS:
+            found[name] = (place[body], parser.numbers(element.find("location"), f"marker '{name}'", 3))
+    return found
