@@ -35,6 +35,7 @@ from kinedex.storage.repair.manifests import BadManifest, bad_manifests, newest_
 from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Quarantine, quarantines
 from kinedex.storage.repair.sound_takes import sound_takes
 from kinedex.storage.repair.take_rows import restored_rows, with_rows
+from kinedex.storage.snapshot.label_journal import empty, read_journals
 from kinedex.storage.snapshot.manifest import Manifest, Part, now, publish, require_current_format
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import frames_schema
@@ -215,13 +216,23 @@ class _Work:
         """Restore labels of damaged parts; they are primary data, so the damaged part is kept in any case."""
         store = open_store(self.root, at="newest")
         wrong = [part for part in store.manifest.labels if part.path in self._damaged("labels")]
-        if not wrong:
+        lines = [one for one in read_journals(self.root) if one.damaged]
+        if not wrong and not lines:
             return
         for part in wrong:
             self._keep(part.path, "the part of labels is damaged", f"{part.rows} labels", part.sha256)
+        for one in lines:
+            file = one.path.relative_to(self.root).as_posix()
+            self._keep(file, "a line of the journal of labels is damaged", f"{len(one.rows)} labels and damaged lines")
         restored = restored_labels(store, wrong)
         self._publish(restored.manifest, {})
-        self.say(f"restored {counted(restored.restored, 'label')} from older versions; {restored.lost} are lost")
+        for one in restored.journals:
+            empty(one)
+        if wrong:
+            self.say(f"restored {counted(restored.restored, 'label')} from older versions; {restored.lost} are lost")
+        for one in lines:
+            lost = counted(len(one.damaged), "line")
+            self.say(f"{lost} of the journal of labels cannot be read; they are kept in {self.quarantine.folder}")
 
     def _damaged(self, kind: str) -> set[str]:
         """Return the files with findings of a kind that are still damaged."""

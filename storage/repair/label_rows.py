@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import StoreError
+from kinedex.storage.snapshot.label_journal import Journal, journal_rows, read_journals
 from kinedex.storage.snapshot.manifest import LabelPart, Manifest, read_version, versions
 from kinedex.storage.snapshot.parts import write_part
 from kinedex.storage.snapshot.schemas import labels_schema
@@ -26,15 +27,18 @@ class RestoredLabels:
         Number of rows that older versions hold in sound parts.
     lost : int
         Number of rows that no sound part holds.
+    journals : tuple of Journal
+        The files of the journal whose sound rows the version has.
     """
 
     manifest: Manifest
     restored: int
     lost: int
+    journals: tuple[Journal, ...]
 
 
 def restored_labels(store: Snapshot, bad: list[LabelPart]) -> RestoredLabels:
-    """Write the rows of damaged parts of labels that sound parts of older versions hold as a new part.
+    """Write the rows of damaged parts that sound parts of older versions hold as a new part, with those of the journal.
 
     Parameters
     ----------
@@ -57,13 +61,15 @@ def restored_labels(store: Snapshot, bad: list[LabelPart]) -> RestoredLabels:
                 new = rows.filter(pc.invert(pc.is_in(rows.column("id"), pa.array(known, pa.string()))))
                 known |= set(new.column("id").to_pylist())
                 found.append(new)
-    rows = pa.concat_tables([labels_schema().empty_table(), *found]).sort_by("created")
+    journals = tuple(read_journals(store.path))
+    restored = sum(rows.num_rows for rows in found)
+    rows = pa.concat_tables([labels_schema().empty_table(), *found, journal_rows(journals, known)]).sort_by("created")
     wanted = sum(part.rows for part in bad)
     labels = tuple(sound)
     if rows.num_rows:
         made = write_part(store.path, "labels", rows.replace_schema_metadata(labels_schema().metadata))
         labels += (LabelPart(made.path, made.rows, made.bytes, made.sha256, made.xxh3),)
-    return RestoredLabels(replace(store.manifest, labels=labels), rows.num_rows, wanted - rows.num_rows)
+    return RestoredLabels(replace(store.manifest, labels=labels), restored, wanted - restored, journals)
 
 
 def _ids(store: Snapshot, parts: list[LabelPart]) -> set[str]:

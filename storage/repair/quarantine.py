@@ -12,6 +12,9 @@ from pathlib import Path
 from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
 
 FOLDER = "quarantine"
+JOURNAL = "journal"
+"""The folder whose files change in their place."""
+
 LIST = "quarantine.json"
 """The list of a quarantine, in its folder."""
 
@@ -132,7 +135,7 @@ class Quarantine:
         with write_errors(target):
             if source.is_file():
                 target.parent.mkdir(parents=True, exist_ok=True)
-                _link(source, target)
+                _preserve(source, target)
                 sync_folder(target.parent)
         self.write()
 
@@ -197,9 +200,12 @@ def _write(path: Path, text: str) -> None:
     sync_folder(path.parent)
 
 
-def _link(source: Path, target: Path) -> None:
-    """Keep the content of a file under another path; a copy where the file system has no hard links."""
+def _preserve(source: Path, target: Path) -> None:
+    """Keep the content of a file under another path; by a copy if it can change, or if there are no hard links."""
     target.unlink(missing_ok=True)
+    if source.parent.name == JOURNAL:
+        shutil.copy2(source, target)
+        return
     try:
         os.link(source, target)
     except OSError:

@@ -71,6 +71,8 @@ def _check(row: dict[str, Any], ids: set[str]) -> None:
     for name, values in (("verdict", LABEL_VERDICTS), ("origin", LABEL_ORIGINS)):
         if row[name] not in values:
             raise ParameterError(f"{name} of the label {shown}", f"one of {', '.join(values)}", row[name])
+    if row["confidence"] is not None and not 0 <= row["confidence"] <= 1:
+        raise ParameterError(f"confidence of the label {shown}", "a number from 0 to 1", row["confidence"])
     if row["replaces"] is not None and (row["replaces"] not in ids or row["replaces"] == row["id"]):
         raise ParameterError(f"replaces of the label {shown}", "the id of another label", row["replaces"])
     if row["verdict"] == "withdrawn" and row["replaces"] is None:

@@ -75,6 +75,11 @@ class Snapshot:
         """Id of a take → its number of frames."""
         return self._pairs("take_id", "frames")
 
+    @property
+    def checksums(self) -> dict[str, str]:
+        """Name of a take → the checksum of its source file."""
+        return self._pairs("name", "checksum")
+
     @cached_property
     def known(self) -> dict[int, int]:
         """Id of a take that lacks joints → the mask of its known features, with the bits of a word."""

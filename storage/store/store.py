@@ -13,16 +13,19 @@ from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, overload
 
+import pyarrow as pa
+
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
 from kinedex.storage.index.generations import FILE, current_generation, missing_index, readable_version
 from kinedex.storage.leases import Lease, take_lease
 from kinedex.storage.snapshot.checked_files import CheckedFiles
+from kinedex.storage.snapshot.label_journal import journal_rows, read_journals, require_sound
+from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest, read_newest, read_version, versions
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import polars as pl
-    import pyarrow as pa
 
     from kinedex.storage import duck
     from kinedex.storage.sql.connection import Connections
@@ -68,7 +71,7 @@ def open_store(path: str | Path, files: Iterable[str | Path] = (), at: AskedVers
         if opened is not None and at is None:
             opened = _with_index(root, *opened)
         if opened is not None:
-            return Store(root, opened[0], places, lease=opened[1], newest_version=found[-1])
+            return Store(root, opened[0], places, lease=opened[1], newest_version=found[-1], pinned=isinstance(at, int))
     raise StoreError(f"{root}: its versions are removed as fast as they are opened; stop what removes them")
 
 
@@ -116,6 +119,8 @@ class Store(Snapshot):
         The lease of the version; taken here unless given.
     newest_version : int, optional
         The newest version when this one was chosen; unless given, this one.
+    pinned : bool, optional
+        Show the labels of this version; unless given, those that people have made until they are first asked for.
 
     Raises
     ------
@@ -132,8 +137,11 @@ class Store(Snapshot):
         *,
         lease: Lease | None = None,
         newest_version: int | None = None,
+        pinned: bool = False,
     ) -> None:
         super().__init__(path, manifest, checked)
+        self.pinned = pinned
+        self._labels: pa.Table | None = None
         self.newest_version = newest_version or manifest.version
         self._files = files
         self._lease = lease or self._take_lease()
@@ -148,6 +156,37 @@ class Store(Snapshot):
 
     def __repr__(self) -> str:
         return f"Store({str(self.path)!r}, version {self.manifest.version}, {len(self.manifest.live_takes)} takes)"
+
+    def labels(self, *, history: bool = False) -> pa.Table:
+        """Return the labels of the store, in the order in which they were made.
+
+        They are those of the newest version and of the journal when they are first asked for, whichever version of the
+        takes is shown: what a person has stated does not vanish while an index is built. A version that was asked for
+        by its number shows its own labels.
+
+        Parameters
+        ----------
+        history : bool, optional
+            Also return rows that others replace or withdraw, and those that withdraw them.
+
+        Raises
+        ------
+        StoreError
+            A part of labels or the journal is damaged.
+        """
+        if self.pinned:
+            return super().labels(history=history)
+        if self._labels is None:
+            self._labels = all_labels(self.path, self.manifest, self.checked)
+        return self._labels if history else current_labels(self._labels)
+
+    def forget_labels(self) -> None:
+        """Read the labels anew when they are next asked for, in SQL too."""
+        self._labels = None
+        with self._lock:
+            connections, self._connections = self._connections, None
+        if connections is not None:
+            connections.close()
 
     def takes(self, where: str | None = None) -> pl.DataFrame:
         """Return the takes as a data frame, sorted by name.
@@ -336,8 +375,35 @@ class Store(Snapshot):
         self.close()
 
     def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...], CheckedFiles]]:
-        # a worker gets the same version, with a lease and connections of its own
+        # a worker gets the same version, with a lease and connections of its own; no worker reads labels
         return Store, (self.path, self.manifest, self._files, self.checked)
+
+
+def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Table:
+    """Return all rows of labels of a store as it is now, those of the journal last.
+
+    Parameters
+    ----------
+    path : Path
+        The store's directory.
+    manifest : Manifest
+        A version; labels of newer ones are read as well.
+    checked : CheckedFiles
+        The files that are known to be sound.
+    """
+    for attempt in range(_TRIES):
+        # the journal comes first: what a commit takes out of it meanwhile is in the version that is read then
+        journals = read_journals(path)
+        newest = manifest if versions(path)[-1] == manifest.version else read_newest(path)
+        try:
+            rows = Snapshot(path, newest, checked).labels(history=True)
+        except StoreError:
+            if attempt + 1 < _TRIES and versions(path)[-1] != newest.version:
+                continue  # its parts may have been removed with it
+            raise
+        require_sound(journals, path)
+        return pa.concat_tables([rows, journal_rows(journals, rows.column("id").to_pylist())])
+    raise StoreError(f"{path}: its versions are removed as fast as they are read; stop what removes them")
 
 
 def _release(lease: Lease) -> None:

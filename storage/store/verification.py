@@ -32,6 +32,8 @@ from kinedex.storage.index.verification import index_problems
 from kinedex.storage.remedies import repair, upgrade, upgrade_with_damage
 from kinedex.storage.repair.quarantine import FOLDER as QUARANTINE
 from kinedex.storage.repair.quarantine import LIST, quarantines
+from kinedex.storage.snapshot.label_journal import FOLDER as JOURNAL
+from kinedex.storage.snapshot.label_journal import read_journals
 from kinedex.storage.snapshot.manifest import (
     FOLDER,
     AnyPart,
@@ -174,6 +176,10 @@ class _Verification:
             yield from found
         for labels in self.manifest.labels:
             yield from self._file("labels", labels, labels_schema())
+        for journal in read_journals(self.store.path) if self.is_current else ():
+            for line in journal.damaged:
+                file = journal.path.relative_to(self.store.path).as_posix()
+                yield self._found("labels", file, f"line {line} of the journal of labels is damaged")
         for kind, parts in self.manifest.results.items():
             for result in parts:
                 if kind not in RESULT_KINDS:
@@ -262,7 +268,7 @@ class _Verification:
     def _leftovers(self) -> Iterator[Finding]:
         path = self.store.path
         try:
-            named = set().union(*(named_files(path, version) for version in versions(path)))
+            named = {JOURNAL}.union(*(named_files(path, version) for version in versions(path)))
         except KinedexError:
             return  # reported above; the parts that a damaged manifest names are not known
         for folder in PART_FOLDERS:

@@ -19,6 +19,7 @@ from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.checked_files import CheckedFiles
+from kinedex.storage.snapshot.label_journal import Journal, empty, journal_rows, read_journals
 from kinedex.storage.snapshot.labels import new_labels
 from kinedex.storage.snapshot.manifest import (
     LabelPart,
@@ -341,13 +342,32 @@ class StoreWriter:
         ParameterError
             A value is out of its domain; nothing is changed.
         """
+        self._take_over()
         store = Snapshot(self.path, self._manifest, self._checked)
-        rows = store.take_rows
-        checksums = dict(zip(*(rows.column(name).to_pylist() for name in ("name", "checksum")), strict=True))
         known = store.labels(history=True)
-        new = new_labels(labels, known, checksums)
+        new = new_labels(labels, known, store.checksums)
+        self._add_labels(known, new)
+        return new
+
+    def _take_over(self) -> list[Journal]:
+        """Add the rows of the journal of labels to the next version, and return the files that it then holds.
+
+        Rows that the store has already are skipped. Where labels cannot be read, the journal stays as it is: a commit
+        of other work does not fail for that, and `repair` mends it.
+        """
+        try:
+            journals = read_journals(self.path)
+            if any(one.rows for one in journals):
+                known = Snapshot(self.path, self._manifest, self._checked).labels(history=True)
+                self._add_labels(known, journal_rows(journals, known.column("id").to_pylist()))
+        except StoreError:
+            return []
+        return journals
+
+    def _add_labels(self, known: pa.Table, new: pa.Table) -> None:
+        """Write new rows of labels as a part, together with small parts of known rows."""
         if not new.num_rows:
-            return new
+            return
         stay = list(self._manifest.labels)
         count = new.num_rows
         # parts double in size from the last to the first, so that there are few, and a row is seldom written again
@@ -358,7 +378,6 @@ class StoreWriter:
         written = LabelPart(part.path, part.rows, part.bytes, part.sha256, part.xxh3)
         self._manifest = replace(self._manifest, labels=(*stay, written))
         self._facts.count("labels", new.num_rows)
-        return new
 
     def declare_columns(self, columns: Mapping[str, TakeColumn]) -> None:
         """Declare columns of takes beside those of every store; rows that are there already have null in them.
@@ -418,6 +437,8 @@ class StoreWriter:
     def commit(self) -> Manifest:
         """Publish all changes since the last commit as one new version; without changes, none is made.
 
+        The rows of the journal of labels are published, too.
+
         Returns
         -------
         Manifest
@@ -428,6 +449,7 @@ class StoreWriter:
         StoreError
             The next version exists already, so that another writer has evaded the lock; nothing is published.
         """
+        journals = self._take_over()
         pending = self._manifest
         if self._takes:
             # a column may have been declared after a row was added
@@ -442,6 +464,7 @@ class StoreWriter:
         facts, self._facts = self._facts, Facts()
         if pending == self._committed:
             self._changes = []
+            self._empty(journals)
             return self._committed
         if self._changes:
             pending = replace(pending, content=changed_content(pending.content, self._changes))
@@ -459,7 +482,16 @@ class StoreWriter:
         self._committed = self._manifest = pending
         self._takes = {}
         self._changes = []
+        self._empty(journals)
         return pending
+
+    def _empty(self, journals: Sequence[Journal]) -> None:
+        """Empty the files of the journal whose rows the newest version has."""
+        for one in journals:
+            if one.damaged:
+                continue  # `repair` keeps its content first
+            with write_errors(one.path):
+                empty(one)
 
     def close(self) -> None:
         """Release the lock; changes that were not committed are dropped."""

@@ -1,0 +1,243 @@
+"""The journal of labels: decisions that are on disk before a writer of the store publishes them.
+
+`labels/journal/` holds a few files of lines; a line holds the rows of one decision and their checksum. Who appends a
+line locks the file for that moment; where another process has locked it, the next file serves, so that nobody waits.
+A commit publishes the rows of all lines and then empties the files, unless one has grown meanwhile. Files are never
+removed, so that no line can go into a removed one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import uuid
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import xxhash
+from filelock import lock_descriptor, unlock_descriptor
+
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import sync_folder, write_errors
+from kinedex.storage.remedies import repair
+from kinedex.storage.snapshot.schemas import labels_schema
+
+FOLDER = "labels/journal"
+_ENDING = ".jsonl"
+
+_HEADER = b"\n"
+"""The first byte of a file, which is the one that Windows lets nobody read while the file is locked."""
+
+_ROWS = 5_000
+"""Rows of a line at most, so that no line takes much memory to check."""
+
+_PREFIX, _BETWEEN = b'{"xxh3":"', b'","rows":'
+_SUM = 32
+
+_NOT_THERE_SECONDS = 0.005
+
+
+@dataclass(frozen=True)
+class Journal:
+    """A file of the journal as it was read.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    size : int
+        Its bytes.
+    rows : list of dict
+        The rows of its sound lines, by column.
+    damaged : tuple of int
+        Numbers of the lines whose content does not fit its checksum. A last line without its end is none of them: the
+        process ended while it wrote it, and no one was told that the decision is stored.
+    """
+
+    path: Path
+    size: int
+    rows: list[dict[str, Any]]
+    damaged: tuple[int, ...]
+
+
+def append_rows(store: Path, rows: pa.Table) -> None:
+    """Append the rows of a decision to the journal of a store; they are on disk when this returns.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    rows : pyarrow.Table
+        Checked rows of `labels_schema`.
+
+    Raises
+    ------
+    StoreError
+        The disk is full or refuses; the journal is as it was before.
+    """
+    if not rows.num_rows:
+        return
+    found = rows.to_pylist()
+    lines = b"".join(_line(found[first : first + _ROWS]) for first in range(0, len(found), _ROWS))
+    folder = store / FOLDER
+    with write_errors(folder):
+        if not folder.is_dir():
+            folder.mkdir(parents=True, exist_ok=True)
+            sync_folder(folder.parent)
+            sync_folder(store)
+        for path in (*_files(store), folder / f"{uuid.uuid4().hex}{_ENDING}"):
+            with _locked(path) as descriptor:
+                if descriptor is not None:
+                    _append(descriptor, lines)
+                    sync_folder(folder)
+                    return
+
+
+def read_journals(store: Path) -> list[Journal]:
+    """Read the journal of a store: the rows of all sound lines, and the numbers of damaged ones."""
+    return [_read(path) for path in _files(store)]
+
+
+def journal_rows(journals: Iterable[Journal], known: Iterable[str] = ()) -> pa.Table:
+    """Return the rows of journals by the time of their decisions, each once.
+
+    Parameters
+    ----------
+    journals : iterable of Journal
+        The files.
+    known : iterable of str
+        Ids of rows to exclude, which the store's parts have already.
+    """
+    seen = set(known)
+    rows: list[dict[str, Any]] = []
+    for row in sorted((row for one in journals for row in one.rows), key=lambda row: row["created"]):
+        if row["id"] not in seen:
+            seen.add(row["id"])
+            rows.append(row)
+    return pa.Table.from_pylist(rows, schema=labels_schema())
+
+
+def require_sound(journals: Iterable[Journal], store: Path) -> None:
+    """Raise a StoreError if a line of the journal is damaged."""
+    for one in journals:
+        if one.damaged:
+            raise StoreError(
+                f"{one.path}: line {one.damaged[0]} of the journal of labels is damaged", remedy=repair(store)
+            )
+
+
+def empty(journal: Journal) -> None:
+    """Empty a file whose rows have been published, unless it has grown since it was read, or somebody writes it."""
+    if journal.size <= len(_HEADER):
+        return
+    with _locked(journal.path) as descriptor:
+        if descriptor is not None and os.fstat(descriptor).st_size == journal.size:
+            os.ftruncate(descriptor, len(_HEADER))
+            os.fsync(descriptor)
+
+
+def _files(store: Path) -> list[Path]:
+    folder = store / FOLDER
+    return sorted(folder.glob(f"*{_ENDING}")) if folder.is_dir() else []
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[int | None]:
+    """Open and lock a file, which is made where it is missing; None where another process has locked it."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+    try:
+        try:
+            free = lock_descriptor(descriptor, blocking=False)
+        except OSError as fault:
+            raise StoreError(f"{path}: this file system does not lock files ({fault.strerror})") from None
+        try:
+            yield descriptor if free else None
+        finally:
+            if free:
+                unlock_descriptor(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _append(descriptor: int, lines: bytes) -> None:
+    """Write lines behind the last whole line and flush them; where that fails, the file is as it was."""
+    content = _content(descriptor)
+    end = content.rfind(b"\n") + 1
+    rest = content[end:]
+    if rest and _rows_of(rest) is not None:  # only its end is missing
+        lines, end = b"\n" + lines, len(content)
+    lines = lines if content else _HEADER + lines
+    try:
+        if end < len(content):
+            os.ftruncate(descriptor, end)
+        os.lseek(descriptor, end, os.SEEK_SET)
+        left = memoryview(lines)
+        while left:
+            left = left[os.write(descriptor, left) :]
+        os.fsync(descriptor)
+    except OSError:
+        os.ftruncate(descriptor, end)
+        raise
+
+
+def _content(descriptor: int) -> bytes:
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    blocks = []
+    while block := os.read(descriptor, 1 << 20):
+        blocks.append(block)
+    return b"".join(blocks)
+
+
+def _read(path: Path) -> Journal:
+    content = _bytes_of(path)
+    *lines, rest = content.split(b"\n")
+    rows: list[dict[str, Any]] = []
+    damaged = []
+    for number, line in enumerate(lines, 1):
+        if line:
+            found = _rows_of(line)
+            rows += found or ()
+            if found is None:
+                damaged.append(number)
+    rows += _rows_of(rest) or ()
+    return Journal(path, len(content), rows, tuple(damaged))
+
+
+def _bytes_of(path: Path) -> bytes:
+    """Return the content of a file with its header, which is not read."""
+    deadline = time.monotonic() + 5.0
+    while True:
+        try:
+            with open(path, "rb", buffering=0) as file:
+                file.seek(len(_HEADER))
+                found = file.read()
+            return _HEADER + found if found or path.stat().st_size else b""
+        except PermissionError as fault:  # Windows, where somebody writes the file
+            if os.name != "nt" or time.monotonic() > deadline:
+                raise StoreError(f"{path}: cannot be read: {fault.strerror}") from fault
+            time.sleep(_NOT_THERE_SECONDS)
+        except OSError as fault:
+            raise StoreError(f"{path}: cannot be read: {fault.strerror}") from fault
+
+
+def _line(rows: list[dict[str, Any]]) -> bytes:
+    text = json.dumps([{**row, "created": row["created"].isoformat()} for row in rows], separators=(",", ":")).encode()
+    return _PREFIX + xxhash.xxh3_128_hexdigest(text).encode() + _BETWEEN + text + b"}\n"
+
+
+def _rows_of(line: bytes) -> list[dict[str, Any]] | None:
+    """Return the rows of a line; None if its content does not fit its checksum."""
+    first = len(_PREFIX) + _SUM + len(_BETWEEN)
+    text = line[first:-1]
+    if line != _PREFIX + xxhash.xxh3_128_hexdigest(text).encode() + _BETWEEN + text + b"}":
+        return None
+    rows: list[dict[str, Any]] = json.loads(text)
+    for row in rows:
+        row["created"] = datetime.fromisoformat(row["created"])
+    return rows
