@@ -278,7 +278,8 @@ def _load(path: Path) -> Landmarks:
     order = [name for part in both for name in _names(part)]
     points = _mirrored({name: _choices(located, "points", name, ways) for name, ways in parsed.points.items()}, order)
     known = {*order, *points}
-    joints = _mirrored({name: _choices(located, "joints", name, ways) for name, ways in parsed.joints.items()}, order)
+    left = {name: _choices(located, "joints", name, ways) for name, ways in parsed.joints.items()}
+    joints = _mirrored(left, [*order, *points])
     for joint, choices in joints.items():
         for choice in choices:
             for name in (*(name for name, _ in choice.weights), *choice.plane):
