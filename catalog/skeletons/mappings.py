@@ -28,6 +28,8 @@ __all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings
 
 F64 = npt.NDArray[np.float64]
 
+_WAY_OUT = "give one by `skeleton`, a shipped name or a .yaml file of your own"
+
 
 class _Aside(BaseModel):
     model_config = ConfigDict(extra="forbid")
@@ -99,6 +101,19 @@ class Mappings:
         """Return a hash of the mappings of one format, on which the takes read with them depend."""
         return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
 
+    def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:
+        """Return the fit of the mapping whose nodes all occur in a skeleton, as in `detect`; None if there is none."""
+        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
+        if len(fits) == 1:
+            fits[0].check(source, self.stripped(form, nodes) if fits[0].missing else "")
+            return fits[0]
+        whole = [fit for fit in fits if not fit.missing]
+        best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
+        if len(best) > 1:
+            names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
+            raise SourceError(source, f"mappings {names} fit this skeleton equally well; {_WAY_OUT}")
+        return best[0] if best else None
+
     def detect(
         self, source: str | Path, form: Format, nodes: Mapping[str, int], evidence: Evidence | None = None
     ) -> Fit:
@@ -122,31 +137,22 @@ class Mappings:
         SourceError
             If none fits (the message names the nearest and what it lacks), or two fit equally well.
         """
-        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
-        if len(fits) == 1:
-            fits[0].check(source, self.stripped(form, nodes) if fits[0].missing else "")
-            return fits[0]
-        whole = [fit for fit in fits if not fit.missing]
-        best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
-        if len(best) == 1:
-            return best[0]
-        if evidence is not None and evidence.parents is not None and not best:
+        fit = self.exact(source, form, nodes)
+        if fit is not None:
+            return fit
+        if evidence is not None and evidence.parents is not None:
             return recognise_tree(source, evidence, self.joints, form)
-        if evidence is not None and evidence.parents is None and not best:
+        if evidence is not None:
             return recognise_points(source, evidence, self.joints, form)
-        way_out = "give one by `skeleton`, a shipped name or a .yaml file of your own"
-        if best:
-            names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
-            raise SourceError(source, f"mappings {names} fit this skeleton equally well; {way_out}")
         near = self.nearest(form, nodes)
         if near is None:
-            raise SourceError(source, f"no skeleton mapping for {form} files; {way_out}")
+            raise SourceError(source, f"no skeleton mapping for {form} files; {_WAY_OUT}")
         has = (
             f"file has the markers {_listed(list(nodes), 24)}"
             if form == "c3d"
             else f"skeleton has {_listed(list(nodes))}"
         )
-        more = f"the {has}{self._several(form, nodes)}{self.stripped(form, nodes)}; {way_out}"
+        more = f"the {has}{self._several(form, nodes)}{self.stripped(form, nodes)}; {_WAY_OUT}"
         if not near.known:
             raise SourceError(source, f"no skeleton mapping fits; none is near: none knows any of its names; {more}")
         lacks = _listed([f"{node} (for {what})" for what, node in near.missing.items()])

@@ -233,6 +233,11 @@ class Fit:
         return f"'{self.mapping.name}'" + (f" (without the prefix '{self.prefix}')" if self.prefix else "")
 
     @property
+    def recognised(self) -> bool:
+        """Return whether the mapping was made for this file, because no other one fits its names."""
+        return bool(self.reasons)
+
+    @property
     def named(self) -> int:
         """Return the number of joints that the skeleton itself supplies."""
         return sum(mix is not None and not mix.of_joints for mix in self.joints.values())

@@ -22,7 +22,7 @@ from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.take_export import export_take
 from kinedex.storage.store.verification import verify
 from tests.bodies import STANDING, standing
-from tests.bvh_files import bvh_text, dance, mixamo
+from tests.bvh_files import bvh_text, dance, mixamo, small, still
 from tests.pipelines.archives import context, write_archive
 
 JOINTS = load_feature_set().joints
@@ -86,18 +86,16 @@ def test_a_second_run_reads_nothing_and_the_rate_of_acclaim_files_does_not_touch
 def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tmp_path: Path, source: Path) -> None:
     text = (source / "b" / "wave.bvh").read_text()
     (source / "cut.bvh").write_text(text[:-9])
-    (source / "names.bvh").write_text(text.replace("mixamorig:LeftUpLeg", "Thigh.L"))
+    (source / "names.bvh").write_text(bvh_text(small(), still(small(), 9)))
+    (source / "other_names.bvh").write_text(text.replace("mixamorig:LeftUpLeg", "Thigh.L"))
     (source / "roots.bvh").write_text(text.replace("MOTION", "ROOT other\n{\n  OFFSET 0 0 0\n}\nMOTION"))
     summary, output = bring_in(tmp_path / "store", source)
-    assert (summary["takes"], summary["left_out"]) == (3, 3)
+    assert (summary["takes"], summary["left_out"]) == (5, 2)
     log = {row["source"]: row for row in open_store(tmp_path / "store").result("ingest_log").to_pylist()}
     assert "cut off in the middle of a frame" in log["cut.bvh"]["message"]
     assert log["cut.bvh"]["line"] == text.count("\n")
-    assert (
-        "the nearest, 'mixamo', finds 23 joints and lacks LeftUpLeg (for joint 'lhip')" in log["names.bvh"]["message"]
-    )
-    assert "a second root, 'other'" in log["roots.bvh"]["message"]
-    assert output.count("excluded:") == 3
+    assert "no skeleton mapping fits its names, and no body is recognised" in log["names.bvh"]["message"]
+    assert output.count("excluded:") == 2
 
 
 def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, source: Path) -> None:

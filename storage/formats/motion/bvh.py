@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
+from kinedex.catalog.configs import shipped_configs
+from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
+from kinedex.catalog.skeletons.skeleton_fit import axes_of_up
 from kinedex.ops.body import kinematics
+from kinedex.ops.body.up_axis import up_axis
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
+from kinedex.storage.formats.motion.figures import chosen_person
 from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
     posed,
@@ -18,11 +26,43 @@ from kinedex.storage.formats.motion.mapped_body import (
     to_metres,
     virtual_joint_warnings,
 )
+from kinedex.storage.formats.motion.points import root_orientation
+from kinedex.storage.formats.motion.rates import corrected_rate
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
+
+F64 = npt.NDArray[np.float64]
+
+_LEAST_NODES = 10  # a root with fewer nodes is a prop or a camera
+_KEPT_BYTES = 32 << 20  # channels of a file that are kept between recognition and reading
+_SECOND = re.compile(r"#\d+$")
+
+
+@dataclass(frozen=True)
+class Person:
+    """One figure of a BVH file.
+
+    Attributes
+    ----------
+    name : str
+        Its name in the file: the prefix of its root, or the root.
+    nodes : tuple of Node
+        Parents first; node 0 is the root.
+    redundant : frozenset of int
+        Indices of End Sites at the place of their joint.
+    """
+
+    name: str
+    nodes: tuple[kinematics.Node, ...]
+    redundant: frozenset[int]
+
+    @property
+    def places(self) -> dict[str, int]:
+        """Node name → index, for all nodes that a skeleton mapping can use."""
+        return {node.name: i for i, node in enumerate(self.nodes) if i not in self.redundant}
 
 
 class BvhReader(Reader):
-    """Reads BVH files, which carry their own skeleton and rate."""
+    """Reads BVH files, which carry their own skeletons and rate."""
 
     format: ClassVar[Format] = "bvh"
     endings: ClassVar[tuple[str, ...]] = (".bvh",)
@@ -33,25 +73,37 @@ class BvhReader(Reader):
         return settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames; the memory is that of the joints, and of a block of the text."""
+        """Count the frames; the memory is that of the joints, of a block of the text, and of kept channels."""
         bvh = BvhFile(file.path, file.data)
         need = posed_bytes(bvh.frames, file_size(file.path), len(bvh.nodes), joints) + 1000 * len(bvh.nodes)
-        return Extent(bvh.frames, need, settings.rate_of(bvh.rate_hz, []))
+        kept = min(8 * bvh.frames * bvh.columns, _KEPT_BYTES) + 24 * SAMPLED_FRAMES * len(bvh.nodes)
+        return Extent(bvh.frames, need + kept, settings.rate_of(bvh.rate_hz, []))
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the names of the figures of a file with several roots; empty for a file of one figure."""
+        found = persons_of(BvhFile(file.path, file.data))
+        return tuple(person.name for person in found) if len(found) > 1 else ()
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a BVH file, which carries its own skeleton and rate.
+        """Read a figure of a BVH file.
 
         Raises
         ------
         SourceError
-            The file is damaged, or no mapping fits; the error names the line of the first fault.
+            The file is damaged, or no mapping fits and no body is recognised; the error names the first fault.
         """
-        bvh = BvhFile(file.path, file.data)
-        fit = mappings.detect(file.path, "bvh", bvh.places)
-        nodes, restored = _restore(bvh, fit)
+        bvh = _Motion(BvhFile(file.path, file.data))
+        persons = persons_of(bvh.file)
+        names = [person.name for person in persons]
+        person = persons[chosen_person(file.path, file.person, names)]
+        fit = mappings.exact(file.path, "bvh", person.places)
+        if fit is None:
+            fit = mappings.detect(file.path, "bvh", person.places, _evidence(bvh, person))
+        nodes, restored = _restore(person, fit)
         positions, turned = posed(bvh, nodes, fit.root, fit, joints)
-        warnings = [*bvh.warnings, *virtual_joint_warnings(fit)]
-        rate_hz = settings.rate_of(bvh.rate_hz, warnings)
+        fit, turned_by = _turned_upright(fit, person, positions, joints)
+        warnings = [*bvh.file.warnings, *virtual_joint_warnings(fit)]
+        rate_hz = corrected_rate(file.path, bvh.file.rate_hz, positions, joints, settings, warnings)
         if restored:
             warnings.append(
                 f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
@@ -60,23 +112,141 @@ class BvhReader(Reader):
         refuse_far(file.path, positions, joints, fit.unknown)
         return Body(
             positions=positions,
-            orientation=mapped_orientation(fit, turned),
+            orientation=_orientation(fit, positions, turned, joints, bool(turned_by)),
             rate_hz=rate_hz,
             unit=unit,
             skeleton=fit.mapping.name,
             unknown=fit.unknown,
             warnings=tuple(warnings),
+            estimated=tuple(fit.estimated),
+            confidence=fit.confidence,
+            evidence=(*fit.reasons, *turned_by),
         )
 
 
-def _restore(bvh: BvhFile, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
+class _Motion:
+    """The motion of a file; the channels of a small one are parsed once, and kept."""
+
+    def __init__(self, file: BvhFile) -> None:
+        self.file = file
+        self.path, self.frames = file.path, file.frames
+        self.kept: list[F64] | None = None
+
+    def blocks(self) -> Iterator[F64]:
+        """Yield the channels of consecutive frames."""
+        if self.kept is not None:
+            yield from self.kept
+        else:
+            yield from self.file.blocks()
+
+    def sampled(self, count: int) -> F64:
+        """Return the channels of about as many frames, evenly spread."""
+        if 8 * self.file.frames * self.file.columns <= _KEPT_BYTES:
+            self.kept = list(self.file.blocks())
+        wanted = np.unique(np.linspace(0, self.frames - 1, count).round().astype(np.int64))
+        found, start = [], 0
+        for block in self.blocks():
+            inside = wanted[(wanted >= start) & (wanted < start + len(block))]
+            found.append(block[inside - start])
+            start += len(block)
+        return np.concatenate(found)
+
+
+def persons_of(file: BvhFile) -> list[Person]:
+    """Return the figures of a file: the trees of its roots, without props; all of them where no tree is large."""
+    tops = [0] * len(file.nodes)
+    for i, node in enumerate(file.nodes):
+        tops[i] = i if node.parent < 0 else tops[node.parent]
+    trees = {top: [i for i, other in enumerate(tops) if other == top] for top in dict.fromkeys(tops)}
+    large = {top: members for top, members in trees.items() if len(members) >= _LEAST_NODES}
+    if not large:
+        large = dict([max(trees.items(), key=lambda tree: len(tree[1]))])
+    if len(trees) == 1:
+        return [Person("", file.nodes, file.redundant)]
+    found: list[Person] = []
+    for top, members in large.items():
+        name = _free_name(_root_name(file.nodes[top].name), [person.name for person in found])
+        found.append(_person(file, name, members))
+    return found
+
+
+def _root_name(name: str) -> str:
+    """Return the prefix of a root's name, or the name."""
+    short = _SECOND.sub("", name)
+    return re.split(r"[:|]", short)[0] or short
+
+
+def _free_name(name: str, used: list[str]) -> str:
+    return (
+        name if name not in used else next(f"{name}-{i}" for i in range(2, len(used) + 3) if f"{name}-{i}" not in used)
+    )
+
+
+def _person(file: BvhFile, name: str, members: list[int]) -> Person:
+    """Return the tree of one root; the marks that tell its names from those of other trees are taken off."""
+    index = {old: new for new, old in enumerate(members)}
+    plain = [_SECOND.sub("", file.nodes[old].name.removesuffix("_end")) for old in members]
+    ends = ["_end" if file.nodes[old].name.endswith("_end") else "" for old in members]
+    short = [stem + end for stem, end in zip(plain, ends, strict=True)]
+    names = short if len(set(short)) == len(short) else [file.nodes[old].name for old in members]
+    nodes = tuple(
+        replace(file.nodes[old], name=called, parent=index.get(file.nodes[old].parent, -1))
+        for old, called in zip(members, names, strict=True)
+    )
+    return Person(name, nodes, frozenset(index[old] for old in file.redundant if old in index))
+
+
+def _evidence(motion: _Motion, person: Person) -> Evidence:
+    """Return the places of a figure's nodes in sampled frames, and its tree."""
+    places, _ = kinematics.forward(person.nodes, motion.sampled(SAMPLED_FRAMES))
+    return Evidence(
+        names=tuple(node.name for node in person.nodes),
+        places=places,
+        parents=tuple(node.parent for node in person.nodes),
+        offsets=np.array([node.before for node in person.nodes]),
+    )
+
+
+def _turned_upright(fit: Fit, person: Person, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
+    """Turn the joints in place where another axis than that of a shipped mapping is up; return its fit, and why.
+
+    A mapping of the user's own counts as it is.
+    """
+    if fit.recognised or not fit.mapping.path.is_relative_to(shipped_configs()):
+        return fit, ()
+    frames = np.unique(np.linspace(0, positions.shape[2] - 1, SAMPLED_FRAMES).round().astype(np.int64))
+    known = {joint: positions[i][:, frames] for i, joint in enumerate(joints) if joint not in fit.unknown}
+    rest = np.zeros((len(person.nodes), 3))
+    for i, node in enumerate(person.nodes):
+        rest[i] = node.before + (rest[node.parent] if node.parent >= 0 else 0.0)
+    resting = fit.apply(rest[:, :, None], joints)
+    with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused later.
+        judged = up_axis(known, {joint: resting[joints.index(joint)][:, 0] for joint in known})
+    if judged.axis in ("", "y"):
+        return fit, ()
+    turn = axes_of_up(judged.axis)
+    positions[:] = np.einsum("ab,jbt->jat", turn, positions)
+    up = "xyz"[int(np.argmax(np.abs(turn[1] @ fit.mapping.axes)))]
+    mapping = replace(fit.mapping, axes=turn @ fit.mapping.axes)
+    reason = f"{up} is up in this file, not the axis of mapping '{fit.mapping.name}': {'; '.join(judged.reasons)}"
+    return replace(fit, mapping=mapping), (reason,)
+
+
+def _orientation(fit: Fit, positions: F64, turned: F64, joints: tuple[str, ...], upturned: bool) -> F64:
+    """Return the root's turn: by hips and spine where the root's own axes are not known, else from the file."""
+    if (fit.recognised or upturned) and not {"lhip", "rhip", "root"} & set(fit.unknown):
+        return root_orientation(positions, joints, np.ones(positions.shape[2], np.bool_), [])
+    return mapped_orientation(fit, turned)
+
+
+def _restore(person: Person, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
     """Return the nodes, bones without length with that of the mapping, and the names of those bones."""
-    nodes, restored = list(bvh.nodes), []
+    nodes, restored = list(person.nodes), []
     for name, weights in fit.mapping.bones.items():
         index = fit.places[name]
         moved = any(step.kind >= kinematics.MOVE_X for step in nodes[index].steps)
         if not moved and not nodes[index].before.any():
-            offset = sum(weight * bvh.nodes[fit.places[other]].before for other, weight in weights.items())
+            offset = sum(weight * person.nodes[fit.places[other]].before for other, weight in weights.items())
             nodes[index] = replace(nodes[index], before=np.asarray(offset))
             restored.append(name)
     return tuple(nodes), restored

@@ -20,6 +20,9 @@ from kinedex.storage.formats.motion.text_blocks import LONGEST, Block, after_las
 MOST_JOINTS = 10_000
 """A body has some hundred joints with every finger; a file that claims more than this is refused."""
 
+MILLISECONDS = 1000
+"""A frame time of more than a second is one in milliseconds."""
+
 _CHANNELS = {
     "xrotation": k.ROTATE_X, "yrotation": k.ROTATE_Y, "zrotation": k.ROTATE_Z,
     "xposition": k.MOVE_X, "yposition": k.MOVE_Y, "zposition": k.MOVE_Z,
@@ -47,8 +50,8 @@ class Bvh:
     path : str
         The file.
     nodes : tuple of Node
-        Parents first; node 0 is the root. Joints have their names, an End Site is `<joint>_end`, a further one of the
-        same joint `<joint>_end2`.
+        Parents first; a root's parent is −1, and node 0 is the first root. Joints have their names, an End Site is
+        `<joint>_end`, a further one of the same joint `<joint>_end2`.
     channels : float64 array (T, C)
         Rotations in radians, positions in the file's unit.
     rate_hz : float
@@ -217,6 +220,11 @@ class BvhFile:
         """Node name → index, for all nodes that a skeleton mapping can use."""
         return _places(self.nodes, self.redundant)
 
+    @property
+    def columns(self) -> int:
+        """Return the number of channels."""
+        return len(self._rotations)
+
     def _read_header(self) -> tuple[_Text, list[_Joint], int]:
         """Read hierarchy and header from the first block, or from a longer one as long as it ends within them."""
         self._least = 0
@@ -303,10 +311,6 @@ def _called(joint: _Joint) -> str:
 def _open_joint(text: _Text, key: str, joints: list[_Joint], inside: list[int]) -> None:
     at = text.at
     name = text.rest()
-    if key == "ROOT" and joints and not inside:
-        raise text.error(
-            f"a second root, '{name}': kinedex reads one figure from a file; write one file for each root", at
-        )
     if key == "ROOT" and inside:
         raise text.error(f"ROOT '{name}' inside another joint; expected JOINT, or a '}}' before it", at)
     if key != "ROOT" and not inside:
@@ -360,6 +364,9 @@ def _motion_header(text: _Text) -> tuple[int, float, list[str]]:
     if not _NUMBER.fullmatch(time):
         raise text.error(f"Frame Time must be a number of seconds, got {time!r}; write 0.0333333 for 30 Hz")
     seconds = float(time)
+    if 1 / SLOWEST_HZ < seconds < MILLISECONDS / SLOWEST_HZ:
+        rate_hz = frame_rate(f"{Decimal(time) / MILLISECONDS}")
+        return int(count), rate_hz, [f"frame time {time} is read as milliseconds: {rate_hz:.6g} Hz"]
     if not 1 / FASTEST_HZ <= seconds <= 1 / SLOWEST_HZ:
         raise text.error(
             f"Frame Time must be from {1 / FASTEST_HZ:g} to {1 / SLOWEST_HZ:g} seconds, got {time}; "

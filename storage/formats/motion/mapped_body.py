@@ -24,11 +24,19 @@ FARTHEST_M = 100_000.0
 _BLOCK_SIZE = 2_000_000  # nodes times frames at once: some 50 MB of positions, whatever the file's size
 
 
+DOUBTFUL = 0.6
+"""A body that is recognised with less confidence is warned of."""
+
+
 def virtual_joint_warnings(fit: Fit) -> list[str]:
-    """Return a warning that names the joints built from others or estimated, if there are any."""
-    if fit.reasons:
+    """Return a warning that names the joints built from others or estimated, and one of a doubtful recognition."""
+    if fit.recognised:
         how = ", ".join(f"{joint} ({phrase})" for joint, phrase in fit.estimated.items())
-        return [f"joints that the file does not hold are estimated: {how}"] if how else []
+        warnings = [f"joints that the file does not hold are estimated: {how}"] if how else []
+        if fit.confidence < DOUBTFUL:
+            reasons = "; ".join(fit.reasons)
+            warnings.append(f"the body is recognised with a confidence of {fit.confidence:.2f}, check it: {reasons}")
+        return warnings
     named = ", ".join(f"{joint} ({mix})" for joint, mix in fit.virtual.items())
     return [f"joints that the skeleton lacks are built from others: {named}"] if named else []
 

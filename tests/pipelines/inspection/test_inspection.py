@@ -99,7 +99,7 @@ def test_the_skeleton_of_an_amc_file_is_found_above_it_up_to_the_source(tmp_path
 
 def test_a_skeleton_that_no_mapping_fits_is_told_all_that_is_missing_and_drawn_as_it_is(tmp_path: Path) -> None:
     changes = {"LeftUpLeg": "ThighL", "RightUpLeg": "ThighR"}
-    found = inspect_file(write_bvh(tmp_path / "odd.bvh", **changes))
+    found = inspect_file(write_bvh(tmp_path / "odd.bvh", **changes), "mixamo")
     assert isinstance(found.fault, SourceError)
     assert message(found, "mapping").startswith("none fits; the nearest is 'mixamo'")
     assert message(found, "") == "lacks LeftUpLeg, for joint 'lhip' | lacks RightUpLeg, for joint 'rhip'"
@@ -229,6 +229,8 @@ def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Pat
         "kinedex.pipelines.commands.cli",
         "inspect",
         str(tmp_path / "odd.bvh"),
+        "--skeleton",
+        "mixamo",
         "--picture",
     ]
     done = subprocess.run([*command, str(tmp_path / "o.png")], capture_output=True, text=True, check=False)
@@ -237,4 +239,4 @@ def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Pat
     assert str(tmp_path / "o.png") in done.stdout
     assert (tmp_path / "o.png").is_file()
     assert done.stderr.startswith("kinedex: ")
-    assert "no skeleton mapping fits" in done.stderr
+    assert "the skeleton has no 'LeftUpLeg'" in done.stderr

@@ -179,17 +179,19 @@ def test_usual_rates_come_back_however_many_digits_are_written_or_cut(rate_hz: f
     assert frame_rate(f"{1 / rate_hz:.20f}"[: digits + 2]) == rate_hz
 
 
+@pytest.mark.parametrize(("frame_time", "rate_hz"), [("33.333", 30.0), ("16.67", 60.0), ("8.33", 120.0), ("40", 25.0)])
+def test_a_frame_time_of_many_seconds_is_one_in_milliseconds(folder: Path, frame_time: str, rate_hz: float) -> None:
+    bvh = parse(folder, bvh_text(small(), still(small()), frame_time=frame_time))
+    assert bvh.rate_hz == rate_hz
+    assert bvh.warnings == (f"frame time {frame_time} is read as milliseconds: {rate_hz:g} Hz",)
+
+
 END = "the end of the file"
 
 FAULTS = {
     "another format": (lambda _: ":FULLY-SPECIFIED\n", ":FULLY", "expected HIERARCHY, got ':FULLY-SPECIFIED'"),
     "an empty file": (lambda _: " \n", None, "the file is empty"),
     "no root": (lambda text: text.replace("ROOT", "ROT"), "ROT", "expected ROOT, got 'ROT'; did you mean 'ROOT'?"),
-    "a second root": (
-        lambda text: text.replace("MOTION", "ROOT other {\nOFFSET 0 0 0\n}\nMOTION"),
-        "ROOT other",
-        "a second root, 'other': kinedex reads one figure from a file",
-    ),
     "a root inside": (lambda text: text.replace("JOINT shin", "ROOT shin"), "ROOT shin", "inside another joint"),
     "a joint without name": (lambda text: text.replace("JOINT shin", "JOINT"), "JOINT\n", "JOINT has no name"),
     "no brace": (
