@@ -245,6 +245,19 @@ checksum    VARCHAR    its SHA-256"""),
         "ON (s.source_root, s.source) = (t.source_root, t.skeleton_source) ORDER BY t.name LIMIT 10",
     ),
     View(
+        "source_files",
+        "results",
+        "All files below the folder that a stage ingested last, and what became of each.",
+        columns(f"""{_RUN}
+source_root    VARCHAR    the folder that was ingested
+source    VARCHAR    the file, relative to it; also a folder that cannot be read
+ending    VARCHAR    its ending in small letters, with the dot
+outcome    VARCHAR    in (the store has its takes), refused, skeleton, not read, passed over (no motion)
+takes    INTEGER    number of its takes in the store
+reason    VARCHAR    the fault, the way out, or the kind of a file that was passed over"""),
+        "SELECT outcome, ending, count(*) AS files FROM source_files GROUP BY ALL ORDER BY files DESC, ending",
+    ),
+    View(
         "ingest_log",
         "results",
         "Source files, or places in them, that could not be read.",

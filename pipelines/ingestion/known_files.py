@@ -101,15 +101,19 @@ class KnownFile:
         motion = content.motion
         if row["source_bytes"] != motion.size:
             return False
-        same_place = (self.root, self.path) == (motion.root, motion.path)
+        same_place = self.place == (motion.root, motion.path)
         untouched = same_place and row["source_mtime_ns"] == motion.mtime_ns
         return bool(untouched or row["checksum"] == content.checksum)
+
+    def is_elsewhere(self, motion: SourceFile) -> bool:
+        """Return whether a motion file of this content is a copy of the file, which is still at its place."""
+        return self.place != (motion.root, motion.path) and self.is_there
 
     def rows_at(self, motion: SourceFile, rows: Iterable[Row]) -> list[Row]:
         """Return those rows that change with the new place or time of their file, as they are then."""
         place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
-        if (self.root, self.path) != (motion.root, motion.path) and self.is_there:
-            return []  # a copy of the file that was read
+        if self.is_elsewhere(motion):
+            return []
         return [row | place for row in rows if any(row[name] != value for name, value in place.items())]
 
 

@@ -16,6 +16,7 @@ from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
+from kinedex.pipelines.ingestion.file_list import file_table
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
 from kinedex.storage.formats.motion.body_models import model_digest
@@ -71,6 +72,8 @@ class Ingest(Stage[IngestParameters]):
                 done = ReadRounds(context, params, mappings, writer, plan).run()
             failures = [*plan.failures, *done.failures]
             writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
+            files = file_table(found, root, plan, done, failures)
+            writer.put_results("source_files", files, stage=context.key(), run=context.run)
             writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
             if params.strict and failures:
                 writer.commit()
@@ -102,6 +105,7 @@ class Ingest(Stage[IngestParameters]):
             "frames_read": done.frames,
             "left_out": len(failures),
             "not_read": len(found.unread),
+            "passed_over": len(found.passed_over),
             "dropped": len(dropped),
         }
 
@@ -110,6 +114,12 @@ def _declare_groups(context: StageContext, writer: StoreWriter, params: IngestPa
     """Declare the columns of the named groups; report those that cannot be columns of takes."""
     columns: dict[str, TakeColumn] = {}
     for name, column in params.group_columns.items():
+        standing = writer.manifest.columns.get(name)
+        if standing is not None and standing.origin == "file":
+            raise KinedexError(
+                f"the named group '{name}' of `patterns` has the name of a column that this store fills from files "
+                f"({standing.meaning}); give the group another name, such as 'actor'"
+            )
         if (problem := column_problem(name, column, writer.manifest.columns | columns)) is None:
             columns[name] = column
         else:
@@ -124,7 +134,9 @@ def _no_motion_files(found: Scan, source: str) -> KinedexError:
     """Return the error of a source without motion files."""
     return KinedexError(
         f"no motion files ({', '.join(motion_endings())}) below {source}; is this the right folder?"
-        + "".join(f" {line}." for line in found.unread_lines())
+        + (f" Of {counted(found.count, 'file')}:" if found.count else " It holds no file.")
+        + (f" {counted(len(found.skeletons), 'skeleton file')} (.asf) without motion." if found.skeletons else "")
+        + "".join(f" {line}." for line in [*found.unread_lines(), *found.passed_over_lines()])
         + "".join(f" {refused.fault}." for refused in found.refused[:3])
     )
 
@@ -136,7 +148,9 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
         f"{len(plan.tasks)} to read, {len(plan.unchanged)} unchanged"
         + (f", {len(plan.failures)} excluded" if plan.failures else "")
     )
-    for line in found.unread_lines():
+    if found.skeletons:
+        context.say(counted(len(found.skeletons), "skeleton file"))
+    for line in [*found.unread_lines(), *found.passed_over_lines()]:
         context.say(line)
     if plan.by_path:
         path, name = next(iter(plan.by_path.items()))

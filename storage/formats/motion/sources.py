@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError, StoreError
+from kinedex.storage.formats.motion.other_files import NO_MOTION, is_of_system, kind_of
 from kinedex.storage.formats.motion.reader_table import is_motion_file, motion_endings
 
 UNREAD = {
@@ -22,6 +23,9 @@ UNREAD = {
     ".bip": "export it as BVH",
 }
 """Endings of motion files that kinedex does not read, and the way out."""
+
+
+_MOST_ENDINGS = 6
 
 
 def readable(text: str) -> str:
@@ -78,8 +82,21 @@ class Refused:
 
 
 @dataclass(frozen=True)
+class PassedOver:
+    """A file of an archive that is no motion file: its path relative to the source root, and its kind in the plural."""
+
+    path: str
+    kind: str
+
+    @property
+    def ending(self) -> str:
+        """The file's ending in lower case, with the dot."""
+        return os.path.splitext(self.path)[1].lower()
+
+
+@dataclass(frozen=True)
 class Scan:
-    """The content of a source root, each tuple sorted by path.
+    """The content of a source root: every file is in one of the tuples, each sorted by path.
 
     Attributes
     ----------
@@ -91,12 +108,20 @@ class Scan:
         Motion files of formats that kinedex does not read, see `UNREAD`.
     refused : tuple of Refused
         Possible motion files that cannot be read or lie outside the root.
+    passed_over : tuple of PassedOver
+        All other files.
     """
 
     motions: tuple[SourceFile, ...]
     skeletons: tuple[SourceFile, ...]
     unread: tuple[SourceFile, ...] = ()
     refused: tuple[Refused, ...] = ()
+    passed_over: tuple[PassedOver, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """The number of files; a folder that cannot be read counts as one."""
+        return sum(map(len, (self.motions, self.skeletons, self.unread, self.refused, self.passed_over)))
 
     def hidden(self, path: str) -> bool:
         """Return whether a path lies where the scan had no access, so that nothing is known of it."""
@@ -128,13 +153,25 @@ class Scan:
             for ending, count in sorted(counts.items())
         ]
 
+    def passed_over_lines(self) -> list[str]:
+        """Return a line for every kind of file that is passed over: the number of files, and their endings."""
+        kinds: dict[str, Counter[str]] = {}
+        for file in self.passed_over:
+            kinds.setdefault(file.kind, Counter())[file.ending or "without an ending"] += 1
+        lines = []
+        for kind, endings in sorted(kinds.items(), key=lambda item: (-item[1].total(), item[0])):
+            few = ", ".join(f"{readable(ending)} {count:,}" for ending, count in endings.most_common(_MOST_ENDINGS))
+            more = len(endings) - _MOST_ENDINGS
+            lines.append(f"passed over as {kind}: {endings.total():,} ({few}{f' and {more} more' * (more > 0)})")
+        return lines
+
 
 def scan(root: str | Path) -> Scan:
-    """List the motion files and skeleton files (.asf) below a source root, in any letter case.
+    """List the files below a source root: motion files, skeleton files (.asf), and all others.
 
     Links to folders are not followed, so that loops of links do no harm; a linked folder inside the root is found at
     its own place. Links to files are followed inside the root. Links that lead out of it or nowhere, and files without
-    access, are refused by name: nothing outside the root is read, and nothing is skipped silently.
+    access, are refused by name: nothing outside the root is read. Every other file is listed with its kind.
 
     Parameters
     ----------
@@ -155,18 +192,23 @@ def scan(root: str | Path) -> Scan:
     skeletons: list[SourceFile] = []
     unread: list[SourceFile] = []
     refused: list[Refused] = []
+    passed: list[PassedOver] = []
     kinds = dict.fromkeys(UNREAD, unread) | {".asf": skeletons} | dict.fromkeys(motion_endings(), motions)
     for folder, name in _entries(root, refused):
-        ending = os.path.splitext(name)[1].lower()
-        kind = kinds.get(ending)
-        if kind is not None:
-            try:
-                file = _source_file(root, folder, name)
-                if kind is not motions or is_motion_file(file.absolute):
-                    kind.append(file)
-            except SourceError as fault:
-                refused.append(Refused(readable(_below(root, folder, name)), fault))
-    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused))
+        path = readable(_below(root, folder, name))
+        kind = kinds.get(os.path.splitext(name)[1].lower())
+        if kind is None or is_of_system(name):
+            passed.append(PassedOver(path, kind_of(name)))
+            continue
+        try:
+            file = _source_file(root, folder, name)
+            if kind is not motions or is_motion_file(file.absolute):
+                kind.append(file)
+            else:
+                passed.append(PassedOver(path, NO_MOTION))
+        except SourceError as fault:
+            refused.append(Refused(path, fault))
+    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused), tuple(passed))
 
 
 def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:

@@ -220,6 +220,10 @@ def test_a_group_of_the_patterns_named_person_stays_what_it_is(source: Path, sto
     assert takes(store) == {"one": ("one", None, 4)}
     (row,) = open_store(store).result("ingest_log").to_pylist()
     assert "named groups of `patterns`; give the groups other names" in row["message"]
+    bring_in(store, source, prune=True)
+    bring_in(store.with_name("other"), source)
+    with pytest.raises(KinedexError, match="the named group 'person' of `patterns` has the name of a column"):
+        bring_in(store.with_name("other"), source, patterns=["(?P<person>[a-z]+)[.]crowd"])
 
 
 def test_repair_reads_the_person_of_a_take_again(source: Path, store: Path) -> None:

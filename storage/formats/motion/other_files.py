@@ -1,0 +1,40 @@
+"""Files of an archive that are no motion: their kinds, by their names and endings."""
+
+from __future__ import annotations
+
+import os
+
+NO_MOTION = "tables or data in which no reader finds motion"
+"""The kind of files whose ending some reader has, and whose content none takes for its format."""
+
+_SYSTEM, _OTHER = "hidden files and files of the system", "files of other kinds"
+
+_ENDINGS = {
+    "labels": ".eaf .pfsx .etf .textgrid .srt .vtt",
+    "images or films": ".png .jpg .jpeg .gif .bmp .tif .tiff .webp .svg .ico .heic .avi .mp4 .m4v .mov .mkv .mpg .mpeg "
+    ".webm .wmv .mts",
+    "sound": ".wav .mp3 .ogg .flac .aiff .m4a .mid",
+    "texts": ".txt .md .rst .tex .bib .log .pdf .doc .docx .odt .rtf .ppt .pptx .htm .html .url",
+    "archives, which are not unpacked": ".zip .tar .tgz .gz .bz2 .xz .zst .7z .rar",
+    "tables": ".csv .tsv .xls .xlsx .ods .parquet .db .sqlite",
+    "data": ".json .jsonl .yaml .yml .xml .toml .ini .cfg .mat .h5 .hdf5 .npy .npz .pkl .pickle .pt .pth .bin .dat",
+    "files of capture software": ".x1d .x2d .x2e .xcp .mcp .mkr .vsk .vst .vpf .enf .system .history .cal .prj .qtm "
+    ".qca .mvn .mvna .mox .ttp .ttproj .motive",
+    "models or meshes": ".osim .obj .ply .stl .mtl .vtp .blend .max .ma .mb .skp .urdf",
+    "programs": ".py .ipynb .m .r .c .h .cpp .cs .java .js .ts .sh .bat .exe .dll .so .pyc",
+}
+_KINDS = {ending: kind for kind, endings in _ENDINGS.items() for ending in endings.split()}
+_SYSTEM_NAMES = ("thumbs.db", "desktop.ini")
+
+
+def is_of_system(name: str) -> bool:
+    """Return whether a file is none of the user's, whatever its ending: macOS writes ._x.bvh beside x.bvh."""
+    return name.startswith(("._", "~$")) or name.lower() in _SYSTEM_NAMES
+
+
+def kind_of(name: str) -> str:
+    """Return the kind of a file that is no motion file, by its name; "files of other kinds" where it is not known."""
+    ending = os.path.splitext(name)[1].lower()
+    if is_of_system(name) or name.startswith("."):
+        return _SYSTEM
+    return _KINDS.get(ending, _OTHER)
