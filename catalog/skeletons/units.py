@@ -19,9 +19,14 @@ HUMAN_M = (1.0, 2.2)
 UNITS_M = {"metres": 1.0, "inches / 0.45 (Acclaim)": 0.0254 / 0.45, "inches": 0.0254, "cm": 0.01, "mm": 0.001}
 """The units of length that files come in, and the metres of one."""
 
+RARE_UNITS_M = {"dm (MakeHuman)": 0.1}
+"""Units that are tried where none of `UNITS_M` fits."""
+
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
 _UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
+_ARMS = (("lshoulder", "lelbow", "lwrist"), ("rshoulder", "relbow", "rwrist"))
+_ARM_TO_LEG, _TRUNK_TO_LEG = 0.68, 0.76  # lengths of arms and trunk as shares of the legs', as in HDM05 and CMU
 
 
 def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> tuple[str, float, float]:
@@ -47,8 +52,8 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     way_out = "state `unit_m` in the skeleton mapping"
     height = body_height(positions, joints)
     if height is None:
-        raise SourceError(source, f"its unit of length cannot be guessed without a hip, knee and ankle; {way_out}")
-    for name, unit_m in UNITS_M.items():
+        raise SourceError(source, f"its unit of length cannot be guessed without a whole leg or arm; {way_out}")
+    for name, unit_m in (UNITS_M | RARE_UNITS_M).items():
         if HUMAN_M[0] <= height * unit_m <= HUMAN_M[1]:
             return name, unit_m, height * unit_m
     raise SourceError(
@@ -59,7 +64,9 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
 
 
 def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
-    """Return the height of a body along its legs and trunk, in the unit of its positions; None without a whole leg.
+    """Return the height of a body along its legs and trunk, in the unit of its positions; None without leg and arm.
+
+    Where the body has no leg or no trunk, its length is that which a human's arm or leg lets expect.
 
     Parameters
     ----------
@@ -67,10 +74,12 @@ def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
         Of the named joints; the first frame counts.
     """
     known = {joint: positions[i, :, 0] for i, joint in enumerate(joints) if np.isfinite(positions[i, :, 0]).all()}
-    legs = [_length(known, leg) for leg in _LEGS if all(joint in known for joint in leg)]
-    if not legs:
+    legs, arms = ([_length(known, limb) for limb in limbs if set(limb) <= known.keys()] for limbs in (_LEGS, _ARMS))
+    if not legs and not arms:
         return None
-    return _UPRIGHT * (max(legs) + _length(known, [joint for joint in _TRUNK if joint in known]))
+    leg = max(legs) if legs else max(arms) / _ARM_TO_LEG
+    trunk = [joint for joint in _TRUNK if joint in known]
+    return _UPRIGHT * (leg + (_length(known, trunk) if len(trunk) > 1 else _TRUNK_TO_LEG * leg))
 
 
 def _length(points: Mapping[str, F64], chain: Iterable[str]) -> float:

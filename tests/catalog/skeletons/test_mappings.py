@@ -300,9 +300,23 @@ def test_a_body_of_no_human_height_or_without_legs_has_no_unit_to_guess() -> Non
     with pytest.raises(SourceError, match=r"units high, which is 1 to 2\.2 m in none of metres"):
         guess_unit("x", standing(1) * 1e5, JOINTS)
     body = standing(1)
-    body[[JOINTS.index("lknee"), JOINTS.index("rhip")]] = np.nan
-    with pytest.raises(SourceError, match=r"without a hip, knee and ankle; state `unit_m`"):
+    body[[JOINTS.index(joint) for joint in ("lknee", "rhip", "lelbow", "rwrist")]] = np.nan
+    with pytest.raises(SourceError, match=r"without a whole leg or arm; state `unit_m`"):
         guess_unit("x", body, JOINTS)
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        [joint for joint in JOINTS if joint[1:] in ("hip", "knee", "ankle", "toes")],
+        [joint for joint in JOINTS if joint != "root" and joint[1:] not in ("hip", "knee", "ankle", "toes")],
+    ],
+)
+def test_half_a_body_is_about_as_high_as_the_whole_one(lost: list[str]) -> None:
+    body = standing(1)
+    _, _, height = guess_unit("x", body, JOINTS)
+    body[[JOINTS.index(joint) for joint in lost]] = np.nan
+    assert guess_unit("x", body, JOINTS)[2] == pytest.approx(height, rel=0.2)
 
 
 @given(lost=st.sets(st.sampled_from(JOINTS), min_size=1, max_size=3), seed=st.integers(0, 1000))
