@@ -48,6 +48,11 @@ class WordSet:
         """Return the numbers of the set's features."""
         return range(self.first, self.first + self.count)
 
+    @property
+    def mask(self) -> int:
+        """The mask of the set's features, with the bits of a whole word."""
+        return ((1 << self.count) - 1) << (self.first - 1)
+
 
 class AffectedFeatures(NamedTuple):
     """The features that are affected when joints are unknown.

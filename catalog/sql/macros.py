@@ -90,11 +90,17 @@ spelt AS (
 parts AS MATERIALIZED (
     SELECT DISTINCT s.k, s.off, {_number("s.feature")} AS number FROM spelt AS s),
 counts AS (SELECT q.k, count(*) FILTER (NOT q.off) AS want FROM parts AS q GROUP BY q.k),
-pieces AS (
+blind AS (
+    SELECT DISTINCT q.k, t.take_id FROM parts AS q
+    JOIN takes AS t ON ((t.known >> CAST(q.number - 1 AS UBIGINT)) & 1) = 0),
+found AS (
     SELECT q.k, q.off, r.take_id, r.start, r.stop FROM parts AS q JOIN feature_runs AS r ON r.feature = q.number
     UNION ALL
-    SELECT c.k, false, w.take_id, w.start, w.stop FROM counts AS c
-    JOIN word_runs AS w ON c.want = 0 AND w.feature_set = (SELECT min(f.feature_set) FROM features AS f)),
+    SELECT c.k, false, v.take_id::BIGINT, v.start, v.start + v.frames FROM counts AS c
+    JOIN stored_valid_runs AS v ON c.want = 0),
+pieces AS (
+    SELECT d.k, d.off, d.take_id, d.start, d.stop FROM found AS d
+    WHERE NOT EXISTS (SELECT 1 FROM blind AS b WHERE b.k = d.k AND b.take_id = d.take_id)),
 ends AS (
     SELECT e.k, e.take_id, e.frame, sum(e.ons) AS ons, sum(e.offs) AS offs
     FROM (SELECT i.k, i.take_id, i.start AS frame, (NOT i.off)::INTEGER AS ons, i.off::INTEGER AS offs FROM pieces AS i
@@ -171,6 +177,24 @@ MACROS = (
         "SELECT take_id, count(*) AS frames FROM frames WHERE has(word, 'rhand_above_neck') "
         "GROUP BY take_id ORDER BY take_id",
         table=False,
+    ),
+    Macro(
+        "knows",
+        (("mask", None, "the column `known` of takes"), _FEATURE),
+        "True if a take has the joints that a feature needs; a feature that it lacks is neither on nor off.",
+        f"coalesce(((mask >> CAST({_number('feature')} - 1 AS UBIGINT)) & 1) = 1, true)",
+        "SELECT name FROM takes WHERE knows(known, 'rhand_above_neck') ORDER BY name LIMIT 5",
+        table=False,
+    ),
+    Macro(
+        "known_features",
+        (_NAME,),
+        "The features of a take: known is false where its body lacks the joints.",
+        f"""SELECT f.number, f.name, f.description,
+    t.known IS NULL OR ((t.known >> CAST(f.number - 1 AS UBIGINT)) & 1) = 1 AS known
+FROM features AS f JOIN takes AS t ON t.take_id = {_take("take")}
+ORDER BY f.number""",
+        "SELECT name FROM known_features((SELECT min(name) FROM takes)) WHERE NOT known",
     ),
     Macro(
         "features_of",

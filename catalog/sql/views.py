@@ -93,7 +93,7 @@ bit    UTINYINT    its bit in the words of that set
     View(
         "word_runs",
         "index",
-        "The inverted lists: runs of frames with the same word of a set, in no particular order.",
+        "The inverted lists: runs of frames with the same word of a set, in takes that know all of it; in no order.",
         columns(f"{_WORD}\n{_RANGE}"),
         "SELECT take_id, start, stop FROM word_runs WHERE feature_set = 'lower' AND word = 5 ORDER BY take_id, start",
     ),
@@ -110,7 +110,7 @@ seconds    DOUBLE    duration of the run"""),
     View(
         "vocabulary",
         "index",
-        "The distinct words of each feature set, with their numbers of runs and frames.",
+        "The distinct words of each feature set, with their runs and frames in the takes that know the whole set.",
         columns(f"""{_WORD}
 runs    BIGINT    its runs in all takes
 frames    BIGINT    its frames in all takes"""),

@@ -208,7 +208,7 @@ def _build(store: Snapshot, folder: Path, threads: int | None, memory_mb: int | 
         fresh = _insert(connection, store, work, start, folder, threads)
         tables.describe(connection, store, anew=start.surface != surface)
         rows = tables.count(connection)
-        valid = tables.valid_frames(connection, store.feature_set)
+        valid = tables.valid_frames(connection)
         connection.execute("COMMIT")
         connection.execute("USE memory")
         connection.execute("DETACH building")
@@ -335,7 +335,7 @@ def _insert(
 
     def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, tables.ShardRows]:
         number, parts = item
-        words = read_words(store.checked, replace(store.manifest, frames=parts), None)
+        words = store.with_known(read_words(store.checked, replace(store.manifest, frames=parts), None))
         slices = slice_words(words.words, words.offsets, features)
         written = write_slices(folder / slices_name(number), words.take_ids, slices)
         rows = tables.make_shard(words, store.feature_set)

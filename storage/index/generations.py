@@ -17,7 +17,7 @@ from kinedex.storage.remedies import build_index, upgrade
 from kinedex.storage.snapshot.manifest import Manifest, content_digest_of, json_checksum, read_version, versions
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 
-INDEX_VERSION = 5
+INDEX_VERSION = 6
 """Version of the index's tables and of its other files; an index of another version is built again."""
 
 KEPT = 8

@@ -1,9 +1,11 @@
 """The content of an index file: the tables that hold the rows of shards, and the views and macros over them.
 
-`stored_word_runs_<set>`, `stored_feature_runs` and `stored_vocabulary` hold the rows of all shards, one shard after the
-other, each sorted. The take of a run determines its shard, since every take is in one shard; the vocabulary has a
-column for the shard. A run is stored with its length, which takes a third of the room of its end, and with its take's
-id in 32 bits. The views `word_runs`, `feature_runs` and `vocabulary` show them as `catalog.sql.views` describes.
+`stored_word_runs_<set>`, `stored_feature_runs`, `stored_valid_runs` and `stored_vocabulary` hold the rows of all
+shards, one after the other, each sorted. The take of a run determines its shard, since every take is in one shard; the
+vocabulary has a column for the shard. A run is stored with its length, which takes a third of the room of its end, and
+with its take's id in 32 bits. A take that lacks features of a set has no words of it: it is in neither lists nor
+vocabulary of the set, and its valid frames are in `stored_valid_runs` alone. The views `word_runs`, `feature_runs` and
+`vocabulary` show the tables as `catalog.sql.views` describes.
 """
 
 from __future__ import annotations
@@ -17,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.features import FeatureSet, WordSet
 from kinedex.catalog.sql.views import MACROS, VIEWS, help_rows
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inverted_lists
-from kinedex.ops.search.runs import FeatureRuns, feature_runs
-from kinedex.ops.words import I64, TakeWords
+from kinedex.ops.search.runs import FeatureRuns, WordRuns, feature_runs, word_runs
+from kinedex.ops.words import I64, NO_WORD, U64, TakeWords
 from kinedex.storage import duck
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -42,6 +44,8 @@ class ShardRows(NamedTuple):
         Feature set → its inverted lists.
     features : FeatureRuns
         The runs of all features.
+    valid : WordRuns
+        The runs of frames that have a word.
     frames : int
         Frames of all takes.
     """
@@ -49,6 +53,7 @@ class ShardRows(NamedTuple):
     take_ids: I64
     lists: dict[str, InvertedLists]
     features: FeatureRuns
+    valid: WordRuns
     frames: int
 
 
@@ -70,11 +75,20 @@ def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
     if len(words) and words.take_ids[-1] > np.iinfo(np.int32).max:
         raise StoreError(f"take {words.take_ids[-1]}: the index holds takes up to {np.iinfo(np.int32).max}")
     lists = {
-        name: inverted_lists(words.words, words.offsets, home.first, home.count)
+        name: inverted_lists(_words_of_set(words, home), words.offsets, home.first, home.count)
         for name, home in feature_set.sets.items()
     }
     features = feature_runs(words.words, words.offsets, len(feature_set.features))
-    return ShardRows(words.take_ids, lists, features, len(words.words))
+    valid = word_runs(np.where(words.words == NO_WORD, NO_WORD, np.uint64(0)), words.offsets)
+    return ShardRows(words.take_ids, lists, features, valid, len(words.words))
+
+
+def _words_of_set(words: TakeWords, home: WordSet) -> U64:
+    """Return the words without those of takes that lack a feature of a set."""
+    if words.known is None:
+        return words.words
+    mask = np.uint64(home.mask)
+    return np.where(np.repeat((words.known & mask) == mask, words.frames), words.words, NO_WORD)
 
 
 def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
@@ -87,6 +101,7 @@ def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
         column = "UBIGINT" if home.count > MOST_COUNTED else f"UBIGINT {repeated}"
         connection.execute(f"CREATE TABLE {lists_table(name)} (word {column}, {run})")
     connection.execute(f"CREATE TABLE stored_feature_runs (feature UTINYINT {repeated}, {run})")
+    connection.execute(f"CREATE TABLE stored_valid_runs ({run})")
     seen = "feature_set VARCHAR, word UBIGINT, runs BIGINT, frames BIGINT"
     connection.execute(f"CREATE TABLE stored_vocabulary (shard INTEGER, {seen})")
 
@@ -112,6 +127,9 @@ def insert(connection: duck.Connection, number: int, rows: ShardRows) -> None:
         "frames": runs.stop - runs.start,
     }
     _insert(connection, "stored_feature_runs", "*", columns)
+    valid = rows.valid
+    ends = {"start": valid.start.astype(np.int32), "frames": (valid.stop - valid.start).astype(np.int32)}
+    _insert(connection, "stored_valid_runs", "*", {"take_id": take_ids[valid.take], **ends})
 
 
 def delete(
@@ -137,7 +155,7 @@ def delete(
     if not gone:
         return
     with _takes(connection, "gone", chain.from_iterable(gone)):
-        for table in (*map(lists_table, feature_set.sets), "stored_feature_runs"):
+        for table in (*map(lists_table, feature_set.sets), "stored_feature_runs", "stored_valid_runs"):
             connection.execute(f"DELETE FROM {table} WHERE take_id IN (SELECT take_id FROM gone)")
     numbers = ", ".join(map(str, (*removed, *dropped)))
     connection.execute(f"DELETE FROM stored_vocabulary WHERE shard IN ({numbers})")
@@ -184,10 +202,17 @@ def count(connection: duck.Connection) -> dict[str, int]:
     return {table: int(found.column(0)[0].as_py()) for table, found in counted}
 
 
-def valid_frames(connection: duck.Connection, feature_set: FeatureSet) -> int:
-    """Return the number of frames that have a word; it is the same for every feature set."""
-    name = duck.quote(min(feature_set.sets))
-    query = f"SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = {name}"
+def valid_frames(connection: duck.Connection) -> int:
+    """Return the number of frames that have a word."""
+    query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM stored_valid_runs"
+    return int(duck.rows(connection, query).column(0)[0].as_py())
+
+
+def valid_frames_of(connection: duck.Connection, home: WordSet) -> int:
+    """Return the number of frames with a word of the takes that know all features of a set."""
+    query = f"""SELECT coalesce(sum(r.frames), 0)::BIGINT FROM stored_valid_runs AS r
+        JOIN takes AS t ON t.take_id = r.take_id
+        WHERE t.known IS NULL OR (t.known & {home.mask}::UBIGINT) = {home.mask}::UBIGINT"""
     return int(duck.rows(connection, query).column(0)[0].as_py())
 
 

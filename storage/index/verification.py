@@ -24,7 +24,7 @@ def index_problems(
 
     In a sound index every live take is in one shard; the tables have the recorded number of rows; in every shard the
     lists of a feature set have the runs and the frames that its vocabulary counts; the words of every set fill all
-    frames that have one; and the bit slices are those of the takes' words.
+    frames that have one, of the takes that know the set; and the bit slices are those of the takes' words.
 
     Parameters
     ----------
@@ -89,11 +89,14 @@ def _frames(connection: duck.Connection, feature_set: FeatureSet, record: Genera
         yield f"its shards have {record.frames} frames, the takes have {total}"
     if record.valid_frames > record.frames:
         yield f"{record.valid_frames} of {record.frames} frames have a word"
-    for name in feature_set.sets:
+    if (valid := tables.valid_frames(connection)) != record.valid_frames:
+        yield f"its valid runs fill {valid} frames, {record.valid_frames} have a word"
+    for name, home in feature_set.sets.items():
         query = "SELECT coalesce(sum(frames), 0)::BIGINT FROM vocabulary WHERE feature_set = ?"
         frames = duck.rows(connection, query, [name]).column(0)[0].as_py()
-        if frames != record.valid_frames:
-            yield f"the words of {name} fill {frames} frames, {record.valid_frames} have a word"
+        expected = tables.valid_frames_of(connection, home)
+        if frames != expected:
+            yield f"the words of {name} fill {frames} frames, {expected} have a word"
 
 
 def _shards(connection: duck.Connection, feature_set: FeatureSet, record: Generation) -> Iterator[str]:

@@ -120,11 +120,14 @@ class Snapshot:
         StoreError
             No live take has one of the ids.
         """
-        found = read_words(self.checked, self.manifest, take_ids)
+        return self.with_known(read_words(self.checked, self.manifest, take_ids))
+
+    def with_known(self, words: TakeWords) -> TakeWords:
+        """Return words with the masks of known features, where a take lacks some."""
         if not self.known:
-            return found
-        masks = np.array([self.known.get(take, ALL_KNOWN) for take in found.take_ids.tolist()], np.uint64)
-        return found if (masks == ALL_KNOWN).all() else replace(found, known=masks)
+            return words
+        masks = np.array([self.known.get(take, ALL_KNOWN) for take in words.take_ids.tolist()], np.uint64)
+        return words if (masks == ALL_KNOWN).all() else replace(words, known=masks)
 
     def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
         """Return the frames [start, stop) of a take, one row per analysis frame.

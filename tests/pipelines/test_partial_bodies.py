@@ -28,9 +28,13 @@ from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
 from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.pipelines.search.bit_slices import sliced_words
+from kinedex.pipelines.search.search import search_store
 from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
 from tests.oracles import known as naive
+from tests.oracles import runs as naive_runs
 from tests.pipelines.labelled import BODY, POSES, motion, write_store
 
 EVERY = BODY.every_bit
@@ -217,3 +221,71 @@ def test_only_takes_that_lack_features_have_a_mask(store: Store) -> None:
     assert store.known == {ids[0]: MOST, ids[2]: 0b1111}
     assert store.words([ids[1]]).known is None
     assert store.words([ids[2]]).masks == [0b1111]
+
+
+@pytest.fixture
+def indexed(store: Store) -> Store:
+    build_index(store)
+    return open_store(store.path)
+
+
+def test_the_index_has_the_words_of_a_set_only_where_the_whole_set_is_known(indexed: Store) -> None:
+    words = indexed.words()
+    assert words.known is not None
+    for name, word_set in BODY.sets.items():
+        whole = [place for place, known in enumerate(words.known.tolist()) if known & word_set.mask == word_set.mask]
+        cut = [
+            [word >> (word_set.first - 1) & (1 << word_set.count) - 1 for word in words.take(i).tolist()] for i in whole
+        ]
+        expected = [
+            (word, int(words.take_ids[whole[take]]), start, stop)
+            for take, start, stop, word in naive_runs.word_runs(cut)
+        ]
+        found = indexed.sql(
+            "SELECT word, take_id, start, stop FROM word_runs WHERE feature_set = ? ORDER BY take_id, start", [name]
+        )
+        assert list(zip(*found.to_pydict().values(), strict=True)) == expected
+        counted = indexed.sql("SELECT sum(frames)::BIGINT AS frames FROM vocabulary WHERE feature_set = ?", [name])
+        assert counted.column("frames")[0].as_py() == sum(map(len, cut))
+    for number in (1, 9, 30):
+        runs = indexed.sql("SELECT take_id, start, stop FROM feature_runs WHERE feature = ? ORDER BY ALL", [number])
+        expected_runs = [
+            (int(take_id), *one)
+            for take_id, own, known in zip(words.take_ids, map(words.take, range(3)), words.known.tolist(), strict=True)
+            for one in naive.feature_runs([seen(word, known) for word in own.tolist()], number - 1)
+        ]
+        assert list(zip(*runs.to_pydict().values(), strict=True)) == expected_runs
+    assert verify(indexed) == []
+
+
+def test_sql_takes_what_is_unknown_for_neither_on_nor_off(indexed: Store) -> None:
+    on_in_kick = BODY.features[int(POSES["kick"][0]).bit_length() - 1].name
+
+    def takes(query: str) -> set[str]:
+        return set(indexed.sql(query).column(0).to_pylist())
+
+    assert takes("SELECT take FROM pose('not rhand_forwards')") == {"take_1", "take_2"}
+    assert takes("SELECT take FROM pose('not rhand_forwards, not root_fast')") <= {"take_1"}
+    assert takes(f"SELECT take FROM pose('{on_in_kick}')") == {"take_0", "take_1"}
+    assert takes("SELECT take FROM pattern(['not rhand_forwards', 'rhand_forwards'], within_seconds := 9)") <= {
+        "take_1",
+        "take_2",
+    }
+    assert takes("SELECT name FROM takes WHERE knows(known, 'rhand_forwards')") == {"take_1", "take_2"}
+    assert takes("SELECT name FROM known_features('take_2') WHERE known") == {one.name for one in BODY.features[:4]}
+    assert takes("SELECT name FROM known_features('take_1') WHERE NOT known") == set()
+
+
+def test_a_search_of_the_store_asks_of_each_take_what_it_knows(indexed: Store) -> None:
+    hits = search_store(indexed, QUERIES)
+    words = indexed.words()
+    found = sliced_words(words, BODY).search(QUERIES)
+    names = [indexed.takes(f"take_id = {take_id}")["name"][0] for take_id in words.take_ids.tolist()]
+    expected = [
+        (query.name, names[take], start, stop)
+        for query, ranges in zip(QUERIES, found, strict=True)
+        for take in range(3)
+        for start, stop in ranges.take(take).tolist()
+    ]
+    columns = (hits.column(name).to_pylist() for name in ("query", "take", "start", "stop"))
+    assert list(zip(*columns, strict=True)) == expected
