@@ -26,7 +26,7 @@ class View:
         Its name.
     origin : str
         "index" (a table of the published index), "parts" (read from the store's Parquet files), "results" (likewise,
-        the rows of all live runs) or "derived" (made of other views by `body`).
+        the rows of all live runs), "labels" (statements of people) or "derived" (made of other views by `body`).
     summary : str
         Its purpose in one sentence.
     columns : tuple of Column
@@ -34,11 +34,11 @@ class View:
     example : str
         A query that runs on any store.
     body : str
-        The SELECT of a derived view.
+        The SELECT of a view that is made of others.
     """
 
     name: str
-    origin: Literal["index", "parts", "results", "derived"]
+    origin: Literal["index", "parts", "labels", "results", "derived"]
     summary: str
     columns: tuple[Column, ...]
     example: str

@@ -44,6 +44,27 @@ SELECT k.class,
     coalesce(list(DISTINCT k.how ORDER BY k.how) FILTER (k.how IS NOT NULL), []) AS known_from
 FROM known AS k GROUP BY k.class ORDER BY k.class"""
 
+_LABEL = """take    VARCHAR    name of the take, which the store may lack at present
+take_id    BIGINT    its id; NULL where the store has no such take
+class    VARCHAR    the class (or subclass) that the statement is about
+start    INTEGER    first frame, from 0
+stop    INTEGER    frame after the last
+start_seconds    DOUBLE    begin
+stop_seconds    DOUBLE    end
+limb    VARCHAR    the limb that it is about, where one is named
+verdict    VARCHAR    positive: the frames show the class; negative: they do not; withdrawn: takes another row back
+annotator    VARCHAR    the person
+origin    VARCHAR    imported, accepted (from an annotation, also where it was rejected), corrected or drawn
+source    VARCHAR    the label file with its line, or the stage of the annotation
+created    TIMESTAMP WITH TIME ZONE    time of the decision
+confidence    DOUBLE    that of the annotation, or of the person, from 0 to 1
+note    VARCHAR    a remark
+id    VARCHAR    its id
+replaces    VARCHAR    id of the row that it takes the place of
+checksum    VARCHAR    SHA-256 of the take's source file when the statement was made
+file_changed    BOOLEAN    true if the take's file is another one now; NULL where the store has no such take
+"""
+
 VIEWS = (
     View(
         "takes",
@@ -156,6 +177,21 @@ known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth:
 """),
         "SELECT class, clips, annotations FROM classes WHERE list_contains(known_from, 'clips') ORDER BY class",
         _CLASSES,
+    ),
+    View(
+        "label_history",
+        "labels",
+        "All rows of labels, also those that others replace, in the order in which they were made.",
+        columns(f"{_LABEL}current    BOOLEAN    true if no other row replaces it and it withdraws none"),
+        "SELECT take, class, start, stop, verdict, created FROM label_history WHERE NOT current ORDER BY created",
+    ),
+    View(
+        "labels",
+        "labels",
+        "The labels of people that count at present.",
+        columns(_LABEL),
+        "SELECT class, verdict, count(*) AS labels FROM labels GROUP BY class, verdict ORDER BY class, verdict",
+        "SELECT * EXCLUDE (current) FROM label_history WHERE current",
     ),
     *RESULT_VIEWS,
 )

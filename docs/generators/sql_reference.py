@@ -13,6 +13,7 @@ ORIGINS = {
     "index": "Views of the index",
     "parts": "Frames",
     "derived": "Classes",
+    "labels": "Labels",
     "results": "Results of stages",
 }
 

@@ -112,8 +112,37 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
     ]
 
 
+def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
+    """Return the labels of people that a store keeps, take by take; negative ones have no place in label files.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    takes : sequence of str
+        The names of the takes to return; all that have labels unless given.
+    where : str, optional
+        A SQL filter over the columns of takes.
+    """
+    rows = {str(row["name"]): row for row in store.takes(where).iter_rows(named=True)}
+    found: dict[str, list[Label]] = defaultdict(list)
+    made = "1970-01-01T00:00:00+00:00"
+    for one in sorted(store.labels().to_pylist(), key=lambda one: (one["take"], one["start"], one["stop"])):
+        if one["take"] in rows and one["verdict"] == "positive" and (not takes or one["take"] in takes):
+            found[one["take"]].append(_label({**one, "subclass": "", "cost": None}, rows[one["take"]]))
+            made = max(made, one["created"].isoformat(timespec="seconds"))
+    unknown = sorted(set(takes) - set(found))
+    if unknown:
+        raise KinedexError(f"no label is of '{unknown[0]}'{did_you_mean(unknown[0], found)}")
+    return [
+        TakeLabels(name, float(row["source_rate_hz"]), int(row["source_frames"]), tuple(found[name]), made)
+        for name, row in rows.items()
+        if name in found
+    ]
+
+
 def _label(one: dict[str, object], take: dict[str, object]) -> Label:
     rates = float(str(take["source_rate_hz"])), float(str(take["rate_hz"])), int(str(take["source_frames"]))
     start, stop = (source_frame(int(str(one[name])), *rates) for name in ("start", "stop"))
     cost, confidence = (None if one[name] is None else float(str(one[name])) for name in ("cost", "confidence"))
-    return Label(str(one["class"]), start, max(stop, start + 1), str(one["subclass"]), cost, confidence)
+    return Label(str(one["class"]), start, max(stop, start + 1), str(one["subclass"]) or None, cost, confidence)

@@ -10,6 +10,7 @@ from contextlib import suppress
 from kinedex.pipelines.commands import (  # noqa: F401
     keyframes,
     labels,
+    labels_kept,
     maintenance,
     pipelines,
     queries,

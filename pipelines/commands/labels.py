@@ -1,4 +1,4 @@
-"""Commands about label files: labels export, labels read."""
+"""Commands about label files: labels export, read, diff. `labels_kept` has those about labels in a store."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
+from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import ASK, command, group
 from kinedex.pipelines.commands.options import AtOption, FormatOption, OutputOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.escapes import visible
 
-labels = group("labels", "Write annotations as label files, and read label files.", ASK)
+labels = group("labels", "Keep the labels of people; write and read label files.", ASK)
 
 
 @command(of=labels)
@@ -38,23 +39,28 @@ def export(
             "--stage", metavar="STAGE", help="PIPELINE/STAGE, PIPELINE or run; the last annotation unless given."
         ),
     ] = None,
+    kept: Annotated[bool, typer.Option("--labels", help="Write the labels of people in place of annotations.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     at: AtOption = None,
 ) -> None:
     """Write annotations as label files, one per take or one for all."""
-    from kinedex.pipelines.annotation.labels import annotate_stage, labels_of
+    from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
     from kinedex.pipelines.console.wording import counted, few
     from kinedex.storage.formats.labels.formats import write_labels
 
     opened = open_for_reading(store, at)
-    chosen = annotate_stage(opened, stage)
-    found = labels_of(opened, chosen, take or (), where)
+    if kept and stage is not None:
+        raise typer.BadParameter("labels are of no stage: give --stage or --labels")
+    by = "labelled by people" if kept else f"annotated by {(chosen := annotate_stage(opened, stage))}"
+    found = labels_kept(opened, take or (), where) if kept else labels_of(opened, chosen, take or (), where)
+    if kept and not found:
+        raise KinedexError(f"{store}: no take has a label; `kinedex labels --help` shows how labels come in")
     written = write_labels(found, form, output, force=force)
     paths = written.paths
     inside = [one for one in found if one.take not in written.excluded]
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
     count = sum(len(one.labels) for one in inside)
-    print(visible(f"{counted(count, 'segment')} of {counted(len(inside), 'take')}, annotated by {chosen}: {place}"))
+    print(visible(f"{counted(count, 'segment')} of {counted(len(inside), 'take')}, {by}: {place}"))
     if written.renamed:
         print(visible(f"files of other names than their takes: {few(_pairs(written.renamed))}"))
     if written.excluded:
@@ -93,3 +99,17 @@ def read(
     text, number = pa.string(), pa.float64()
     kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
     show_table(pa.Table.from_pylist(rows, schema=pa.schema(list(kinds.items()))), form, output)
+
+
+@command(of=labels)
+def diff(
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Label file, or folder of label files.")],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="The same after a person's corrections.")],
+    every: Annotated[bool, typer.Option("--all", help="Show segments that are the same, too.")] = False,
+    form: FormatOption = "table",
+    output: OutputOption = None,
+) -> None:
+    """Show what a person changed in label files: segments moved, renamed, added and removed."""
+    from kinedex.pipelines.labels.label_files import difference_table
+
+    show_table(difference_table(before, after, every=every), form, output)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from kinedex.catalog.sql.views import MACROS, VIEWS, Macro
+from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 from kinedex.storage import duck
 from kinedex.storage.index.generations import (
@@ -23,6 +23,7 @@ from kinedex.storage.index.generations import (
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.remedies import build_index, repair
+from kinedex.storage.snapshot.labels import shown_labels
 from kinedex.storage.snapshot.parts import part_file, read_errors
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -170,8 +171,9 @@ def _define(connection: duck.Connection, store: Snapshot, index: Generation | No
         _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
         for kind in RESULT_KINDS:
             _view(connection, kind, duck.result_rows(result_schema(kind), _result_files(store, kind)))
+        _define_labels(connection, store)
         for view in VIEWS:
-            if view.origin == "derived":
+            if view.origin != "index" and view.body:
                 _view(connection, view.name, view.body)
         for macro in MACROS:
             # an index file of an older kinedex may hold older ones
@@ -184,15 +186,28 @@ def _define(connection: duck.Connection, store: Snapshot, index: Generation | No
         raise StoreError(f"{store.path}: SQL over this store does not work: {reason}") from None
 
 
+def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
+    """Make the table of labels; where they are damaged, a query over them fails with the reason."""
+    try:
+        connection.register("label_history", shown_labels(store))
+    except StoreError as fault:
+        (view,) = (view for view in VIEWS if view.name == "label_history")
+        _define_view_that_fails(connection, view, str(fault))
+
+
 def _define_failing(connection: duck.Connection, store: Snapshot) -> None:
     """Define views in place of those of a missing index; a query over them fails with the reason."""
-    failing = f"error({duck.quote(str(missing_index(store.path, store.manifest)))})"
     for view in VIEWS:
         if view.name in INDEXED:
-            # the columns fail, too: DuckDB would skip a view whose condition on NULL columns can never hold
-            typed = ((column.type, duck.identifier(column.name)) for column in view.columns)
-            columns = ", ".join(f"{failing}::{kind} AS {name}" for kind, name in typed)
-            _view(connection, view.name, f"SELECT {columns} WHERE {failing} IS NULL")
+            _define_view_that_fails(connection, view, str(missing_index(store.path, store.manifest)))
+
+
+def _define_view_that_fails(connection: duck.Connection, view: View, reason: str) -> None:
+    failing = f"error({duck.quote(reason)})"
+    # the columns fail, too: DuckDB would skip a view whose condition on NULL columns can never hold
+    typed = ((column.type, duck.identifier(column.name)) for column in view.columns)
+    columns = ", ".join(f"{failing}::{kind} AS {name}" for kind, name in typed)
+    _view(connection, view.name, f"SELECT {columns} WHERE {failing} IS NULL")
 
 
 def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | None:

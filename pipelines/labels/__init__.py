@@ -1,0 +1,1 @@
+"""Labels of people: kept in a store, compared with annotations, and taken from label files."""

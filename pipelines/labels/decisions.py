@@ -1,0 +1,287 @@
+"""Decisions of people as labels of a store: drawn, imported, accepted, corrected, rejected, and taken back."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import polars as pl
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation.labels import annotate_stage
+from kinedex.pipelines.annotation.tables import annotated_takes
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
+from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.snapshot.schemas import labels_schema
+from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.store import Store, data_frame
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Labels that were recorded.
+
+    Attributes
+    ----------
+    rows : pyarrow.Table
+        The new rows of labels.
+    known : int
+        The number of decisions that the store had already.
+    remarks : tuple of str
+        What was excluded.
+    """
+
+    rows: pa.Table
+    known: int = 0
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of new rows by origin, those with a negative verdict as "rejected"."""
+        names = (
+            "rejected" if verdict == "negative" else "removed" if verdict == "withdrawn" else origin
+            for verdict, origin in zip(
+                *(self.rows.column(name).to_pylist() for name in ("verdict", "origin")), strict=True
+            )
+        )
+        return dict(Counter(names))
+
+
+def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> Recorded:
+    """Record decisions; those that the store has already are skipped, and one of the other verdict is replaced.
+
+    Parameters
+    ----------
+    store : Store
+        The store; it shows the new labels afterwards.
+    rows : sequence of mapping
+        Columns of labels; `take`, `class`, `start`, `stop` and `origin` must be given. `names` are all names of the
+        class of the interval, where a decision on one of them is a decision on all.
+    remarks : iterable of str, optional
+        What was excluded before.
+    """
+    standing = {_key(row, row["class"]): row for row in store.labels().to_pylist()}
+    new: list[Row] = []
+    known = 0
+    for row in rows:
+        verdict = row.get("verdict", "positive")
+        found = (standing.get(_key(row, name)) for name in row.get("names", (row["class"],)))
+        earlier = next((one for one in found if one is not None), None)
+        if earlier is not None and earlier["verdict"] == verdict and row.get("replaces") is None:
+            known += 1
+            continue
+        made = {name: row.get(name) for name in labels_schema().names} | {"verdict": verdict}
+        if earlier is not None and made["replaces"] is None:
+            made["replaces"] = earlier["id"]
+        standing[_key(row, row["class"])] = made
+        new.append(made)
+    table = pa.Table.from_pylist(new, schema=labels_schema())
+    recorded = record_labels(store.path, table)
+    store.forget_labels()
+    return Recorded(recorded, known, tuple(remarks))
+
+
+def _key(row: Mapping[str, Any], name: str) -> tuple[object, ...]:
+    return row["take"], name, row["start"], row["stop"], row.get("limb")
+
+
+def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
+    """Return a stage that has annotated ("<pipeline>/<stage>", the last one unless named), and its annotations."""
+    chosen = annotate_stage(store, stage)
+    return chosen, store.result("annotations", run=store.manifest.stages[chosen].run)
+
+
+def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str = "", **more: str | None) -> Recorded:
+    """Make annotations labels: accepted ones are positive, rejected ones negative.
+
+    An accepted label has the subclass of the annotation, whose examples it joins; a rejected one its class, of which
+    the interval is no example whatever the subclass.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    annotations : polars.DataFrame
+        Rows of the view `annotations`.
+    accept : bool
+        True accepts, False rejects.
+    source : str, optional
+        The stage of the annotations.
+    **more : str, optional
+        `annotator` and `note`.
+    """
+    rows = [_decision(one, accept, source, more) for one in annotations.iter_rows(named=True)]
+    return record(store, rows)
+
+
+def _decision(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:
+    return {
+        "take": one["take"],
+        "class": (one.get("subclass") or one["class"]) if accept else one["class"],
+        "names": dict.fromkeys([one.get("subclass") or one["class"], one["class"]]),
+        "start": int(one["start"]),
+        "stop": int(one["stop"]),
+        "verdict": "positive" if accept else "negative",
+        "origin": "accepted",
+        "confidence": one.get("confidence"),
+        "source": source or None,
+        **more,
+    }
+
+
+def withdraw(store: Store, labels: pl.DataFrame, **more: str | None) -> Recorded:
+    """Take labels back: each gets a row that withdraws it, and stays in the history.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    labels : polars.DataFrame
+        Rows of the view `labels`.
+    **more : str, optional
+        `annotator` and `note`.
+    """
+    keep = ("take", "class", "start", "stop", "limb", "origin")
+    rows = [
+        {**{name: one[name] for name in keep}, "replaces": one["id"], "verdict": "withdrawn", **more}
+        for one in labels.iter_rows(named=True)
+    ]
+    return record(store, rows)
+
+
+def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
+    """Return labels by their ids, or by the beginnings of their ids.
+
+    Raises
+    ------
+    KinedexError
+        No label, or more than one, has an id that begins so.
+    """
+    labels = data_frame(store.labels())
+    for one in ids:
+        count = labels.filter(pl.col("id").str.starts_with(one)).height if one else 0
+        if count != 1:
+            raise KinedexError(
+                f"{count or 'no'} {'label has' if count < 2 else 'labels have'} an id that begins with '{one}'; "
+                "`kinedex labels list` shows ids"
+            )
+    return labels.filter(pl.any_horizontal(pl.col("id").str.starts_with(one) for one in ids))
+
+
+def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:
+    """Record the segments of label files as labels.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    files : sequence of LabelFile
+        The files; segments that the store has as labels are skipped.
+    **more : str, optional
+        `annotator` and `note`.
+
+    Raises
+    ------
+    KinedexError
+        No take of the files is in the store, or a segment ends behind its take.
+    """
+    placed = placed_files(store, files)
+    return record(store, [_drawn(one, "imported", more) for one in placed.segments], placed.remarks)
+
+
+def import_corrections(
+    store: Store, files: Sequence[LabelFile], stage: str | None = None, **more: str | None
+) -> Recorded:
+    """Record label files as a person's corrections of annotations.
+
+    Of the takes that the files name, an annotation that stands in them unchanged is accepted, a moved one is corrected,
+    one that is not there any more is rejected, and a new one is drawn. One of another class is corrected, and rejected
+    for the class that it had.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    files : sequence of LabelFile
+        The files, which `labels export` wrote and a person changed.
+    stage : str, optional
+        The stage whose annotations were corrected; the one that ran last unless given.
+    **more : str, optional
+        `annotator` and `note`.
+
+    Raises
+    ------
+    KinedexError
+        Nothing was annotated, or none of the takes was; a segment ends behind its take.
+    """
+    placed = placed_files(store, files)
+    chosen, annotations = annotations_of(store, stage)
+    annotated = set(annotated_takes(store, chosen)["name"])
+    takes = [take for take in placed.takes if take in annotated]
+    if not takes:
+        raise KinedexError(f"stage {chosen} annotated none of the takes of these files, such as {placed.takes[0]}")
+    others = sorted(set(placed.takes) - annotated)
+    remarks = [*placed.remarks, *([f"takes that {chosen} did not annotate: {few(others)}"] if others else [])]
+    known: dict[Segment, Row] = {}
+    for row in annotations.to_pylist():
+        if row["take"] in takes:
+            known[Segment(row["take"], row["class"], row["start"], row["stop"])] = row
+    after = [one for one in placed.segments if one.take in annotated]
+    rows = [row for one in differences(known, after) for row in _corrections(one, known, chosen, more)]
+    return record(store, rows, remarks)
+
+
+def import_corrected_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:
+    """Record label files as a person's corrections of labels: moved, renamed, removed and new ones.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    files : sequence of LabelFile
+        The files, which `labels export --labels` wrote and a person changed.
+    **more : str, optional
+        `annotator` and `note`.
+    """
+    placed = placed_files(store, files)
+    known = {
+        Segment(row["take"], row["class"], row["start"], row["stop"]): row
+        for row in store.labels().to_pylist()
+        if row["take"] in placed.takes and row["verdict"] == "positive"
+    }
+    rows: list[Row] = []
+    for one in differences(known, placed.segments):
+        before = known[one.before] if one.before is not None else None
+        if one.after is not None and one.change != "same":
+            row = _drawn(one.after, "drawn" if before is None else "corrected", more)
+            rows.append(row | {"replaces": before["id"], "limb": before["limb"]} if before is not None else row)
+        elif one.after is None and before is not None:
+            kept = {name: before[name] for name in ("take", "class", "start", "stop", "limb", "origin")}
+            rows.append({**kept, "replaces": before["id"], "verdict": "withdrawn", **more})
+    return record(store, rows, placed.remarks)
+
+
+def _corrections(
+    one: Difference, known: Mapping[Segment, Row], stage: str, more: Mapping[str, str | None]
+) -> list[Row]:
+    before = known[one.before] if one.before is not None else None
+    if before is not None and one.change == "same":
+        return [_decision(before, True, stage, more)]
+    rows = [_decision(before, False, stage, more)] if before is not None and one.change != "moved" else []
+    if one.after is not None:
+        row = _drawn(one.after, "drawn" if before is None else "corrected", more)
+        if before is not None and one.change == "moved":
+            row["class"] = before["subclass"] or before["class"]  # the examples that it joins
+        rows.append(row)
+    return rows
+
+
+def _drawn(one: Segment, origin: str, more: Mapping[str, str | None]) -> Row:
+    edges = {"start": int(one.start), "stop": int(one.stop)}
+    return {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}

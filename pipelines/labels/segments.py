@@ -1,0 +1,163 @@
+"""Segments of label files and of annotations, placed on the takes of a store, and the differences of two lists."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.evaluation.ground_truth import analysis_frame
+from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.store.store import Store
+
+Change = Literal["same", "moved", "renamed", "added", "removed"]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A class in an interval [start, stop) of a take, in frames or in seconds, and the place where it stands."""
+
+    take: str
+    label: str
+    start: float
+    stop: float
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A segment before and after: one that was added has nothing before, one that was removed nothing after."""
+
+    change: Change
+    before: Segment | None
+    after: Segment | None
+
+
+@dataclass(frozen=True)
+class PlacedFiles:
+    """The segments of label files on the takes of a store.
+
+    Attributes
+    ----------
+    takes : tuple of str
+        The takes of the store that the files name, also those without a segment.
+    segments : tuple of Segment
+        The segments in analysis frames, each once.
+    remarks : tuple of str
+        Takes and segments that were excluded.
+    """
+
+    takes: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    remarks: tuple[str, ...]
+
+
+def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
+    """Put the segments of label files on the takes of a store, in analysis frames.
+
+    Parameters
+    ----------
+    store : Store
+        The store that holds the takes.
+    files : sequence of LabelFile
+        The files.
+
+    Raises
+    ------
+    SourceError
+        A segment ends beyond its take.
+    KinedexError
+        The store has none of the takes.
+    """
+    columns = ("name", "source_frames", "source_rate_hz", "rate_hz")
+    rows = {str(row[0]): row[1:] for row in store.takes().select(columns).iter_rows()}
+    named = dict.fromkeys(take for file in files for take in file.takes)
+    absent = sorted(set(named) - set(rows))
+    if absent and len(absent) == len(named):
+        raise KinedexError(
+            f"none of the takes of these files is in {store.path}: no take is named '{absent[0]}'"
+            f"{did_you_mean(absent[0], rows)}"
+        )
+    remarks = [f"takes that the store does not have: {few(absent)}"] if absent else []
+    found: dict[tuple[str, str, int, int], Segment] = {}
+    for one in (segment for file in files for segment in file.segments if segment.take in rows):
+        frames, source_rate_hz, rate_hz = rows[one.take]
+        first, last = one.source_frames(source_rate_hz)
+        if last > frames:
+            raise one.error(f"stop {last} is beyond the end of {one.take}, which has {frames} source frames")
+        start, stop = (analysis_frame(edge, source_rate_hz, rate_hz) for edge in (first, last))
+        if start >= stop:
+            remarks.append(f"{one.where}: no analysis frame lies in this segment, excluded")
+            continue
+        found.setdefault((one.take, one.label, start, stop), Segment(one.take, one.label, start, stop, one.where))
+    return PlacedFiles(tuple(take for take in named if take in rows), tuple(found.values()), tuple(remarks))
+
+
+def differences(before: Iterable[Segment], after: Iterable[Segment], tolerance: float = 0.0) -> list[Difference]:
+    """Compare two lists of segments take by take.
+
+    Segments of a class with the same edges are the same; then those with the same edges and another class are renamed;
+    then those of a class that overlap are moved, pairs with the largest shared part first. What is left was removed
+    or added.
+
+    Parameters
+    ----------
+    before, after : iterable of Segment
+        The lists.
+    tolerance : float, optional
+        Edges that are at most so far apart are the same.
+
+    Returns
+    -------
+    list of Difference
+        By take and start.
+    """
+    takes: dict[str, tuple[list[Segment], list[Segment]]] = defaultdict(lambda: ([], []))
+    for place, segments in enumerate((before, after)):
+        for one in segments:
+            takes[one.take][place].append(one)
+    found = [one for old, new in takes.values() for one in _of_take(old, new, tolerance)]
+    return sorted(found, key=_place)
+
+
+def _place(one: Difference) -> tuple[str, float, float, str]:
+    shown = one.after or one.before
+    assert shown is not None
+    return shown.take, shown.start, shown.stop, shown.label
+
+
+def _of_take(before: list[Segment], after: list[Segment], tolerance: float) -> list[Difference]:
+    found: list[Difference] = []
+
+    def pair(change: Change, old: Segment, new: Segment) -> None:
+        found.append(Difference(change, old, new))
+        before.remove(old)
+        after.remove(new)
+
+    for change, same_class in (("same", True), ("renamed", False)):
+        for old in sorted(before, key=lambda one: (one.start, one.stop)):
+            fitting = (new for new in after if (new.label == old.label) == same_class and _equal(old, new, tolerance))
+            if (match := next(fitting, None)) is not None:
+                pair("same" if change == "same" else "renamed", old, match)
+    pairs = [(_shared(old, new), old, new) for old in before for new in after if old.label == new.label]
+    for share, old, new in sorted(pairs, key=lambda one: (-one[0], one[1].start, one[2].start)):
+        if share > 0 and old in before and new in after:
+            pair("moved", old, new)
+    return [
+        *found,
+        *(Difference("removed", one, None) for one in before),
+        *(Difference("added", None, one) for one in after),
+    ]
+
+
+def _equal(one: Segment, other: Segment, tolerance: float) -> bool:
+    return abs(one.start - other.start) <= tolerance and abs(one.stop - other.stop) <= tolerance
+
+
+def _shared(one: Segment, other: Segment) -> float:
+    """Return the share of two segments' union that both have."""
+    common = min(one.stop, other.stop) - max(one.start, other.start)
+    return max(0.0, common) / (max(one.stop, other.stop) - min(one.start, other.start))

@@ -1,0 +1,117 @@
+"""The choice of annotations or labels by take, class, interval, SQL filter, or the rows of a table file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError
+from kinedex.storage import duck
+from kinedex.storage.store.store import data_frame
+
+KEY = ("take", "class", "start", "stop")
+"""The columns that name an annotation or a label in a file of rows."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The rows that a user means.
+
+    Attributes
+    ----------
+    takes, classes : tuple of str
+        Names; all unless given. A class also means its subclasses.
+    start, stop : int, optional
+        Only rows that overlap these frames.
+    where : str, optional
+        A SQL filter over the columns of the rows.
+    rows : Path, optional
+        A file (.csv, .json, .parquet) with the columns of `KEY`, such as `kinedex sql` writes.
+    every : bool
+        True for all rows where nothing else is given.
+    """
+
+    takes: tuple[str, ...] = ()
+    classes: tuple[str, ...] = ()
+    start: int | None = None
+    stop: int | None = None
+    where: str | None = None
+    rows: Path | None = None
+    every: bool = False
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing is chosen."""
+        edges = self.start is not None or self.stop is not None
+        return not (self.takes or self.classes or edges or self.where or self.rows or self.every)
+
+
+def selected(table: pa.Table, selection: Selection, noun: str) -> pl.DataFrame:
+    """Return the rows that a selection means.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        Annotations or labels.
+    selection : Selection
+        The choice.
+    noun : str
+        The noun for a row, such as "annotation".
+
+    Raises
+    ------
+    KinedexError
+        The filter or the file does not work, or names a row that is not there.
+    """
+    if selection.where is not None:
+        try:
+            table = duck.rows_where(table, f"{noun}s", selection.where)
+        except duck.Error as fault:
+            raise KinedexError(
+                f"the filter over {noun}s does not work: {selection.where}\n  {duck.first_line(fault)}\n"
+                f"  columns of {noun}s: {', '.join(table.column_names)}"
+            ) from None
+    found = data_frame(table)
+    if selection.takes:
+        found = found.filter(pl.col("take").is_in(selection.takes))
+    if selection.classes:
+        named = [name for name in ("class", "subclass") if name in found.columns]
+        found = found.filter(pl.any_horizontal(pl.col(name).is_in(selection.classes) for name in named))
+    if selection.start is not None:
+        found = found.filter(pl.col("stop") > selection.start)
+    if selection.stop is not None:
+        found = found.filter(pl.col("start") < selection.stop)
+    if selection.rows is not None:
+        found = _of_file(found, selection.rows, noun)
+    return found.sort("take", "start", "stop", "class", maintain_order=True)
+
+
+def _of_file(found: pl.DataFrame, path: Path, noun: str) -> pl.DataFrame:
+    readers: dict[str, Any] = {".csv": pl.read_csv, ".json": pl.read_json, ".parquet": pl.read_parquet}
+    reader: Callable[[Path], pl.DataFrame] | None = readers.get(path.suffix.lower())
+    if reader is None:
+        raise KinedexError(f"{path}: a file of rows must be .csv, .json or .parquet")
+    try:
+        rows = reader(path)
+    except (OSError, pl.exceptions.PolarsError) as fault:
+        raise KinedexError(f"{path}: cannot be read: {str(fault).splitlines()[0]}") from None
+    missing = [name for name in KEY if name not in rows.columns]
+    if missing:
+        raise KinedexError(f"{path}: has no column '{missing[0]}'; a file of rows has {', '.join(KEY)}")
+    try:
+        asked = rows.select(pl.col("take", "class").cast(pl.String), pl.col("start", "stop").cast(pl.Int32)).unique()
+    except pl.exceptions.PolarsError as fault:
+        raise KinedexError(f"{path}: start and stop must be frames: {str(fault).splitlines()[0]}") from None
+    unknown = asked.join(found, on=list(KEY), how="anti").sort(KEY)
+    if unknown.height:
+        take, label, start, stop = unknown.row(0)
+        raise KinedexError(
+            f"{path}: {unknown.height} of its {asked.height} rows are no {noun}, such as {label} in "
+            f"{take}[{start}:{stop}]"
+        )
+    return found.join(asked, on=list(KEY), how="semi", maintain_order="left")
