@@ -76,3 +76,23 @@ def workstation_csv(points: np.ndarray, names: Sequence[str], *, rate: float = 1
 
 DEVICES = "Devices,,,\r\n1000,,,\r\n,,Force,,\r\nFrame,Sub Frame,Fx,Fy\r\n,,N,N\r\n7,0,1.5,2\r\n7,1,1.5,2\r\n,,,\r\n"
 """A section of force plates, as Nexus writes it before the trajectories."""
+
+
+def qualisys_tsv(
+    points: np.ndarray, names: Sequence[str], *, rate: float = 100.0, heads: bool = True, leading: int = 2,
+    missing: str = "0.000", included: str = "3D",
+) -> str:  # fmt: skip
+    """A file of Qualisys Track Manager; a marker that was not seen is at 0, 0, 0, or is NULL, or empty."""
+    keys = {
+        "NO_OF_FRAMES": len(points), "NO_OF_CAMERAS": 8, "NO_OF_MARKERS": len(names), "FREQUENCY": f"{rate:g}",
+        "NO_OF_ANALOG": 0, "ANALOG_FREQUENCY": 0, "DESCRIPTION": "--", "TIME_STAMP": "2024-01-02, 03:04:05.678\t123.45",
+        "DATA_INCLUDED": included, "MARKER_NAMES" if included == "3D" else "BODY_NAMES": "\t".join(names),
+    }  # fmt: skip
+    lines = [f"{key}\t{value}" for key, value in keys.items()]
+    if heads:
+        columns = [*("Frame", "Time")[:leading], *(f"{name} {axis}" for name in names for axis in "XYZ")]
+        lines.append("\t".join(columns))
+    for t, row in enumerate(points):
+        cells = [missing if np.isnan(x) else f"{x:.3f}" for x in row.ravel()]
+        lines.append("\t".join([*(str(t + 1), f"{t / rate:.5f}")[:leading], *cells]))
+    return "\r\n".join([*lines, ""])

@@ -118,6 +118,15 @@ def opensim_model() -> dict[str, bytes]:
     return {f"version-{version}": osim_files.model(version).encode() for version in (3, 4)}
 
 
+def qualisys() -> dict[str, bytes]:
+    """Markers with heads of columns, and without, some not seen."""
+    points = 1000 * point_files.walk() + 500
+    gaps = points.copy()
+    gaps[2, 5] = np.nan
+    bare = point_files.qualisys_tsv(gaps, list(STANDING), heads=False, leading=0, missing="NULL")
+    return {"heads": point_files.qualisys_tsv(points, list(STANDING)).encode(), "bare": bare.encode()}
+
+
 def trc() -> dict[str, bytes]:
     names = list(STANDING)
     points = _walk()

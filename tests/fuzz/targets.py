@@ -52,6 +52,7 @@ from tests.fuzz.words import (
     MVNX_WORDS,
     NEXUS_WORDS,
     OSIM_WORDS,
+    QUALISYS_WORDS,
     VTT_WORDS,
     YAML_WORDS,
 )
@@ -339,6 +340,7 @@ TARGETS: dict[str, Target] = {
         Target("csv", ".csv", seeds.csv, _text(CSV_WORDS), check_csv),
         Target("motive", ".csv", seeds.motive, _text(MOTIVE_WORDS), check_motion),
         Target("nexus", ".csv", seeds.nexus, _text(NEXUS_WORDS), check_motion),
+        Target("qualisys", ".tsv", seeds.qualisys, _text(QUALISYS_WORDS), check_motion),
         Target("mot", ".mot", seeds.opensim_motion, _text(MOT_WORDS), check_opensim_motion),
         Target("osim", ".osim", seeds.opensim_model, _text(OSIM_WORDS, DEEP_EAF), check_opensim_model),
         Target("npy", ".npy", seeds.npy, (*ANY, *NPY, *NPY), check_motion),

@@ -53,6 +53,17 @@ OSIM_WORDS = (
     *(b"<MultiplierFunction/>", b"<LinearFunction/>", b"/bodyset/pelvis", b'name="pelvis"', b"<x>0 0 0</x>"),
     *(b"<!DOCTYPE a [<!ENTITY b 'cc'>]>", b"&b;", b"<![CDATA[", b"<!--", b"<Joint>", b"<FreeJoint>", b"<WeldJoint/>"),
 )
+QUALISYS_WORDS = (
+    *(
+        b"NO_OF_FRAMES\t",
+        b"MARKER_NAMES\t",
+        b"FREQUENCY\t100\n",
+        b"BODY_NAMES\tbox\n",
+        b"DATA_INCLUDED\t6D\n",
+        b"NULL\t",
+    ),
+    *(b"TRAJECTORY_TYPES\tMeasured\n", b"Frame\tTime\t", b"0.000\t0.000\t0.000\t", b"\t\t\t"),
+)
 
 EAF_WORDS = (
     *(

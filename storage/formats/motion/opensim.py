@@ -31,7 +31,7 @@ _VALUE = re.compile(r"(?:.*/)?([^/]+)/value$")
 
 JOINT_OF_BODY = {
     "femur": "hip", "tibia": "knee", "talus": "ankle", "calcn": "heel", "toes": "mtp", "humerus": "shoulder",
-    "ulna": "elbow", "hand": "wrist", "head": "neck",
+    "ulna": "elbow", "hand": "wrist", "head": "head",
 }  # fmt: skip
 """The bodies of OpenSim's models of people, and the joint at the origin of each; others are called by their joint."""
 
@@ -56,6 +56,7 @@ class OpenSimReader(PointsReader):
     """Reads motions with the model that lies beside them, or that `body_model` gives."""
 
     endings: ClassVar[tuple[str, ...]] = (".mot", ".sto")
+    up: ClassVar[str | None] = "y"
 
     def sniff(self, path: Path) -> bool:
         """Return whether a file has OpenSim's header, and columns that may be coordinates, not forces alone."""

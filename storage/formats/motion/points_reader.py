@@ -20,9 +20,16 @@ LEAST_POINTS = 10
 
 
 class PointsReader(Reader):
-    """A reader of files that hold points by name; subclasses define `points`, `size` and perhaps `persons`."""
+    """A reader of files that hold points by name; subclasses define `points`, `size` and perhaps `persons`.
+
+    Attributes
+    ----------
+    up : str, optional
+        The axis that is vertical in all files of the format.
+    """
 
     format: ClassVar[Format] = "positions"
+    up: ClassVar[str | None] = None
 
     @abstractmethod
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
@@ -62,7 +69,7 @@ class PointsReader(Reader):
             The file is damaged, the body is not recognised, no frame is whole, or no rate is known.
         """
         points = self.points(file, settings)
-        fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points))
+        fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points, self.up))
         warnings = [*points.warnings, *virtual_joint_warnings(fit)]
         return body_of_points(points, points.names, fit, joints, settings, warnings)
 

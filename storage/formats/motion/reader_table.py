@@ -21,6 +21,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "motive": "kinedex.storage.formats.motion.motive:MotiveReader",
         "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
         "opensim": "kinedex.storage.formats.motion.opensim:OpenSimReader",
+        "qualisys": "kinedex.storage.formats.motion.qualisys:QualisysReader",
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
         "mvnx": "kinedex.storage.formats.motion.mvnx:MvnxReader",
         "gltf": "kinedex.storage.formats.motion.gltf:GltfReader",

@@ -26,6 +26,8 @@ class Section(Table):
         Numbers, from 1, of the section's first line, of the last line of its header, and of its last line.
     texts : collection of int, optional
         Columns that hold text, such as time codes; they are read as empty.
+    missing : str, optional
+        The text of a cell without a number, other than nothing or nan.
 
     Raises
     ------
@@ -34,9 +36,16 @@ class Section(Table):
     """
 
     def __init__(
-        self, path: Path, separator: str, start: int, header: int, stop: int, texts: Collection[int] = ()
+        self,
+        path: Path,
+        separator: str,
+        start: int,
+        header: int,
+        stop: int,
+        texts: Collection[int] = (),
+        missing: str = "",
     ) -> None:
-        self._start, self._stop, self._texts = start, stop, frozenset(texts)
+        self._start, self._stop, self._texts, self._missing = start, stop, frozenset(texts), missing
         super().__init__(path, separator, header)
 
     def _lines(self) -> Iterator[str]:
@@ -45,9 +54,11 @@ class Section(Table):
             empty = number > self.first and not line.strip(f"{self.separator} ")
             if number < self._start or empty:
                 yield ""
-            elif number > self.first and self._texts:
+            elif number > self.first and (self._texts or (self._missing and self._missing in line)):
                 cells = cells_of(line, self.separator)
-                yield self.separator.join("" if i in self._texts else cell for i, cell in enumerate(cells))
+                yield self.separator.join(
+                    "" if i in self._texts or cell.strip() == self._missing else cell for i, cell in enumerate(cells)
+                )
             else:
                 yield line
 

@@ -21,7 +21,7 @@ from tests.osim_files import BODIES, KNOTS, MARKERS, TWIST, coordinates, model, 
 ORDER = load_feature_set().joints
 AUTO = load_mappings("auto", ORDER)
 RIGHT = {"hip_r": "rhip", "knee_r": "rknee", "ankle_r": "rankle", "mtp_r": "rtoes", "shoulder_r": "rshoulder"} | {
-    "elbow_r": "relbow", "wrist_r": "rwrist", "neck": "neck", "back": "belly", "Top": "headtop", "RFIN": "rfingers",
+    "elbow_r": "relbow", "wrist_r": "rwrist", "head": "neck", "back": "belly", "Top": "headtop", "RFIN": "rfingers",
 }  # fmt: skip
 
 
@@ -62,6 +62,15 @@ def test_at_rest_joints_and_markers_are_where_the_model_has_them(tmp_path: Path,
     assert any("stay as in the model: pelvis_tilt" in warning for warning in found.warnings)
 
 
+def test_a_person_at_rest_is_recognised(tmp_path: Path) -> None:
+    write(tmp_path / "walk.osim", model())
+    path = write(tmp_path / "walk.mot", motion({"pelvis_ty": [1.0] * 5, "pelvis_tx": [0.0, 0.01, 0.02, 0.03, 0.04]}))
+    body = read_body(path, None, AUTO, ORDER)
+    for joint in ("lhip", "rhip", "lknee", "rankle", "rtoes", "lshoulder", "relbow", "lwrist"):
+        np.testing.assert_allclose(body.positions[ORDER.index(joint), :, 0], STANDING[joint], atol=1e-4)
+    assert not body.unknown
+
+
 @pytest.mark.parametrize("version", [3, 4])
 @pytest.mark.parametrize("degrees", ["yes", "no", ""])
 def test_a_person_turns_and_bends_a_knee_as_worked_out_by_hand(tmp_path: Path, version: int, degrees: str) -> None:
@@ -98,7 +107,7 @@ def test_axes_of_ball_universal_gimbal_and_planar_joints(tmp_path: Path) -> None
     np.testing.assert_allclose(at(found, "knee_r"), place["rhip"] + thigh @ (place["rknee"] - place["rhip"]), atol=1e-9)
     trunk = turn(0, 10) @ turn(2, 25)
     neck = place["belly"] + trunk @ (place["neck"] - place["belly"] + [0.3, 0, 0])
-    np.testing.assert_allclose(at(found, "neck"), neck, atol=1e-9)
+    np.testing.assert_allclose(at(found, "head"), neck, atol=1e-9)
     top = neck + trunk @ turn(2, 15) @ (place["headtop"] - place["neck"])
     np.testing.assert_allclose(at(found, "Top"), top, atol=1e-9)
     wrist = place["belly"] + trunk @ (place["rwrist"] - place["belly"])
