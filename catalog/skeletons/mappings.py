@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
@@ -234,7 +235,9 @@ def stripping(prefix: str, mapping: SkeletonMapping) -> str:
 
 def _prefixes(names: Sequence[str]) -> list[str]:
     """Return the prefixes of all names and of more than half of them, each up to a mark such as _ or a colon."""
-    marks = Counter(name[: mark.end()] for name in names for mark in re.finditer(r"[^A-Za-z0-9]", name))
+    marks = Counter(
+        name[: mark.end()] for name in names for mark in re.finditer(r"[^A-Za-z0-9]", name[:LONGEST_PREFIX])
+    )
     usual = [prefix for prefix, count in marks.most_common() if 2 * count > len(names)]
     first, last = min(names, default=""), max(names, default="")
     same = next((i for i, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first))

@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, load_yaml, shipped_configs
+from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX
 from kinedex.catalog.skeletons.skeleton_fit import Mix
 
 _WORD = re.compile(r"[^\W_]+")
@@ -230,7 +231,9 @@ class Landmarks:
 
 def _prefixes(labels: Sequence[str]) -> list[str]:
     """Return what all labels, or most of them up to a mark, begin with."""
-    marks = Counter(label[: mark.end()] for label in labels for mark in re.finditer(r"[^A-Za-z0-9]", label))
+    marks = Counter(
+        label[: mark.end()] for label in labels for mark in re.finditer(r"[^A-Za-z0-9]", label[:LONGEST_PREFIX])
+    )
     usual = [prefix for prefix, count in marks.most_common(8) if 3 * count > len(labels)]
     starts = Counter(label[:size] for label in labels for size in (1, 2, 3, 4, 5, 6, 8, 10) if len(label) > size + 1)
     glued = [start for start, count in starts.items() if 3 * count > 2 * len(labels) > 6]

@@ -16,6 +16,9 @@ from kinedex.catalog.configs import Located, load_yaml, shipped_configs
 
 Side: TypeAlias = Literal["l", "r", ""]
 
+LONGEST_PREFIX = 100
+"""A prefix that names share is shorter: of a name without end, each mark would else begin another one."""
+
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _CAMEL = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^A-Z]+|[A-Z]+")
 _SECOND = re.compile(r"#\d+$")  # the mark that readers give to the second node of one name
