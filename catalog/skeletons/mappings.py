@@ -115,6 +115,18 @@ class Mappings:
             raise SourceError(source, f"mappings {names} fit this skeleton equally well; {_WAY_OUT}")
         return best[0] if best else None
 
+    def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
+        """Return the fit that recognition makes, by the tree of the nodes or, without one, by their places.
+
+        Raises
+        ------
+        SourceError
+            If no body is recognised.
+        """
+        if evidence.parents is None:
+            return recognise_points(source, evidence, self.joints, form)
+        return recognise_tree(source, evidence, self.joints, form)
+
     def detect(
         self, source: str | Path, form: Format, nodes: Mapping[str, int], evidence: Evidence | None = None
     ) -> Fit:
@@ -141,10 +153,8 @@ class Mappings:
         fit = self.exact(source, form, nodes)
         if fit is not None:
             return fit
-        if evidence is not None and evidence.parents is not None:
-            return recognise_tree(source, evidence, self.joints, form)
         if evidence is not None:
-            return recognise_points(source, evidence, self.joints, form)
+            return self.recognised(source, form, evidence)
         near = self.nearest(form, nodes)
         if near is None:
             raise SourceError(source, f"no skeleton mapping for {form} files; {_WAY_OUT}")

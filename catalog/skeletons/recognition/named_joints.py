@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
 from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy
 from kinedex.catalog.skeletons.recognition.limbs import Limb
 from kinedex.catalog.skeletons.recognition.sides import Sides
@@ -15,8 +17,8 @@ from kinedex.catalog.skeletons.skeleton_fit import Mix
 SPINE_SHARES = {"belly": 1 / 3, "chest": 2 / 3}
 """Where the joints of the spine are on the way from root to neck: Acclaim's three bones are equally long."""
 
-NECK_SHARE = 0.65
-"""Where the neck is on the way from root to head (0.64 to 0.66 in the skeletons of HDM05 and CMU)."""
+NECK_SHARE = 0.7
+"""Where the neck is on the way from root to head (0.65 in skeletons of HDM05 and CMU, 0.75 and more in game rigs)."""
 
 HEAD_M = 0.14
 """How far the top of the head is past the head joint, as a share of thigh and calf, along the neck."""
@@ -25,7 +27,7 @@ FINGERS_SHARE = 0.25
 """How far the first knuckle is past the wrist, as a share of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
 
 _FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to the toes of a foot that the file lacks
-_PAST_BALL = 0.3  # of the way from ankle to ball: the toes lie as much farther
+_PAST_BALL = 0.45  # of the way from ankle to ball: the toes lie as much farther
 _CLAVICLE = 0.15  # of the way from neck to shoulder
 
 
@@ -213,11 +215,17 @@ def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
         own = [node for node in below if part in tree.parts[node] and not tree.names[node].end]
         known = hands if part == "hand" else own
         near = [node for node in known if tree.distance(wrist, node) < 0.6 * forearm]
+        if part == "finger":
+            near = _knuckles(tree, near, wrist, forearm)
         if near:
             far = {node: tree.distance(wrist, node) for node in near}
             knuckles = [node for node in near if far[node] > 0.22 * forearm] or near
             found.mixes[f"{side}fingers"] = _node(tree, min(knuckles, key=far.__getitem__))
             return
+    branches = _knuckles(tree, [node for node in below if not tree.parts[node]], wrist, forearm)
+    if branches:
+        found.mixes[f"{side}fingers"] = _node(tree, branches[0])
+        return
     tips = [node for node in below if not tree.children[node] and "thumb" not in tree.parts[node]]
     if tips:
         tip = max(tips, key=lambda node: (node in arm.path, tree.distance(wrist, node)))
@@ -231,6 +239,24 @@ def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
         return
     mix = Mix(((f"{side}elbow", -FINGERS_SHARE), (f"{side}wrist", 1.0 + FINGERS_SHARE)), of_joints=True)
     found.estimate(f"{side}fingers", mix, f"{FINGERS_SHARE:g} forearms past the wrist")
+
+
+def _knuckles(tree: Tree, nodes: Sequence[int], wrist: int, forearm: float) -> list[int]:
+    """Return the knuckle of the middle finger among fingers without names of their own: that in the middle of the row.
+
+    The nodes themselves are returned where there are fewer than three fingers.
+    """
+    far = {node: tree.distance(wrist, node) for node in nodes}
+    long = [node for node in nodes if far[node] > 0.22 * forearm]
+    row = [node for node in long if not set(tree.ancestors(node)[1:]) & set(long)]
+    if len(row) < 3:
+        return list(nodes) if nodes and tree.parts[nodes[0]] else []
+    places = tree.rest[row] - tree.rest[row].mean(axis=0)
+    _, _, axes = np.linalg.svd(places, full_matrices=False)
+    order = np.argsort(places @ axes[0])
+    middle = places[order[len(row) // 2]]
+    thumb_last = np.linalg.norm(places[order[-1]] - middle) > np.linalg.norm(places[order[0]] - middle)
+    return [row[int(order[len(row) // 2 - (1 if thumb_last and len(row) % 2 == 0 else 0)])]]
 
 
 def _add_toes(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides, side: str, leg: Limb) -> None:

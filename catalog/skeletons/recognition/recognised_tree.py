@@ -26,7 +26,7 @@ from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.recognition.sides import Sides, find_sides
 from kinedex.catalog.skeletons.recognition.tree import Tree, build_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
-from kinedex.ops.body.up_axis import up_axis
+from kinedex.ops.body.up_axis import UpAxis, up_axis
 from kinedex.ops.errors import SourceError
 
 F64 = npt.NDArray[np.float64]
@@ -152,7 +152,7 @@ def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
     """Return the fit with the vertical axis that the file states or the body shows, in words, and whether surely."""
     if evidence.up is not None:
         return fit, f"{evidence.up} is up, as the file states", True
-    judged = up_axis(*joint_places(fit, tree.places, tree.rest))
+    judged = judged_up(*joint_places(fit, tree.places, tree.rest))
     if not judged.axis:
         return fit, "no axis is clearly up (" + "; ".join(judged.reasons) + "): y is taken", False
     mirrored = np.linalg.det(fit.mapping.axes) < 0
@@ -163,9 +163,10 @@ def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
 
 def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
     """Return the axes of the root node in the rest pose, each the nearest of the file's; `axes` if unclear."""
-    if sides.legs is None or not (body.trunk[1:] or body.head):
+    limbs = sides.legs or sides.arms
+    if limbs is None or not (body.trunk[1:] or body.head):
         return axes
-    across = tree.rest[sides.legs[0].nodes[0]] - tree.rest[sides.legs[1].nodes[0]]
+    across = tree.rest[limbs[0].nodes[0]] - tree.rest[limbs[1].nodes[0]]
     ways = [tree.rest[node] - tree.rest[body.hips] for node in (*body.trunk[1:], *body.head)]
     up = next((way for way in ways if np.linalg.norm(way) > 0.02 * leg_length(body)), np.zeros(3))
     found = np.zeros((3, 3))
@@ -177,6 +178,24 @@ def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
     hand = np.sign(np.linalg.det(axes))
     found[2] = hand * np.cross(found[0], found[1])
     return found if abs(np.linalg.det(found)) > 0.5 else axes
+
+
+def judged_up(places: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAxis:
+    """Return which axis is up; a rest pose that stands on its head does not count against the motion.
+
+    Parameters
+    ----------
+    places, rest
+        As for `kinedex.ops.body.up_axis.up_axis`.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused later.
+        judged = up_axis(places, rest)
+        if judged.axis or rest is None:
+            return judged
+        alone = up_axis(places)
+        standing = up_axis({joint: np.reshape(place, (3, 1)) for joint, place in rest.items()})
+    upside_down = standing.axis and alone.axis and standing.axis[-1] == alone.axis[-1]
+    return replace(alone, reasons=judged.reasons) if upside_down else judged
 
 
 def joint_places(fit: Fit, places: F64, rest: F64 | None) -> tuple[dict[str, F64], dict[str, F64] | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -13,9 +13,9 @@ import numpy.typing as npt
 from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
+from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
 from kinedex.catalog.skeletons.skeleton_fit import axes_of_up
 from kinedex.ops.body import kinematics
-from kinedex.ops.body.up_axis import up_axis
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.figures import chosen_person
 from kinedex.storage.formats.motion.mapped_body import (
@@ -34,6 +34,7 @@ F64 = npt.NDArray[np.float64]
 
 _LEAST_NODES = 10  # a root with fewer nodes is a prop or a camera
 _KEPT_BYTES = 32 << 20  # channels of a file that are kept between recognition and reading
+_NEARLY_NOTHING = 0.01  # of the length of the OFFSET
 _SECOND = re.compile(r"#\d+$")
 
 
@@ -49,11 +50,14 @@ class Person:
         Parents first; node 0 is the root.
     redundant : frozenset of int
         Indices of End Sites at the place of their joint.
+    offsets : float64 array (N, 3)
+        The OFFSET of every node, also of those whose position channels stand in its place.
     """
 
     name: str
     nodes: tuple[kinematics.Node, ...]
     redundant: frozenset[int]
+    offsets: F64
 
     @property
     def places(self) -> dict[str, int]:
@@ -93,12 +97,12 @@ class BvhReader(Reader):
             The file is damaged, or no mapping fits and no body is recognised; the error names the first fault.
         """
         bvh = _Motion(BvhFile(file.path, file.data))
-        persons = persons_of(bvh.file)
+        persons = persons_of(bvh.file, _offsets_apart(bvh))
         names = [person.name for person in persons]
         person = persons[chosen_person(file.path, file.person, names)]
         fit = mappings.exact(file.path, "bvh", person.places)
-        if fit is None:
-            fit = mappings.detect(file.path, "bvh", person.places, _evidence(bvh, person))
+        if fit is None or _skips_spine(person, fit):
+            fit = mappings.recognised(file.path, "bvh", _evidence(bvh, person))
         nodes, restored = _restore(person, fit)
         positions, turned = posed(bvh, nodes, fit.root, fit, joints)
         fit, turned_by = _turned_upright(fit, person, positions, joints)
@@ -152,8 +156,36 @@ class _Motion:
         return np.concatenate(found)
 
 
-def persons_of(file: BvhFile) -> list[Person]:
-    """Return the figures of a file: the trees of its roots, without props; all of them where no tree is large."""
+def _offsets_apart(motion: _Motion) -> frozenset[int]:
+    """Return the nodes whose position channels do not hold their OFFSET, but what is added to it: nearly nothing."""
+    nodes, offsets = motion.file.nodes, motion.file.offsets
+    moved = {
+        i: [step.column for step in node.steps if step.kind >= kinematics.MOVE_X]
+        for i, node in enumerate(nodes)
+        if node.parent >= 0 and offsets[i].any()
+    }
+    moved = {i: columns for i, columns in moved.items() if len(columns) == 3}
+    if not moved:
+        return frozenset()
+    channels = motion.sampled(SAMPLED_FRAMES)
+    far = {i: np.abs(channels[:, columns]).max() / np.linalg.norm(offsets[i]) for i, columns in moved.items()}
+    apart = frozenset(i for i, share in far.items() if share < _NEARLY_NOTHING)
+    return apart if 2 * len(apart) > len(moved) else frozenset()
+
+
+def persons_of(file: BvhFile, apart: frozenset[int] = frozenset()) -> list[Person]:
+    """Return the figures of a file: the trees of its roots, without props; all of them where no tree is large.
+
+    Parameters
+    ----------
+    file : BvhFile
+        The file.
+    apart : frozenset of int, optional
+        Nodes to whose OFFSET the position channels are added, in place of standing for it.
+    """
+    all_nodes = tuple(
+        replace(node, before=file.offsets[i]) if i in apart else node for i, node in enumerate(file.nodes)
+    )
     tops = [0] * len(file.nodes)
     for i, node in enumerate(file.nodes):
         tops[i] = i if node.parent < 0 else tops[node.parent]
@@ -162,11 +194,11 @@ def persons_of(file: BvhFile) -> list[Person]:
     if not large:
         large = dict([max(trees.items(), key=lambda tree: len(tree[1]))])
     if len(trees) == 1:
-        return [Person("", file.nodes, file.redundant)]
+        return [Person("", all_nodes, file.redundant, file.offsets)]
     found: list[Person] = []
     for top, members in large.items():
         name = _free_name(_root_name(file.nodes[top].name), [person.name for person in found])
-        found.append(_person(file, name, members))
+        found.append(_person(file, all_nodes, name, members))
     return found
 
 
@@ -182,18 +214,18 @@ def _free_name(name: str, used: list[str]) -> str:
     )
 
 
-def _person(file: BvhFile, name: str, members: list[int]) -> Person:
+def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members: list[int]) -> Person:
     """Return the tree of one root; the marks that tell its names from those of other trees are taken off."""
     index = {old: new for new, old in enumerate(members)}
-    plain = [_SECOND.sub("", file.nodes[old].name.removesuffix("_end")) for old in members]
-    ends = ["_end" if file.nodes[old].name.endswith("_end") else "" for old in members]
+    plain = [_SECOND.sub("", nodes[old].name.removesuffix("_end")) for old in members]
+    ends = ["_end" if nodes[old].name.endswith("_end") else "" for old in members]
     short = [stem + end for stem, end in zip(plain, ends, strict=True)]
-    names = short if len(set(short)) == len(short) else [file.nodes[old].name for old in members]
-    nodes = tuple(
-        replace(file.nodes[old], name=called, parent=index.get(file.nodes[old].parent, -1))
+    names = short if len(set(short)) == len(short) else [nodes[old].name for old in members]
+    own = tuple(
+        replace(nodes[old], name=called, parent=index.get(nodes[old].parent, -1))
         for old, called in zip(members, names, strict=True)
     )
-    return Person(name, nodes, frozenset(index[old] for old in file.redundant if old in index))
+    return Person(name, own, frozenset(index[old] for old in file.redundant if old in index), file.offsets[members])
 
 
 def _evidence(motion: _Motion, person: Person) -> Evidence:
@@ -203,8 +235,25 @@ def _evidence(motion: _Motion, person: Person) -> Evidence:
         names=tuple(node.name for node in person.nodes),
         places=places,
         parents=tuple(node.parent for node in person.nodes),
-        offsets=np.array([node.before for node in person.nodes]),
+        offsets=person.offsets,
     )
+
+
+def _skips_spine(person: Person, fit: Fit) -> bool:
+    """Return whether a shipped mapping leaves out bones between chest and neck, as Mixamo's does of longer spines."""
+    chest, neck = fit.joints.get("chest"), fit.joints.get("neck")
+    if not _shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
+        return False
+    above, node = fit.places[chest.node], person.nodes[fit.places[neck.node]].parent
+    long = False
+    while node >= 0 and node != above:
+        long = long or bool(person.offsets[node].any())
+        node = person.nodes[node].parent
+    return long and node == above
+
+
+def _shipped(fit: Fit) -> bool:
+    return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
 
 
 def _turned_upright(fit: Fit, person: Person, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
@@ -212,16 +261,18 @@ def _turned_upright(fit: Fit, person: Person, positions: F64, joints: tuple[str,
 
     A mapping of the user's own counts as it is.
     """
-    if fit.recognised or not fit.mapping.path.is_relative_to(shipped_configs()):
+    if not _shipped(fit):
         return fit, ()
     frames = np.unique(np.linspace(0, positions.shape[2] - 1, SAMPLED_FRAMES).round().astype(np.int64))
     known = {joint: positions[i][:, frames] for i, joint in enumerate(joints) if joint not in fit.unknown}
-    rest = np.zeros((len(person.nodes), 3))
-    for i, node in enumerate(person.nodes):
-        rest[i] = node.before + (rest[node.parent] if node.parent >= 0 else 0.0)
-    resting = fit.apply(rest[:, :, None], joints)
-    with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused later.
-        judged = up_axis(known, {joint: resting[joints.index(joint)][:, 0] for joint in known})
+    resting = None
+    if np.array_equal(fit.mapping.root_axes, fit.mapping.axes):  # else the bones lie along their own axes: no pose
+        rest = np.zeros((len(person.nodes), 3))
+        for i, node in enumerate(person.nodes):
+            rest[i] = person.offsets[i] + (rest[node.parent] if node.parent >= 0 else 0.0)
+        placed = fit.apply(rest[:, :, None], joints)
+        resting = {joint: placed[joints.index(joint)][:, 0] for joint in known}
+    judged = judged_up(known, resting)
     if judged.axis in ("", "y"):
         return fit, ()
     turn = axes_of_up(judged.axis)
@@ -234,9 +285,13 @@ def _turned_upright(fit: Fit, person: Person, positions: F64, joints: tuple[str,
 
 def _orientation(fit: Fit, positions: F64, turned: F64, joints: tuple[str, ...], upturned: bool) -> F64:
     """Return the root's turn: by hips and spine where the root's own axes are not known, else from the file."""
-    if (fit.recognised or upturned) and not {"lhip", "rhip", "root"} & set(fit.unknown):
+    if not (fit.recognised or upturned) or {"lhip", "rhip", "root"} & set(fit.unknown):
+        return mapped_orientation(fit, turned)
+    if not {"chest", "neck", "belly", "head"} <= set(fit.unknown):
         return root_orientation(positions, joints, np.ones(positions.shape[2], np.bool_), [])
-    return mapped_orientation(fit, turned)
+    across = positions[joints.index("lhip")] - positions[joints.index("rhip")]
+    up = np.broadcast_to(np.array([[0.0], [1.0], [0.0]]), across.shape)
+    return kinematics.quaternions(kinematics.frames_along(across, up))
 
 
 def _restore(person: Person, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:

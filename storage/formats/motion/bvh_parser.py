@@ -187,6 +187,8 @@ class BvhFile:
         As in `Bvh`, as are the other attributes.
     frames : int
         The number of frames.
+    offsets : float64 array (N, 3)
+        The OFFSET of every node, also of those whose position channels stand in its place.
 
     Raises
     ------
@@ -213,6 +215,7 @@ class BvhFile:
             )
         self.warnings += _name(joints)
         self.nodes, self._rotations = _chain(joints)
+        self.offsets = np.array([joint.offset for joint in joints])
         self.redundant = frozenset(i for i, joint in enumerate(joints) if joint.end and not any(joint.offset or ()))
 
     @property
