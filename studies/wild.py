@@ -171,7 +171,7 @@ def _about_vertical(ours: F64, true: F64) -> F64:
 def _words(body: Body, made: Variant, actor: Actor) -> tuple[float, float, str]:
     """Return the share of equal bits, and the smallest F of a feature that is neither always on nor always off."""
     true = np.stack([made.truth[joint] for joint in FEATURES.joints])
-    off, _ = FEATURES.without(tuple(set(body.unknown) | made.unknown))
+    off = FEATURES.without({*body.unknown, *made.unknown}).unknown
     numbers = [i for i, feature in enumerate(FEATURES.features) if feature not in off]
     want = features.words(np.ascontiguousarray(true), actor.orientation, actor.rate_hz, FEATURES.rules)
     have = features.words(body.positions, body.orientation, actor.rate_hz, FEATURES.rules, body.valid)
