@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
-from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX
+from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
@@ -88,9 +88,31 @@ class _SkeletonFile(BaseModel):
 
 @dataclass(frozen=True)
 class Mappings:
-    """The mappings that an archive is read with, by format: one chosen by the user, or all shipped ones."""
+    """The mappings that an archive is read with.
+
+    Attributes
+    ----------
+    of_format : dict of str to tuple of SkeletonMapping
+        Format → all shipped mappings, or the one that the user chose.
+    own : dict of str to tuple of SkeletonMapping
+        Format → mappings of the user's own, which win where their names fit.
+    forced : tuple of str
+        The formats for which the user chose one mapping.
+    vocabulary : Vocabulary, optional
+        The names by which trees are recognised; the shipped ones by default.
+    vocabulary_digest : str
+        A hash of the names that the user added.
+    """
 
     of_format: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
+    own: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
+    forced: tuple[Format, ...] = ()
+    vocabulary: Vocabulary | None = None
+    vocabulary_digest: str = ""
+
+    def of(self, form: Format) -> tuple[SkeletonMapping, ...]:
+        """Return all mappings of a format, those of the user's own first."""
+        return (*self.own.get(form, ()), *self.of_format.get(form, ()))
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -100,20 +122,21 @@ class Mappings:
 
     def digest(self, form: Format) -> str:
         """Return a hash of the mappings of one format, on which the takes read with them depend."""
-        return " ".join(mapping.digest for mapping in self.of_format.get(form, ()))
+        own = self.own.get(form, ())
+        mark = ["own", *(mapping.digest for mapping in own)] if own else []
+        names = ["names", self.vocabulary_digest] if self.vocabulary_digest else []
+        return " ".join([*(mapping.digest for mapping in self.of_format.get(form, ())), *mark, *names])
 
     def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:
         """Return the fit of the mapping whose nodes all occur in a skeleton, as in `detect`; None if there is none."""
+        own = _best(source, [mapping.fit(nodes) for mapping in self.own.get(form, ())])
+        if own is not None:
+            return own
         fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
         if len(fits) == 1:
             fits[0].check(source, self.stripped(form, nodes) if fits[0].missing else "")
             return fits[0]
-        whole = [fit for fit in fits if not fit.missing]
-        best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
-        if len(best) > 1:
-            names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
-            raise SourceError(source, f"mappings {names} fit this skeleton equally well; {_WAY_OUT}")
-        return best[0] if best else None
+        return _best(source, fits)
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
         """Return the fit that recognition makes, by the tree of the nodes or, without one, by their places.
@@ -125,14 +148,15 @@ class Mappings:
         """
         if evidence.parents is None:
             return recognise_points(source, evidence, self.joints, form)
-        return recognise_tree(source, evidence, self.joints, form)
+        return recognise_tree(source, evidence, self.joints, form, self.vocabulary)
 
     def detect(
         self, source: str | Path, form: Format, nodes: Mapping[str, int], evidence: Evidence | None = None
     ) -> Fit:
         """Return the fit of the mapping whose nodes all occur in a skeleton and that supplies the most joints.
 
-        If the format has only one mapping, it is used, and any node that it lacks is an error.
+        A mapping of the user's own goes before all shipped ones. If the format has only one mapping, it is used, and
+        any node that it lacks is an error.
 
         Parameters
         ----------
@@ -177,7 +201,7 @@ class Mappings:
         """Return a prefix that most names share and a mapping that fits without it; None if there is no such pair."""
         for prefix in _prefixes(list(nodes)):
             short = {name.removeprefix(prefix): index for name, index in nodes.items()}
-            fits = [mapping.fit(short) for mapping in self.of_format.get(form, ())]
+            fits = [mapping.fit(short) for mapping in self.of(form)]
             whole = [fit for fit in fits if not fit.missing]
             if whole and len(short) == len(nodes):
                 return prefix, max(whole, key=lambda fit: fit.named).mapping
@@ -193,7 +217,7 @@ class Mappings:
 
     def _several(self, form: Format, nodes: Iterable[str]) -> str:
         """Return a clause for messages about a file of several figures whose joints differ only by a prefix."""
-        found = [mapping.shared(nodes) for mapping in self.of_format.get(form, ())]
+        found = [mapping.shared(nodes) for mapping in self.of(form)]
         most = max(found, key=len, default={})
         if not most:
             return ""
@@ -209,8 +233,10 @@ class Mappings:
         SourceError
             If no mapping has as many, or several have and give them different names.
         """
-        orders = {mapping.order for mapping in self.of_format.get("positions", ()) if mapping.order}
+        orders = {mapping.order for mapping in self.of("positions") if mapping.order}
+        own = {mapping.order for mapping in self.own.get("positions", ())}
         fitting = [order for order in orders if len(order) == count]
+        fitting = [order for order in fitting if order in own] or fitting
         if len(fitting) == 1:
             return fitting[0]
         known = ", ".join(str(number) for number in sorted({len(order) for order in orders})) or "none"
@@ -233,8 +259,18 @@ class Mappings:
         return near
 
     def _nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
+        fits = [mapping.fit(nodes) for mapping in self.of(form)]
         return min(fits, key=lambda fit: (-fit.named, -fit.known, len(fit.missing) + len(fit.unknown)), default=None)
+
+
+def _best(source: str | Path, fits: Sequence[Fit]) -> Fit | None:
+    """Return the fit that lacks no node and supplies the most joints; a SourceError reports that two do equally."""
+    whole = [fit for fit in fits if not fit.missing]
+    best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
+    if len(best) > 1:
+        names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
+        raise SourceError(source, f"mappings {names} fit this skeleton equally well; {_WAY_OUT}")
+    return best[0] if best else None
 
 
 def stripping(prefix: str, mapping: SkeletonMapping) -> str:
@@ -275,7 +311,7 @@ def load_mappings(choice: str | Path, joints: tuple[str, ...]) -> Mappings:
             of_format[mapping.format] = (*of_format.get(mapping.format, ()), mapping)
     if chosen is not None:
         of_format[chosen.format] = (chosen,)
-    return Mappings(of_format)
+    return Mappings(of_format, forced=() if chosen is None else (chosen.format,))
 
 
 def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> SkeletonMapping:
@@ -298,7 +334,11 @@ def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> Skeleton
 
 @lru_cache(maxsize=64)
 def _load_skeleton(path: Path, _stamp: tuple[int, int], joints: tuple[str, ...]) -> SkeletonMapping:
-    located = load_yaml(path)
+    return parse_skeleton(load_yaml(path), joints)
+
+
+def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping:
+    """Return the mapping of a parsed file; parameters and errors as for `load_skeleton`."""
     located.mapping()
     parsed = located.model(_SkeletonFile)
     for joint in parsed.joints:

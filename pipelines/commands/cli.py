@@ -12,6 +12,7 @@ from kinedex.pipelines.commands import (  # noqa: F401
     labels,
     labels_kept,
     maintenance,
+    mappings,
     pipelines,
     queries,
     ranking,

@@ -23,8 +23,14 @@ class IngestParameters(BaseModel):
     source: str = Field(description="folder that holds the motion files, at any depth")
     skeleton: str = Field(
         "auto",
-        description="skeleton mapping: `auto` chooses by the joints' names; a shipped name or a path to a .yaml file "
-        "counts for all files of its format (other formats stay automatic)",
+        description="skeleton mapping: `auto` recognises the body of each file; a shipped name or a path to a .yaml "
+        "file counts for all files of its format, whatever their names (other formats stay automatic)",
+    )
+    skeletons: list[str] = Field(
+        default_factory=list,
+        description="skeleton mappings of your own (.yaml files, or folders of them), which go before the shipped ones "
+        "where the names of a file fit; vocabularies of names, too. Those that the store holds (`kinedex mapping add`) "
+        "are added",
     )
     features: str | None = Field(
         None,
@@ -72,6 +78,11 @@ class IngestParameters(BaseModel):
         "worker is refused before it is read",
     )
 
+    @field_validator("skeletons", mode="before")
+    @classmethod
+    def _is_list(cls, places: object) -> object:
+        return [places] if isinstance(places, str | os.PathLike) else [] if places is None else places
+
     @field_validator("max_memory")
     @classmethod
     def _is_size(cls, size: str | None) -> str | None:
@@ -100,6 +111,7 @@ class IngestParameters(BaseModel):
         for name in ("skeleton", "features", "body_model"):
             if values[name] is not None and Path(values[name]).suffix:
                 values[name] = str(Path(values[name]).expanduser().absolute())
+        values["skeletons"] = [str(Path(place).expanduser().absolute()) for place in self.skeletons]
         return values
 
     @property

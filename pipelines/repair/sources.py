@@ -9,9 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.ingestion.changes import recipe_of, recipes
+from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
 from kinedex.pipelines.ingestion.file_batches import Batch, Task
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
@@ -138,8 +139,10 @@ class _Reader:
 
     @cached_property
     def mappings(self) -> Mappings:
-        """The skeleton mappings."""
-        return load_mappings(self.params.skeleton, self._store.feature_set.joints)
+        """The skeleton mappings; files of the user's own that are gone do without."""
+        there = [place for place in self.params.skeletons if Path(place).expanduser().exists()]
+        params = self.params.model_copy(update={"skeletons": there})
+        return chosen_mappings(params, self._store.feature_set.joints, self._store.path, self._store.manifest)
 
     @cached_property
     def _recipes(self) -> dict[str, str]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
 from kinedex.catalog.plugins import Plugins
-from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
+from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.file_list import file_table
 from kinedex.pipelines.ingestion.parameters import IngestParameters
@@ -23,6 +24,7 @@ from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.remedies import repair
+from kinedex.storage.snapshot.manifest import read_newest, versions
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
@@ -39,7 +41,8 @@ class Ingest(Stage[IngestParameters]):
     def external_digest(self, params: IngestParameters, store: Store | None) -> str:
         """Return a hash of the source files by path, size and time, of the mappings, and of the features."""
         feature_set = feature_set_for(store, params.features)
-        mappings = load_mappings(params.skeleton, feature_set.joints)
+        path, manifest = (store.path, store.manifest) if store is not None else (Path(), None)
+        mappings = chosen_mappings(params, feature_set.joints, path, manifest)
         forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
         model = model_digest(params.given.body_model)
         return digest([scan(params.source).digest, features_digest(feature_set), *forms, model])
@@ -57,7 +60,8 @@ class Ingest(Stage[IngestParameters]):
         found = scan(params.source)
         if not found.motions:
             raise _no_motion_files(found, params.source)
-        mappings = load_mappings(params.skeleton, context.feature_set.joints)
+        standing = read_newest(context.store_path) if versions(context.store_path) else None
+        mappings = chosen_mappings(params, context.feature_set.joints, context.store_path, standing)
         with context.writer() as writer:
             plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
             if plan.renamed and not params.prune:

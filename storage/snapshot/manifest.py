@@ -306,6 +306,8 @@ class Manifest:
         Source folder, absolute → the settings with which it was ingested last.
     pipelines : dict of str to PipelineRecord
         Name of a pipeline that has results → its last run.
+    mappings : dict of str to str
+        Name → YAML text of skeleton mappings and vocabularies of the user's own, which every ingest adds to the others.
     """
 
     format_version: int
@@ -326,6 +328,7 @@ class Manifest:
     labels: tuple[LabelPart, ...] = ()
     sources: dict[str, Source] = field(default_factory=dict)
     pipelines: dict[str, PipelineRecord] = field(default_factory=dict)
+    mappings: dict[str, str] = field(default_factory=dict)
 
     @property
     def parts(self) -> tuple[AnyPart, ...]:

@@ -24,8 +24,9 @@ COUNTS = (
 )
 """The facts that are numbers; "takes_restated" are those whose file has another place or time."""
 
-NAMES = ("stages_begun", "stages_done", "results", "columns")
-"""The facts that are lists: stages whose record was removed or written, kinds of results, declared columns."""
+NAMES = ("stages_begun", "stages_done", "results", "columns", "mappings")
+"""The facts that are lists: stages whose record was removed or written, kinds of results, declared columns, skeleton
+mappings."""
 
 
 class Facts:
@@ -166,5 +167,6 @@ def _phrase(fact: str, value: Any) -> str:
         "stages_done": f"{names} done",
         "results": f"results: {names}",
         "columns": f"columns: {names}",
+        "mappings": f"mappings: {names}",
         "upgraded_from": f"upgraded from format {names}",
     }.get(fact, f"{fact.replace('_', ' ')}: {names}")

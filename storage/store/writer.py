@@ -418,6 +418,14 @@ class StoreWriter:
             source = Source(stage, dict(settings), now())
             self._manifest = replace(self._manifest, sources={**self._manifest.sources, root: source})
 
+    def put_mapping(self, name: str, text: str | None) -> None:
+        """Keep a skeleton mapping or a vocabulary under a name, in place of an earlier one; None removes it."""
+        others = {other: kept for other, kept in self._manifest.mappings.items() if other != name}
+        mappings = others if text is None else {**others, name: text}
+        if mappings != self._manifest.mappings:
+            self._manifest = replace(self._manifest, mappings=mappings)
+            self._facts.name("mappings", name)
+
     def record_pipeline(self, name: str, record: PipelineRecord) -> None:
         """Record what a pipeline was run with, in place of its earlier record."""
         self._manifest = replace(self._manifest, pipelines={**self._manifest.pipelines, name: record})

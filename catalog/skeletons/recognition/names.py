@@ -147,7 +147,11 @@ def load_vocabulary(path: str | Path, parts: Iterable[str] = ()) -> Vocabulary:
 
 @lru_cache(maxsize=16)
 def _load(path: Path, parts: tuple[str, ...]) -> Vocabulary:
-    located = load_yaml(path)
+    return parse_vocabulary(load_yaml(path), parts)
+
+
+def parse_vocabulary(located: Located, parts: tuple[str, ...] = ()) -> Vocabulary:
+    """Return the vocabulary of a parsed file; parameters and errors as for `load_vocabulary`."""
     located.mapping()
     parsed = located.model(_VocabularyFile)
     return Vocabulary(
