@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy
+from kinedex.catalog.skeletons.recognition.anatomy import ARM_TO_LEG, Anatomy, trunk_length
 from kinedex.catalog.skeletons.recognition.limbs import Limb
 from kinedex.catalog.skeletons.recognition.sides import Sides
 from kinedex.catalog.skeletons.recognition.tree import FINGERS, Tree
@@ -29,6 +29,8 @@ FINGERS_SHARE = 0.25
 _FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to the toes of a foot that the file lacks
 _PAST_BALL = 0.45  # of the way from ankle to ball: the toes lie as much farther
 _CLAVICLE = 0.15  # of the way from neck to shoulder
+_LOST_THORAX = 0.53  # of the legs; a trunk this short, without length from spine to neck and arms, lacks its thorax
+_CUT_FOREARM = 1.4  # times as long as a forearm that lacks its last third is the upper arm
 
 
 @dataclass
@@ -41,10 +43,13 @@ class JointMixes:
         The joints that are known, measured and estimated ones.
     estimated : dict of str to str
         A phrase for each joint that the file does not hold, which describes how it is estimated.
+    bones : dict of str to dict of str to float
+        Bones that the file leaves at length zero, as weights over the offsets of other nodes.
     """
 
     mixes: dict[str, Mix] = field(default_factory=dict)
     estimated: dict[str, str] = field(default_factory=dict)
+    bones: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def estimate(self, joint: str, mix: Mix, how: str) -> None:
         """Add a joint that the file does not hold."""
@@ -76,7 +81,9 @@ def joint_mixes(tree: Tree, body: Anatomy, sides: Sides) -> JointMixes:
         for joint, node in zip(("shoulder", "elbow", "wrist"), arm.nodes, strict=True):
             found.mixes[side + joint] = _node(tree, node)
         _add_fingers(found, tree, side, arm)
-    _add_trunk(found, tree, body, sides)
+        _restore_wrist(found, tree, side, arm)
+    thorax = _restore_thorax(found, tree, body, sides)
+    _add_trunk(found, tree, body, sides, thorax)
     for side, arm in zip("lr", sides.arms, strict=True):
         _add_clavicle(found, tree, side, arm)
     return found
@@ -108,7 +115,35 @@ def polyline_point(lengths: Sequence[float], share: float) -> tuple[int, float]:
     raise ValueError("a polyline has at least one segment")
 
 
-def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> None:
+def _restore_thorax(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> float:
+    """Give a thorax to a trunk that lacks it, as CMU's in BVH does, and return its length; 0 if nothing is missing.
+
+    It carries on the curve of the spine, as `configs/skeletons/cmu-bvh.yaml` explains.
+    """
+    spine = [node for node in body.trunk[1:] if tree.lengths[node] > 0]
+    tops = [body.head[0], *(arm.path[0] for arm in sides.arms or ())] if body.head else []
+    if body.legs is None or body.arms is None or len(spine) < 2 or not tops:
+        return 0.0
+    if any(tree.lengths[top] > 0 or tree.parents[top] != spine[-1] for top in tops):
+        return 0.0
+    if trunk_length(tree, body.legs, body.arms) > _LOST_THORAX * body.legs.length:
+        return 0.0
+    weights = {tree.names[spine[-2]].text: -0.5, tree.names[spine[-1]].text: 1.5}
+    found.bones |= {tree.names[top].text: weights for top in tops}
+    before, last = (tree.rest[node] - tree.rest[tree.parents[node]] for node in spine[-2:])
+    return float(np.linalg.norm(1.5 * last - 0.5 * before))
+
+
+def _restore_wrist(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
+    """Lengthen a forearm of which a third was left out, as in CMU's BVH, where the hand begins at length zero."""
+    past = arm.path[arm.path.index(arm.nodes[2]) + 1 :]
+    cut = arm.bones[1] > _CUT_FOREARM * arm.bones[2]
+    if cut and past and tree.lengths[past[0]] == 0 and "finger" in tree.parts[past[0]]:
+        found.bones[tree.names[past[0]].text] = {tree.names[arm.nodes[2]].text: 0.5}
+        found.mixes[f"{side}wrist"] = _node(tree, past[0])
+
+
+def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides, thorax: float) -> None:
     """Add neck, head, the top of the head, and the joints of the spine by arc length."""
     neck, head, top = head_nodes(tree, body.head)
     line = list(body.trunk)
@@ -127,6 +162,8 @@ def _add_trunk(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) -> No
         found.estimate("neck", _nodes(tree, ends), "midway between the shoulders")
         line += [node for node in (sides.arms[0].nodes[0],) if len(line) < 2]
     lengths = [tree.distance(a, b) for a, b in pairwise(line)]
+    if thorax:
+        lengths[-1] = thorax
     if lengths and sum(lengths) > 0:
         for joint, share in SPINE_SHARES.items():
             found.mixes[joint] = _spine_mix(tree, line, lengths, share * whole)
@@ -220,7 +257,10 @@ def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
         if near:
             far = {node: tree.distance(wrist, node) for node in near}
             knuckles = [node for node in near if far[node] > 0.22 * forearm] or near
-            found.mixes[f"{side}fingers"] = _node(tree, min(knuckles, key=far.__getitem__))
+            knuckle = min(knuckles, key=far.__getitem__)
+            tip = tree.longest_way(knuckle)[-1]
+            short = far[knuckle] <= 0.22 * forearm and tree.distance(wrist, tip) < 0.5 * forearm
+            found.mixes[f"{side}fingers"] = _node(tree, tip if short else knuckle)
             return
     branches = _knuckles(tree, [node for node in below if not tree.parts[node]], wrist, forearm)
     if branches:

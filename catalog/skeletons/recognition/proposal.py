@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -38,7 +40,12 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
         _, root_up, root_ahead = (scalar(_axis(row)) for row in mapping.root_axes)
         lines.append(f"root_axes: {{up: {root_up}, facing: {root_ahead}}}")
     unit = "guess" if mapping.unit_m is None else f"{mapping.unit_m:.9g}"
-    lines += [f"unit_m: {unit}", "", "joints:"]
+    lines.append(f"unit_m: {unit}")
+    if mapping.bones:
+        lines += ["", "bones:  # have no length in the file"]
+    for bone, weights in mapping.bones.items():
+        lines.append(f"  {scalar(bone)}: {{{_weights(weights.items())}}}")
+    lines += ["", "joints:"]
     for joint, mixes in mapping.joints.items():
         mix = mixes[0] if mixes else None
         if mix is None:
@@ -59,10 +66,14 @@ def _axis(row: F64) -> str:
 def _mix(mix: Mix) -> str:
     if mix.node is not None:
         return scalar(mix.node)
-    weights = ", ".join(f"{scalar(name)}: {weight:.6g}" for name, weight in mix.weights)
+    weights = _weights(mix.weights)
     if mix.of_joints:
         return f"{{virtual: {{{weights}}}}}"
     if not mix.plane:
         return f"{{nodes: {{{weights}}}}}"
     plane = ", ".join(scalar(name) for name in mix.plane)
     return f"{{nodes: {{{weights}}}, aside: {{plane: [{plane}], times: {mix.out:.6g}}}}}"
+
+
+def _weights(pairs: Iterable[tuple[str, float]]) -> str:
+    return ", ".join(f"{scalar(name)}: {weight:.6g}" for name, weight in pairs)

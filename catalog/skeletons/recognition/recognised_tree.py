@@ -142,7 +142,7 @@ def _fit(
         axes=axes,
         root_axes=axes,
         strip_prefix=None,
-        bones={},
+        bones=found.bones,
         joints=mixes,
     )
     return replace(mapping.fit(places), reasons=("no body is recognised",), confidence=0.0)
