@@ -56,6 +56,17 @@ fingerprint    VARCHAR    a hash of its words and of all that they were annotate
         "SELECT take FROM annotated_takes WHERE take_id NOT IN (SELECT take_id FROM annotations) ORDER BY take",
     ),
     View(
+        "not_applied",
+        "results",
+        "Templates and queries that were not applied to a take, whose body lacks too many of the joints they ask for.",
+        columns(f"""{_RUN}
+{_TAKE}
+kind    VARCHAR    template or query
+name    VARCHAR    the subclass of the template, or the name of the query
+known    DOUBLE    share of its fixed entries that the take knows: less than 0.6"""),
+        "SELECT take, kind, count(*) AS refused FROM not_applied GROUP BY take, kind ORDER BY take, kind",
+    ),
+    View(
         "distance_curves",
         "results",
         "The distance curve of a subclass over a take, one cost per frame; of a take that was kept, by an earlier run.",

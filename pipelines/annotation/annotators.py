@@ -17,7 +17,8 @@ from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.methods import AnnotationMethod, ClassTemplates, ThesisMethod
-from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.search.not_applied import Applicability, applicability, remarks_on
 from kinedex.pipelines.search.preselection import known_queries, widest_margins
 from kinedex.pipelines.templates.learning import SubclassTemplate
 
@@ -107,6 +108,21 @@ class Annotator:
             method=make(known, list(kept.values()), chosen),
         )
         return restricted, chosen
+
+    def partly_known(self, known: Mapping[int, int]) -> list[Applicability]:
+        """Return what takes that lack features know of templates and queries; `known` has their masks by id."""
+        templates = dict(zip(self.subclasses, self.templates, strict=True))
+        queries = (query for own in self.queries for query in own)
+        return applicability(self.feature_set, known.values(), templates, queries)
+
+    def remarks_on(self, known: Mapping[int, int]) -> list[str]:
+        """Return remarks on what is not applied to takes that lack features, whose masks `known` has by id."""
+        if known and not hasattr(self.method, "restricted"):
+            return [
+                f"the method '{self.method.name}' needs all features: {counted(len(known), 'take')} whose bodies lack "
+                "joints have no annotation"
+            ]
+        return remarks_on(self.partly_known(known), known)
 
     @property
     def label(self) -> str:

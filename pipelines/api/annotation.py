@@ -26,6 +26,7 @@ from kinedex.pipelines.api.template import Template
 from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
+from kinedex.pipelines.search.not_applied import known_of
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.store.store import data_frame
 
@@ -83,7 +84,8 @@ def annotate(
     Warns
     -----
     UserWarning
-        A template is wildcards alone, or nearly so.
+        A template is wildcards alone, or nearly so; or a template or query is not applied to takes whose bodies lack
+        too many of the joints that it asks for.
 
     Examples
     --------
@@ -106,7 +108,7 @@ def annotate(
         clips=lambda: _clips_of(given) or chosen.every_word(),
         min_frames=least_frames(min_seconds, chosen.rate_hz),
     )
-    for remark in annotator.remarks:
+    for remark in [*annotator.remarks, *annotator.remarks_on(chosen.known())]:
         warnings.warn(remark, stacklevel=2)
     return _table(chosen.annotate(annotator), annotator, chosen)
 
@@ -146,6 +148,10 @@ class _LoadedWords:
         for batch in split_takes(self.names, map(len, self.takes)):
             yield from annotate_words(annotator, self.words(batch))
 
+    def known(self) -> dict[int, int]:
+        """Return the masks of the takes that lack features, by their places."""
+        return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
+
     def every_word(self) -> list[Any]:
         """Return the words of all takes."""
         return [take.words() for take in self.takes]
@@ -173,6 +179,10 @@ class _StoredWords:
         stored = self.store.stored
         for batch in split_takes(self.names, self.frames):
             yield from annotate_words(annotator, stored.words(batch), store=stored)
+
+    def known(self) -> dict[int, int]:
+        """Return the masks of the takes that lack features, by their ids."""
+        return known_of(self.store.stored.known, self.names)
 
     def every_word(self) -> list[Any]:
         """Return the words of all takes of the store, annotated or not."""

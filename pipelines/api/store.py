@@ -474,18 +474,25 @@ class Store:
         StoreError
             The index is missing or stale; the message names the command that builds it.
 
+        Warns
+        -----
+        UserWarning
+            A query is not applied to takes whose bodies lack joints, or by its known entries only.
+
         Examples
         --------
         >>> "squat" in store.search("example")["query"]
         True
         """
         from kinedex.pipelines.api.query import resolved_queries
-        from kinedex.pipelines.search.search import load_query_file, search_store
+        from kinedex.pipelines.search.search import load_query_file, search_remarks, search_store
 
         if isinstance(query, str | Path):
             queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
         else:
             queries = resolved_queries(query, self.feature_set, self.rate_hz)
+        for remark in search_remarks(self.stored, queries, where):
+            warnings.warn(remark, stacklevel=2)
         return data_frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
 
     def templates(self, *, stage: str | None = None) -> pl.DataFrame:
@@ -599,7 +606,7 @@ class Store:
         Warns
         -----
         UserWarning
-            Templates are excluded, or some have no query where others do.
+            Templates are excluded or not applied to some takes, or some have no query where others do.
 
         Examples
         --------

@@ -51,7 +51,7 @@ def search(
     from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.engine.runner import new_run_id
     from kinedex.pipelines.search.explanation import explain_search
-    from kinedex.pipelines.search.search import load_query_file, save_hits, search_store
+    from kinedex.pipelines.search.search import load_query_file, save_hits, search_remarks, search_store
 
     if explain and save is not None:
         raise KinedexError("--explain shows no hits that --save could store: give only one of them")
@@ -69,12 +69,17 @@ def search(
         return
     run = None if save is None else new_run_id()
     hits = search_store(opened, loaded, where) if run is None else search_store(opened, loaded, where, run)
+    remarks = search_remarks(opened, loaded, where)
     takes = len(set(hits.column("take_id").to_pylist()))
+    for remark in remarks if not as_json else ():
+        typer.echo(remark, err=True)
     if save is not None and run is not None:
         opened.close()
         hits = save_hits(opened, hits, save, run)
     if as_json:
         document = {"store": store, "query_file": queries, "takes": takes, "saved_as": save, "run": run}
+        if remarks:
+            document["remarks"] = remarks
         print_json({**document, "hits": hits.drop_columns(["run", "saved_as"])})
     elif not plain:
         show_table(hits if save is not None else hits.drop_columns(["saved_as"]), form, output)

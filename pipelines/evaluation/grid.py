@@ -12,7 +12,7 @@ from itertools import islice
 import numpy as np
 import pyarrow as pa
 
-from kinedex.ops.words import TakeWords
+from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
 from kinedex.pipelines.annotation.reuse import setting_digest
@@ -86,8 +86,9 @@ def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
     for test_take in fold.test_takes:
         parts = [str(checksums[take_id]) for take_id in test_take.take_ids]
-        masks = [store.known[take_id] for take_id in test_take.take_ids if take_id in store.known]
-        hasher.update(json.dumps([test_take.name, test_take.frames, parts, *masks]).encode())
+        mask = test_take.known(store.known)
+        known = [] if mask == ALL_KNOWN else [mask]
+        hasher.update(json.dumps([test_take.name, test_take.frames, parts, *known]).encode())
     hasher.update(setting_digest(annotator, False, code_digest(CODE, type(annotator.method))).encode())
     return hasher.hexdigest()[:32]
 
@@ -151,12 +152,9 @@ def annotate_task(task: Task) -> SegmentsByTake:
         np.concatenate([words.take(place[take_id]) for take_id in test_take.take_ids]) for test_take in task.test_takes
     ]
     offsets = np.cumsum([0, *(len(one) for one in laid_out)])
-    masks = None
-    if words.known is not None:
-        # a test take that is made of several takes knows what all of them know
-        each = [words.known[[place[take_id] for take_id in test_take.take_ids]] for test_take in task.test_takes]
-        masks = np.array([np.bitwise_and.reduce(own) for own in each], np.uint64)
-    together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out), masks)
+    masks = np.array([test_take.known(task.store.known) for test_take in task.test_takes], np.uint64)
+    known = None if (masks == ALL_KNOWN).all() else masks
+    together = TakeWords(np.arange(len(laid_out), dtype=np.int64), offsets, np.concatenate(laid_out), known)
     annotator = task.annotator
     return {
         task.test_takes[one.take_id].name: tuple(

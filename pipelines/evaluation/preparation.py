@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.templates.templates import Kind
+from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.annotation.annotators import targets_unknown
 from kinedex.pipelines.annotation.preparation import calibrated_thresholds, prepare_annotator, queries_of
 from kinedex.pipelines.console.wording import few
@@ -91,5 +92,6 @@ def make_cell(context: StageContext, known: StudyMaterial, fold: Fold, method: M
     )
     words = [words for one in fold.clips for words in one.words]
     annotator = prepare_annotator(store, method, templates, known.classes, lambda: words, calibration, queries)
-    remarks = (*annotator.remarks, *calibration.remarks)
+    masks = dict(enumerate(mask for one in fold.test_takes if (mask := one.known(store.known)) != ALL_KNOWN))
+    remarks = (*annotator.remarks, *calibration.remarks, *annotator.remarks_on(masks))
     return Cell(cell_key(fold, annotator, store), fold, method, annotator, remarks)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import and_
 
 import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import Classes
+from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.evaluation.scheme import Split
 from kinedex.pipelines.templates.learning import TrainingClips
@@ -43,6 +46,10 @@ class TestTake:
     take_ids: tuple[int, ...]
     frames: int
     truth: tuple[Truth, ...]
+
+    def known(self, masks: Mapping[int, int]) -> int:
+        """Return the mask of the features that all its takes know; `masks` has those of takes that lack some."""
+        return reduce(and_, (masks[take_id] for take_id in self.take_ids if take_id in masks), int(ALL_KNOWN))
 
 
 @dataclass(frozen=True)

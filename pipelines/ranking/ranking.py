@@ -25,6 +25,7 @@ from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.engine.executors import batches_of, cores
+from kinedex.pipelines.search.not_applied import Applicability, applicability
 from kinedex.pipelines.search.preselection import known_queries, preselect_stored, template_ranges, widest_margins
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
@@ -211,6 +212,14 @@ def rank_takes(
             templates, best, counts.tolist(), bounded.tolist(), seconds.tolist(), strict=True
         )
     ]
+
+
+def partly_known(
+    templates: Sequence[RankedTemplate], feature_set: FeatureSet, known: Mapping[int, int]
+) -> list[Applicability]:
+    """Return what the takes that lack features know of templates and their queries; `known` has their masks by id."""
+    queries = (query for one in templates for query in one.queries)
+    return applicability(feature_set, known.values(), {one.name: one.template for one in templates}, queries)
 
 
 def _batches(takes: pl.DataFrame, known: Mapping[int, int]) -> Iterator[tuple[int, tuple[int, ...]]]:

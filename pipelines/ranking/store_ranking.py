@@ -12,7 +12,8 @@ from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.console.wording import few
-from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, rank_takes, ranking_table
+from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, partly_known, rank_takes, ranking_table
+from kinedex.pipelines.search.not_applied import known_of, remarks_on
 from kinedex.pipelines.templates.stored_templates import choose_templates
 from kinedex.storage.store.store import Store
 
@@ -31,7 +32,8 @@ class StoreRanking:
     rate_hz : float
         The analysis rate of the store, in frames per second.
     remarks : tuple of str
-        Templates that were excluded, and those that were ranked in all frames though others have queries.
+        Templates that were excluded or not applied to some takes, and those that were ranked in all frames though
+        others have queries.
     """
 
     rankings: tuple[Ranking, ...]
@@ -97,6 +99,8 @@ def rank_store(
     given = [one for one in templates or () if not isinstance(one, str)]
     found = choose_templates(store, names, kind, stage) if names or templates is None else []
     ranked, remarks = ranked_templates([*found, *given], delta, queries, strict=templates is not None)
+    known = known_of(store.known, store.takes(where)["take_id"].to_list()) if store.known else {}
+    remarks += remarks_on(partly_known(ranked, store.feature_set, known), known)
     rankings = rank_takes(store, ranked, tau, top, where, workers)
     return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks))
 

@@ -19,6 +19,7 @@ from kinedex.ops.ranges import TakeRanges
 from kinedex.ops.words import I64
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.bit_slices import sliced_store
+from kinedex.pipelines.search.not_applied import applicability, known_of, remarks_on
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
@@ -164,6 +165,14 @@ def search_store(
         query.name: ranges_of_takes(ranges, query, store, takes) for query, ranges in zip(queries, found, strict=True)
     }
     return hits_table(hits, takes.ids, takes.names, store.rate_hz, run)
+
+
+def search_remarks(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> list[str]:
+    """Return remarks on queries that are not applied to some takes, or by their known entries only."""
+    if not store.known:
+        return []
+    known = known_of(store.known, SearchedTakes.of_store(store, take_filter).ids.tolist())
+    return remarks_on(applicability(store.feature_set, known.values(), {}, queries), known)
 
 
 def ranges_of_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes: SearchedTakes) -> TakeRanges:

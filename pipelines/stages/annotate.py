@@ -35,6 +35,7 @@ from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.search.not_applied import known_of, not_applied_table
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
@@ -83,11 +84,17 @@ class Annotate(Stage[AnnotationParameters]):
                 queries,
                 learned,
             )
-            remarks = [*annotator.remarks, *calibration.remarks, *params.without_effect()]
+            known = known_of(store.known, takes["take_id"].to_list())
+            remarks = [
+                *annotator.remarks, *calibration.remarks, *params.without_effect(), *annotator.remarks_on(known)
+            ]  # fmt: skip
             for remark in remarks:
                 context.say(remark)
             _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)
+            names = dict(takes.select("take_id", "name").iter_rows())
+            refused = not_applied_table(annotator.partly_known(known), known, names, context.run)
+            writer.put_results("not_applied", refused, stage=context.key(), run=context.run)
             writer.commit()
         share = _share_searched(done.searched, takes)
         context.say(

@@ -18,10 +18,11 @@ from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, rank_takes, ranking_table
+from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, partly_known, rank_takes, ranking_table
 from kinedex.pipelines.ranking.stiffness import mean_stiffness
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.search.explanation import explain_store
+from kinedex.pipelines.search.not_applied import known_of, not_applied_table, remarks_on
 from kinedex.pipelines.search.search import search_store
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.storage.store.store import Store
@@ -59,13 +60,17 @@ class Rank(Stage[Params]):
         searched, remarks = ranked_templates(
             [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
         )
-        for remark in remarks:
+        names = dict(store.takes(params.where).select("take_id", "name").iter_rows())
+        known = known_of(store.known, names)
+        partly = partly_known(searched, store.feature_set, known)
+        for remark in [*remarks, *remarks_on(partly, known)]:
             context.say(remark)
         rankings = _rank(context, store, searched, params)
         table = ranking_table(rankings, store.rate_hz, context.run)
         lists = _lists(store, searched, params.where)
         context.terminal.show(_shown(searched, rankings, lists))
-        context.put_results(ranked_hits=table)
+        refused = not_applied_table(partly, known, names, context.run)
+        context.put_results(ranked_hits=table, not_applied=refused)
         return {
             "templates": len(searched),
             "hits": table.num_rows,

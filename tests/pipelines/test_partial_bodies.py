@@ -19,23 +19,27 @@ from kinedex.catalog.queries.keyframe_query import (
     word_pattern,
 )
 from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import learn_soft, quantise
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
+from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
 from kinedex.pipelines.search.bit_slices import sliced_words
-from kinedex.pipelines.search.search import search_store
+from kinedex.pipelines.search.not_applied import applicability, not_applied_table
+from kinedex.pipelines.search.search import search_remarks, search_store
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from tests.oracles import known as naive
 from tests.oracles import runs as naive_runs
-from tests.pipelines.labelled import BODY, POSES, motion, write_store
+from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, motion, write_store
 
 EVERY = BODY.every_bit
 ARMS = BODY.known(["lknee", "lankle", "ltoes", "rknee", "rankle", "rtoes"])
@@ -289,3 +293,74 @@ def test_a_search_of_the_store_asks_of_each_take_what_it_knows(indexed: Store) -
     ]
     columns = (hits.column(name).to_pylist() for name in ("query", "take", "start", "stop"))
     assert list(zip(*columns, strict=True)) == expected
+
+
+def test_what_is_not_applied_is_reported(indexed: Store) -> None:
+    kick = KeyframeQuery("my kick", "kick", (Keyframe("upper", 0xFF, int(POSES["kick"][0]) & 0xFF),), ())
+    assert search_remarks(indexed, [kick]) == [
+        "queries not applied in 2 takes, where less than 60% of their entries are known: my kick"
+    ]
+    wide = KeyframeQuery("wide", "kick", (Keyframe("upper", 0x3FF0, int(POSES["kick"][0]) & 0x3FF0),), ())
+    assert search_remarks(indexed, [wide], "name = 'take_0'") == [
+        "queries applied by their known entries in 1 take whose bodies lack joints, 60% of them or more: wide"
+    ]
+    assert search_remarks(indexed, [wide], "name = 'take_1'") == []
+    known = indexed.known
+    found = annotator(queries=(kick,)).partly_known(known)
+    table = not_applied_table(found, known, {take: name for name, take in indexed.take_ids.items()}, "run")
+    rows = [(row["take"], row["kind"], row["name"], round(row["known"], 2)) for row in table.to_pylist()]
+    assert rows == [
+        ("take_0", "query", "my kick", 0.0),
+        *(("take_2", "template", name, 0.1) for name in ("kick", "rest", "walk")),
+        ("take_2", "query", "my kick", 0.5),
+    ]
+    assert applicability(BODY, [int(ALL_KNOWN), EVERY], {}, [kick]) == []
+
+
+class Blunt:
+    """A method of a plugin that knows nothing of masks."""
+
+    name, label, uses_thresholds = "blunt", "blunt", False
+
+    @classmethod
+    def prepare(cls, templates: ClassTemplates, clips: object) -> Blunt:
+        return cls()
+
+    def annotate(self, words: TakeWords, ranges: object) -> list[list[Segment]]:
+        return [[Segment(0, 5, 0, 0.1, 0)] for _ in range(len(words))]
+
+
+def test_a_method_that_needs_all_features_leaves_partial_bodies_alone_and_that_is_reported() -> None:
+    chosen = annotator(Blunt)
+    found = annotate_words(chosen, laid_out([(TAKE, MOST), (TAKE, int(ALL_KNOWN))]))
+    assert [len(one.segments) for one in found] == [0, 1]
+    assert chosen.remarks_on({7: MOST}) == [
+        "the method 'blunt' needs all features: 1 take whose bodies lack joints have no annotation"
+    ]
+
+
+def test_stages_store_what_is_not_applied(tmp_path: Path) -> None:
+    clips = [clip(name, actor, 1, pace) for name in ("kick", "walk") for actor, pace in (("a", 5), ("b", 6))]
+    takes = [
+        long_take("whole", "c", "rest", "kick", "walk"),
+        long_take("most", "c", "rest", "kick", "walk") | {"known": MOST},
+        long_take("few", "c", "rest", "kick", "walk") | {"known": 0b1111},
+    ]
+    for take in takes[1:]:
+        take["words"] = partial(take["words"], int(take["known"]))  # type: ignore[call-overload]
+    line = Line(write_store(tmp_path / "store", [*clips, *takes]))
+    line.run(LearnTemplates, where="class IS NOT NULL")
+    summary = line.run(Annotate, where="class IS NULL", method="thesis", store_curves=True)
+    remark = "templates not applied in 1 take, where less than 60% of their entries are known: kick, walk"
+    assert remark in summary["remarks"]
+    store = open_store(line.store)
+    rows = store.result("not_applied").to_pylist()
+    assert [(row["take"], row["kind"], row["name"]) for row in rows] == [
+        ("few", "template", "kick"),
+        ("few", "template", "walk"),
+    ]
+    found = {(row["take"], row["class"]) for row in store.result("annotations").to_pylist()}
+    assert found == {(take, name) for take in ("whole", "most") for name in ("kick", "walk")}
+    curves = {row["take"]: row["costs"] for row in store.result("distance_curves").to_pylist()}
+    assert np.isinf(curves["few"]).all()
+    assert verify(store) == []

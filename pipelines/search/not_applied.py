@@ -1,0 +1,138 @@
+"""Templates and queries that are not applied to takes whose bodies lack joints, as results and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery, query_share
+from kinedex.ops.known import LEAST_KNOWN, known_share
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.storage.snapshot.schemas import result_schema
+
+
+@dataclass(frozen=True)
+class Applicability:
+    """The share of the entries of one template or query that a take with a mask knows.
+
+    Attributes
+    ----------
+    kind : str
+        "template" or "query".
+    name : str
+        The subclass of the template, or the name of the query.
+    mask : int
+        The mask of the known features, with the bits of a word.
+    share : float
+        The share of its fixed entries that are known.
+    """
+
+    kind: str
+    name: str
+    mask: int
+    share: float
+
+    @property
+    def applied(self) -> bool:
+        """True where template or query are applied."""
+        return self.share >= LEAST_KNOWN
+
+
+def applicability(
+    feature_set: FeatureSet,
+    masks: Iterable[int],
+    templates: Mapping[str, QuantisedTemplate],
+    queries: Iterable[KeyframeQuery] = (),
+) -> list[Applicability]:
+    """Return what takes know of templates and queries that they do not know whole.
+
+    Parameters
+    ----------
+    feature_set : FeatureSet
+        The features of all of them.
+    masks : iterable of int
+        The masks of the known features of takes, with the bits of a word.
+    templates : mapping of str to QuantisedTemplate
+        The templates, by subclass.
+    queries : iterable of KeyframeQuery
+        The queries.
+
+    Returns
+    -------
+    list of Applicability
+        Those with a share below 1, mask by mask; templates come first.
+    """
+    asked = list(dict.fromkeys(queries))
+    found = []
+    for mask in sorted(set(masks)):
+        if mask & feature_set.every_bit == feature_set.every_bit:
+            continue
+        found += [
+            Applicability("template", name, mask, known_share(one.mask.tolist(), mask))
+            for name, one in templates.items()
+        ]
+        found += [Applicability("query", one.name, mask, query_share(one, feature_set, mask)) for one in asked]
+    return [one for one in found if one.share < 1]
+
+
+def remarks_on(found: Sequence[Applicability], known: Mapping[int, int]) -> list[str]:
+    """Return a sentence on what is not applied, and one on what is applied by its known entries.
+
+    Parameters
+    ----------
+    found : sequence of Applicability
+        Of the masks of takes.
+    known : mapping of int to int
+        Take id → mask of those takes that lack features.
+    """
+    remarks = []
+    for kind, plural in (("template", "templates"), ("query", "queries")):
+        own = [one for one in found if one.kind == kind]
+        refused = [one for one in own if not one.applied]
+        partly = [one for one in own if one.applied]
+        if refused:
+            remarks.append(
+                f"{plural} not applied in {_takes(refused, known)}, where less than {LEAST_KNOWN:.0%} of their entries "
+                f"are known: {_names(refused)}"
+            )
+        if partly:
+            least = min(one.share for one in partly)
+            remarks.append(
+                f"{plural} applied by their known entries in {_takes(partly, known)} whose bodies lack joints, "
+                f"{least:.0%} of them or more: {_names(partly)}"
+            )
+    return remarks
+
+
+def _takes(found: Sequence[Applicability], known: Mapping[int, int]) -> str:
+    masks = {one.mask for one in found}
+    return counted(sum(mask in masks for mask in known.values()), "take")
+
+
+def _names(found: Sequence[Applicability]) -> str:
+    return few(list(dict.fromkeys(one.name for one in found)))
+
+
+def not_applied_table(
+    found: Sequence[Applicability], known: Mapping[int, int], names: Mapping[int, str], run: str
+) -> pa.Table:
+    """Return what is not applied as results of the kind `not_applied`, a row for each take and template or query."""
+    by_mask: dict[int, list[Applicability]] = {}
+    for one in found:
+        if not one.applied:
+            by_mask.setdefault(one.mask, []).append(one)
+    rows = [
+        {"run": run, "take_id": take_id, "take": names[take_id], "kind": one.kind, "name": one.name, "known": one.share}
+        for take_id in sorted(known, key=lambda each: names[each])
+        for one in by_mask.get(known[take_id], ())
+    ]
+    return pa.Table.from_pylist(rows, schema=result_schema("not_applied"))
+
+
+def known_of(known: Mapping[int, int], take_ids: Iterable[int]) -> dict[int, int]:
+    """Return the masks of those of some takes that lack features."""
+    return {take_id: known[take_id] for take_id in take_ids if take_id in known} if known else {}
