@@ -53,11 +53,9 @@ class Figure:
     def limits(self) -> str:
         """Return the limits in words; empty where there are none."""
         unit = f" {self.unit}" if self.unit else ""
-        if self.low is not None and self.high is not None:
-            return f"{self.low:g} to {self.high:g}{unit}"
-        return (
-            f"at least {self.low:g}{unit}" if self.low is not None else f"at most {self.high:g}{unit}" * bool(self.high)
-        )
+        if self.low is not None:
+            return f"{self.low:g} to {self.high:g}{unit}" if self.high is not None else f"at least {self.low:g}{unit}"
+        return f"at most {self.high:g}{unit}" if self.high is not None else ""
 
     def off(self, value: object) -> bool:
         """Return whether a value lies beyond the limits; an unknown one does not."""

@@ -13,9 +13,10 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.quality import judged
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body
 
 body = load_feature_set()
 read_rounds._compile_kernels(body)
 load_mappings("auto", body.joints)
-code_digest(read_body, persons_of, analyse, blind, known_features)
+code_digest(read_body, persons_of, analyse, blind, known_features, judged)

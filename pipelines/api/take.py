@@ -488,9 +488,11 @@ def features(
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
     """Analyse a body as ingest does, and return it as a take."""
     from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+    from kinedex.pipelines.ingestion.quality import QUALITY_COLUMNS, judged
 
     positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
     known = known_features(feature_set, body)
+    figures, doubts = judged(body, feature_set.joints, QUALITY_COLUMNS)
     frames = Frames(
         np.ascontiguousarray(positions.transpose(2, 0, 1), np.float32),
         np.ascontiguousarray(orientation.T, np.float32),
@@ -507,8 +509,9 @@ def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[
         "frames": len(words),
         "seconds": body.frames / body.rate_hz,
         "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
-        "warnings": [*body.warnings, *blind(feature_set, body)],
+        "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
         "known": None if known == feature_set.every_bit else known,
+        **figures,
     }
     return Take(name, LoadedFrames(frames), len(words), feature_set, ANALYSIS_RATE_HZ, info)
 

@@ -18,6 +18,7 @@ from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
 from kinedex.pipelines.ingestion.known_files import FileContent, KnownFile, KnownFiles, Row, file_name
+from kinedex.pipelines.ingestion.quality import judged
 from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
 from kinedex.pipelines.ingestion.take_names import Naming, TakeNames, file_names, person_name
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
@@ -262,7 +263,7 @@ def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings)
 
     The format of an .npz is known when it is read: settings that count for any reader of an ending count for all.
     """
-    code = code_digest(read_body, persons_of, analyse, blind, known_features)
+    code = code_digest(read_body, persons_of, analyse, blind, known_features, judged)
     return {
         ending[1:]: digest(
             [features_digest(feature_set), code, *(_reader_recipe(reader, mappings, settings) for reader in readers)]

@@ -18,6 +18,7 @@ from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
+from kinedex.pipelines.ingestion.quality import judged
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings, source_bytes
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
@@ -67,7 +68,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Batch:
-    """The files that one task reads and writes as one frames part."""
+    """The files that one task reads and writes as one frames part, with the columns of figures that the store has."""
 
     store: Path
     feature_set: FeatureSet
@@ -77,6 +78,7 @@ class Batch:
     strict: bool
     tasks: tuple[Task, ...]
     memory: MemoryShare | None = None
+    figures: frozenset[str] = frozenset()
 
     @property
     def subject(self) -> str:
@@ -186,30 +188,35 @@ def _stamp(path: Path) -> tuple[int, int]:
 def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
     groups = dict(task.groups)
     known = known_features(batch.feature_set, body)
-    return groups | {
-        "take_id": task.take_id,
-        "name": task.name,
-        "source": task.motion.path,
-        "source_root": task.motion.root,
-        "checksum": content,
-        "source_bytes": task.motion.size,
-        "source_mtime_ns": task.motion.mtime_ns,
-        "format": task.motion.format,
-        "skeleton": body.skeleton,
-        "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
-        "recipe": task.recipe,
-        "unit": body.unit,
-        "source_rate_hz": body.rate_hz,
-        "source_frames": body.frames,
-        "rate_hz": batch.rate_hz,
-        "frames": len(words),
-        "seconds": body.frames / body.rate_hz,
-        "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
-        "actor": groups.pop("actor", None),
-        "class": groups.pop("class", None),
-        "clip": groups.pop("clip", None),
-        "groups": json.dumps(groups, sort_keys=True),
-        "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body)],
-        **({"person": task.person, "persons": task.persons} if task.persons > 1 else {}),
-        "known": None if known == batch.feature_set.every_bit else known,
-    }
+    figures, doubts = judged(body, batch.feature_set.joints, batch.figures)
+    return (
+        groups
+        | figures
+        | {
+            "take_id": task.take_id,
+            "name": task.name,
+            "source": task.motion.path,
+            "source_root": task.motion.root,
+            "checksum": content,
+            "source_bytes": task.motion.size,
+            "source_mtime_ns": task.motion.mtime_ns,
+            "format": task.motion.format,
+            "skeleton": body.skeleton,
+            "skeleton_source": task.skeleton.path if task.skeleton is not None else None,
+            "recipe": task.recipe,
+            "unit": body.unit,
+            "source_rate_hz": body.rate_hz,
+            "source_frames": body.frames,
+            "rate_hz": batch.rate_hz,
+            "frames": len(words),
+            "seconds": body.frames / body.rate_hz,
+            "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
+            "actor": groups.pop("actor", None),
+            "class": groups.pop("class", None),
+            "clip": groups.pop("clip", None),
+            "groups": json.dumps(groups, sort_keys=True),
+            "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body), *doubts],
+            **({"person": task.person, "persons": task.persons} if task.persons > 1 else {}),
+            "known": None if known == batch.feature_set.every_bit else known,
+        }
+    )

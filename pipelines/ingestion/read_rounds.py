@@ -13,6 +13,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops import textnumbers
 from kinedex.ops.body import features, kinematics
+from kinedex.ops.body.plausibility import plausibility
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import WorkerDied, batches_of
@@ -21,6 +22,7 @@ from kinedex.pipelines.ingestion.failures import Failure, failure, killer
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.pipelines.ingestion.quality import stored_figures
 from kinedex.pipelines.ingestion.task_batches import run_batches
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 from kinedex.storage.store.writer import StoreWriter
@@ -115,7 +117,7 @@ class ReadRounds:
             batches = [
                 Batch(
                     self.context.store_path, self.context.feature_set, self.writer.manifest.rate_hz, self.mappings,
-                    self.params.given, self.params.strict, part, memory,
+                    self.params.given, self.params.strict, part, memory, stored_figures(self.writer.columns),
                 )
                 for part in _batches(tasks, self.params.batch_mb * MEGABYTE, workers)
             ]  # fmt: skip
@@ -210,3 +212,4 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     textnumbers.parse_rows(b"0\n", 0, 1, 1)
     body, upright = np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2))
     features.words(body, upright, 30.0, feature_set.rules, None, feature_set.plugin_primitives)
+    plausibility(body, feature_set.joints, 30.0)

@@ -12,14 +12,17 @@ import pyarrow as pa
 from rich.console import Console
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.quality import FIGURES, quality_warnings
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import find_gaps
+from kinedex.ops.body.plausibility import Plausibility
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.tables import Shown, pairs
 from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.quality import figures_of
 from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
@@ -72,6 +75,11 @@ class Inspection:
     def add(self, name: str, text: str) -> None:
         """Add a fact."""
         self.lines.append((name, text))
+
+    def add_all(self, name: str, texts: Iterable[str]) -> None:
+        """Add facts one below the other, the first with their name."""
+        for i, text in enumerate(texts):
+            self.add("" if i else name, text)
 
 
 @dataclass(frozen=True)
@@ -288,9 +296,10 @@ def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Rea
         found.add("height", f"{height:.2f} m, legs and trunk stretched out")
     low = float(np.nanmin(body.positions[:, 1]))
     found.add("lowest point", f"{low:.2f} m")
-    warnings = [*body.warnings, *blind(feature_set, body)]
-    for i, warning in enumerate(warnings or ["none"]):
-        found.add("warnings" if i == 0 else "", warning)
+    figures = figures_of(body, feature_set.joints)
+    _add_recognition(found, body, figures)
+    warnings = [*body.warnings, *blind(feature_set, body), *quality_warnings(figures, body.rate_hz)]
+    found.add_all("warnings", warnings or ["none"])
     _, _, words = analyse(body, feature_set, _RATE_HZ)
     found.features = feature_shares(words, _RATE_HZ, feature_set, body.unknown)
     shares = dict(zip(*(found.features.column(name).to_pylist() for name in ("feature", "percent")), strict=True))
@@ -301,6 +310,27 @@ def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Rea
     never = [name for name, share in shares.items() if share == 0]
     if never:
         found.add("never on", " ".join(never))
+
+
+def _add_recognition(found: Inspection, body: Body, figures: Plausibility) -> None:
+    """Add how surely and by what the body was recognised, the joints that are estimated, and the figures."""
+    if body.evidence or body.confidence < 1:
+        found.add("confidence", f"{body.confidence:.2f} of 1")
+        found.add_all("evidence", body.evidence)
+    if body.estimated:
+        found.add("estimated joints", ", ".join(body.estimated))
+    found.add_all("up and sides", figures.reasons)
+    lines = []
+    for figure in FIGURES:
+        value = getattr(figures, figure.name)
+        shown = (value or "undecided") if isinstance(value, str) else f"{round(value, 4):.3g}"
+        limits = f", expected {figure.limits()}" if figure.limits() else ""
+        if figure.name == "fastest_m_s" and figures.fastest is not None:
+            limits = ", {} from source frame {}".format(*figures.fastest)
+        if value == value:  # not for NaN, the value of a figure that the joints do not show
+            unit = f" {figure.unit}" if figure.unit else ""
+            lines.append(f"{figure.name} {shown}{unit}{limits}{': OFF' if figure.off(value) else ''}")
+    found.add_all("quality", lines)
 
 
 def _percent(share: float) -> str:

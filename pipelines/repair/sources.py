@@ -15,6 +15,7 @@ from kinedex.pipelines.ingestion.changes import recipe_of, recipes
 from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
 from kinedex.pipelines.ingestion.file_batches import Batch, Task
 from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.pipelines.ingestion.quality import stored_figures
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
 from kinedex.storage.repair.quarantine import LostTake
 from kinedex.storage.store.store import Store
@@ -80,7 +81,7 @@ class Sources:
             found.batches.append(
                 Batch(
                     self.store.path, self.store.feature_set, self.store.rate_hz, reader.mappings, reader.params.given,
-                    False, tuple(those),
+                    False, tuple(those), figures=stored_figures(self.store.manifest.columns),
                 )
             )  # fmt: skip
         return found

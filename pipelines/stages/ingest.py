@@ -19,6 +19,7 @@ from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.file_list import file_table
 from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.pipelines.ingestion.quality import declarable_figures
 from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
@@ -67,7 +68,7 @@ class Ingest(Stage[IngestParameters]):
             if plan.renamed and not params.prune:
                 raise _named_otherwise(plan)
             _report_changes(context, params, found, plan)
-            _declare_groups(context, writer, params)
+            _declare_columns(context, writer, params)
             root = found.motions[0].root
             if not plan.renamed:
                 writer.record_source(root, context.key(), params.remembered)
@@ -114,8 +115,8 @@ class Ingest(Stage[IngestParameters]):
         }
 
 
-def _declare_groups(context: StageContext, writer: StoreWriter, params: IngestParameters) -> None:
-    """Declare the columns of the named groups; report those that cannot be columns of takes."""
+def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestParameters) -> None:
+    """Declare the columns of named groups and of figures; report those that cannot be columns of takes."""
     columns: dict[str, TakeColumn] = {}
     for name, column in params.group_columns.items():
         standing = writer.manifest.columns.get(name)
@@ -132,6 +133,10 @@ def _declare_groups(context: StageContext, writer: StoreWriter, params: IngestPa
                 "give it another name in `patterns`"
             )
     writer.declare_columns(columns)
+    figures, problems = declarable_figures(writer.columns)
+    for sentence in problems:
+        context.say(sentence)
+    writer.declare_columns(figures)
 
 
 def _no_motion_files(found: Scan, source: str) -> KinedexError:

@@ -139,6 +139,11 @@ class StoreWriter:
         return self._manifest.takes_schema
 
     @property
+    def columns(self) -> Mapping[str, TakeColumn]:
+        """The declared columns of takes, with those that were declared since the last commit."""
+        return self._manifest.columns
+
+    @property
     def store(self) -> Store:
         """The store as it was committed last."""
         return Store(self.path, self._committed, checked=self._checked)

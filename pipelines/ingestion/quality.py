@@ -1,0 +1,59 @@
+"""Quality of takes: the figures that ingest measures, their columns of `takes`, and the warnings on them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from kinedex.catalog.quality import FIGURES, quality_columns, quality_warnings
+from kinedex.ops.body.plausibility import Plausibility, plausibility
+from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
+
+QUALITY_COLUMNS = {figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES}
+"""The declarations of the columns of figures."""
+
+
+def figures_of(body: Body, joints: tuple[str, ...]) -> Plausibility:
+    """Measure the figures of a body, whose joints have these names."""
+    return plausibility(body.positions, joints, body.rate_hz, body.valid)
+
+
+def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return figures and warnings of a body.
+
+    Parameters
+    ----------
+    body : Body
+        The body that a reader returned.
+    joints : tuple of str
+        The names of its joints.
+    stored : collection of str
+        The columns of figures that the store has, see `stored_figures`.
+
+    Returns
+    -------
+    columns : dict of str to value
+        The figures of the stored columns, None for an unknown one.
+    warnings : list of str
+        A sentence for each figure beyond its limits.
+    """
+    figures = figures_of(body, joints)
+    columns = {name: value for name, value in quality_columns(figures).items() if name in stored}
+    return columns, quality_warnings(figures, body.rate_hz)
+
+
+def stored_figures(columns: Mapping[str, TakeColumn]) -> frozenset[str]:
+    """Return the figures among the declared columns of a store; a name that the user's columns have is none of them."""
+    return frozenset(name for name, column in columns.items() if name in QUALITY_COLUMNS and column.origin == "quality")
+
+
+def declarable_figures(columns: Mapping[str, TakeColumn]) -> tuple[dict[str, TakeColumn], list[str]]:
+    """Return the columns of figures that a store can declare, and a sentence for each that it cannot."""
+    problems = {name: column_problem(name, column, columns) for name, column in QUALITY_COLUMNS.items()}
+    sentences = [
+        f"the figure '{name}' of the quality of takes is no column: {problem}; name that column otherwise to have both"
+        for name, problem in problems.items()
+        if problem is not None
+    ]
+    return {name: column for name, column in QUALITY_COLUMNS.items() if problems[name] is None}, sentences
