@@ -281,8 +281,9 @@ def test_what_a_path_says_becomes_columns(tmp_path: Path) -> None:
     source, store = write_archive(tmp_path / "source", {"kick/x_bd_01.amc": 5, "x_odd.amc": 5}), tmp_path / "store"
     bring_in(store, source, patterns=[r"(?P<class>[^/]+)/x_(?P<actor>\w+)_(?P<clip>\d+)"])
     rows = open_store(store).takes().select("name", "actor", "class", "clip", "warnings").rows()
-    assert rows[0] == ("x_bd_01", "bd", "kick", "01", [])
-    assert rows[1] == ("x_odd", None, None, None, ["its path matches no pattern of the config"])
+    assert rows[0][:4] == ("x_bd_01", "bd", "kick", "01")
+    assert rows[1][:4] == ("x_odd", None, None, None)
+    assert [row[4].count("its path matches no pattern of the config") for row in rows] == [0, 1]
 
 
 def bring_in_bit_by_bit(store: Path, source: Path) -> None:
