@@ -31,10 +31,12 @@ from kinedex.storage.formats.motion.asf import INCH_M, read_asf
 from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.figures import Figure as SceneFigure
+from kinedex.storage.formats.motion.figures import FigureReader
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.position_files import parse_positions
-from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body, reader_of
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 
 F64 = npt.NDArray[np.float64]
 
@@ -44,6 +46,8 @@ SHOWN = 6
 _FORMATS = {
     ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".c3d": "C3D, markers", ".trc": "TRC, positions",
     ".csv": "CSV, positions", ".npz": "NPZ, positions", ".npy": "NPY, positions",
+    ".mvnx": "MVNX (Xsens MVN)", ".glb": "glTF", ".gltf": "glTF", ".vrm": "VRM (glTF)", ".vrma": "VRM (glTF)",
+    ".fbx": "FBX",
 }  # fmt: skip
 _UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # axis that is up → the axes drawn to the right, up, and to the right
 _AXES = ("x to the right, y up", "z to the right, y up")
@@ -122,15 +126,21 @@ def inspect_file(
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
     found.add("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    found.add("format", "NPZ, joint angles (AMASS)" if reader_of(file).format == "amass" else _FORMATS[ending])
+    found.add(
+        "format",
+        "NPZ, joint angles (AMASS)" if reader_of(file).format == "amass" else _FORMATS.get(ending, ending[1:].upper()),
+    )
     try:
         asf = skeleton_beside(file, source) if ending == ".amc" else None
         if asf is not None:
             found.add("skeleton file", str(asf))
-        raw = _raw(found, file, asf, mappings, given)
+        persons = persons_of(MotionFile(file), mappings)
+        if persons:
+            found.add("persons", f"{', '.join(persons)}; the first is shown")
+        raw = _raw(found, file, asf, mappings, given, *persons[:1])
         _add_mapping(found, raw, mappings)
         found.figure = raw.figure
-        body = read_body(file, asf, mappings, feature_set.joints, given)
+        body = read_body(file, asf, mappings, feature_set.joints, given, person=persons[0] if persons else "")
     except KinedexError as fault:
         found.fault = fault
         return found
@@ -163,7 +173,9 @@ def show(found: Inspection, console: Console, features: bool = False) -> None:
         console.print(Shown(found.features))
 
 
-def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: ReadSettings) -> _Skeleton:
+def _raw(
+    found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: ReadSettings, person: str = ""
+) -> _Skeleton:
     """Add the facts known before any mapping, and return the nodes."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
@@ -180,6 +192,8 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, gi
         axes = _UPRIGHT[markers.up or "z"]
         upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
         return _raw_points(found, file, "c3d", upright, markers.places(), axes)
+    if isinstance(reader := reader_of(file), FigureReader):
+        return _raw_scene(found, reader.figure(MotionFile(file, person=person), given), file)
     bvh = parse_bvh(file)
     _add_nodes(found, bvh.places)
     _add_time(found, bvh.rate_hz, len(bvh.channels))
@@ -187,6 +201,17 @@ def _raw(found: Inspection, file: Path, asf: Path | None, mappings: Mappings, gi
     positions, _ = kinematics.forward(bvh.nodes, bvh.channels[shown])
     bones = [(i, node.parent, MIDDLE) for i, node in enumerate(bvh.nodes) if node.parent >= 0]
     return _Skeleton("bvh", bvh.places, _raw_figure(file, positions, bones, _times(shown, bvh.rate_hz)))
+
+
+def _raw_scene(found: Inspection, scene: SceneFigure, file: Path) -> _Skeleton:
+    """Add the facts about the figure of a scene, and return its nodes."""
+    _add_nodes(found, scene.names)
+    _add_time(found, scene.rate_hz, scene.frames)
+    shown = _shown(scene.frames)
+    positions, _ = scene.poses.at(np.array(shown), 0)
+    bones = [(i, parent, MIDDLE) for i, parent in enumerate(scene.parents) if parent >= 0]
+    nodes = {name: i for i, name in enumerate(scene.names)}
+    return _Skeleton("bvh", nodes, _raw_figure(file, positions, bones, _times(shown, scene.rate_hz)))
 
 
 def _raw_poses(found: Inspection, file: Path, given: ReadSettings) -> _Skeleton:

@@ -199,3 +199,33 @@ def glb_numbers(data: bytes, random: Random) -> bytes:
 
 GLB: tuple[Mutation, ...] = (glb_header, glb_json, glb_json, glb_json, glb_numbers)
 """Mutations of a GLB file, besides those of its bytes."""
+
+
+_FBX_NAMES = (b"KeyTime", b"KeyValueFloat", b"KeyAttrFlags", b"Model", b"Connections", b"Objects", b"P", b"C")
+
+
+def fbx_record(data: bytes, random: Random) -> bytes:
+    """Change a number before or after the name of a record of an FBX file: an end, a count, a length."""
+    found = [match.start() for match in re.finditer(re.escape(random.choice(_FBX_NAMES)), data)]
+    if not found:
+        return data
+    at = random.choice(found) + random.choice((-25, -17, -13, -9, -5, -1, 1, 7, 8, 12, 16, 20))
+    new = random.choice((struct.pack("<I", random.choice((0, 1, 13, 1000, 0x7FFFFFFF, 0xFFFFFFFF))), b"\xff", b"\0"))
+    return data[: max(0, at)] + new + data[max(0, at) + len(new) :]
+
+
+def fbx_number(data: bytes, random: Random) -> bytes:
+    """A number of 64 bits of an FBX file is none, infinite, huge, or another object's."""
+    found = [match.start() for match in re.finditer(rb"[DL]", data)]
+    if not found:
+        return data
+    at = random.choice(found) + 1
+    values = (float("nan"), float("inf"), -1e300, 0.0, 1e6)
+    new = random.choice(
+        (struct.pack("<d", random.choice(values)), struct.pack("<q", random.choice((0, -1, 1001, 1 << 62))))
+    )
+    return data[:at] + new + data[at + 8 :]
+
+
+FBX: tuple[Mutation, ...] = (fbx_record, fbx_record, fbx_number)
+"""Mutations of a binary FBX file, besides those of its bytes."""

@@ -19,6 +19,7 @@ from tests import osim_files, point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d
+from tests.fbx_files import dancing_fbx
 from tests.gltf_files import dancing_gltf
 from tests.mvnx_files import dancing, mvnx_text, subject_text
 from tests.pipelines.archives import human_amc, human_asf
@@ -192,6 +193,17 @@ def glb() -> dict[str, bytes]:
 def gltf() -> dict[str, bytes]:
     """The same with the numbers in the JSON."""
     return {"skin": dancing_gltf(mixamo(), dance(mixamo(), 3)).gltf()}
+
+
+def fbx() -> dict[str, bytes]:
+    """Binary files of both widths of numbers, packed and not."""
+    scene = dancing_fbx(mixamo(), dance(mixamo(), 3))
+    return {"narrow": scene.binary(7400), "wide": scene.binary(7700), "plain": scene.binary(7300, packed=False)}
+
+
+def fbx_text() -> dict[str, bytes]:
+    """The same as text."""
+    return {"text": dancing_fbx(mixamo(), dance(mixamo(), 3)).text()}
 
 
 def c3d() -> dict[str, bytes]:

@@ -33,7 +33,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from tests.bodies import STANDING
 from tests.fuzz import seeds
-from tests.fuzz.binary import C3D, GLB, NPY, NPZ
+from tests.fuzz.binary import C3D, FBX, GLB, NPY, NPZ
 from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
 from tests.fuzz.words import (
     AMC_WORDS,
@@ -42,9 +42,11 @@ from tests.fuzz.words import (
     CSV_WORDS,
     DEEP_BVH,
     DEEP_EAF,
+    DEEP_FBX,
     DEEP_MVNX,
     DEEP_YAML,
     EAF_WORDS,
+    FBX_WORDS,
     GLTF_WORDS,
     JSON_WORDS,
     MOT_WORDS,
@@ -348,6 +350,8 @@ TARGETS: dict[str, Target] = {
         Target("mvnx", ".mvnx", seeds.mvnx, _text(MVNX_WORDS, DEEP_MVNX), check_persons),
         Target("glb", ".glb", seeds.glb, (*ANY, *GLB), check_persons),
         Target("gltf", ".gltf", seeds.gltf, _text(GLTF_WORDS, DEEP_YAML), check_persons),
+        Target("fbx", ".fbx", seeds.fbx, (*ANY, *FBX), check_persons),
+        Target("fbx-text", ".fbx", seeds.fbx_text, _text(FBX_WORDS, DEEP_FBX), check_persons),
         Target("c3d", ".c3d", seeds.c3d, (*ANY, *C3D, *C3D), check_motion),
         Target("c3d-parser", ".c3d", seeds.strange_c3d, (*ANY, *C3D, *C3D), check_strange_c3d),
         Target("amass", ".npz", seeds.amass, (*ANY, *NPZ, *NPZ), check_amass),

@@ -111,6 +111,12 @@ GLTF_WORDS = (
     *(b'"interpolation": "STEP",', b'"interpolation": "CUBICSPLINE",', b'"rotation": [0, 0, 0, 0],', b"1e999", b"NaN"),
     *(b'"extensions": {"VRM": {"humanoid": {"humanBones": [{"bone": "hips", "node": 1}]}}},', b'"name": "\\ud800",'),
 )
+FBX_WORDS = (
+    *(b"Objects:  {", b"}", b"{", b"*3 {", b"a: 1,2,3", b"KeyTime: *2 {", b"*1000000000 {", b'C: "OO",1001,1002', b";"),
+    *(b'P: "Lcl Rotation", "", "", "A",1e300,nan,0', b'P: "UnitScaleFactor", "", "", "",0', b'"', b"&quot;", b"1e999"),
+    *(b'P: "UpAxis", "", "", "",7', b'P: "RotationOrder", "", "", "",99', b"FBXVersion: 6100", b"9999999999999999999"),
+)
+DEEP_FBX = ((b"a: {", b"}"), (b"Pose: 1 {", b"}"), (b'"', b'"'), (b";", b"\n"), (b"Objects: {", b"}"))
 VTT_WORDS = (
     b"NOTE",
     b"STYLE",

@@ -100,15 +100,15 @@ def test_broken_bvh_files_are_logged_with_file_and_line_and_the_rest_comes_in(tm
 
 
 def test_formats_that_are_not_read_are_said_with_the_way_out(tmp_path: Path, source: Path) -> None:
-    (source / "b" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
+    (source / "b" / "dance.bip").write_bytes(b"Biped")
     (source / "b" / "dance.HTR").write_bytes(b"[Header]")
     summary, output = bring_in(tmp_path / "store", source)
     assert summary["not_read"] == 2
-    assert "1 file of a format not read (.fbx): convert it to BVH first" in output
+    assert "1 file of a format not read (.bip): export it as BVH" in output
     assert "1 file of a format not read (.htr)" in output
     (tmp_path / "only").mkdir()
-    (tmp_path / "only" / "dance.fbx").write_bytes(b"Kaydara FBX Binary")
-    with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh, .* below .* \(.fbx\): convert it to BVH"):
+    (tmp_path / "only" / "dance.bip").write_bytes(b"Biped")
+    with pytest.raises(KinedexError, match=r"no motion files \(.amc, .bvh, .* below .* \(.bip\): export it as BVH"):
         bring_in(tmp_path / "other", tmp_path / "only")
 
 

@@ -5,20 +5,24 @@ The readers of glTF, FBX and MVNX files give figures in metres and with Y up, by
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
-from kinedex.catalog.skeletons.mappings import Fit, Mappings
+from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.catalog.skeletons.units import body_height, guess_unit
+from kinedex.ops.body import kinematics
+from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
-from kinedex.storage.formats.motion.reader import Body, ReadSettings, body_bytes
+from kinedex.storage.formats.motion.points import root_orientation
+from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings, body_bytes
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -28,6 +32,8 @@ AT_ONCE = 1024
 
 MOST_FREE_FRAMES = 100_000
 """Frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
+
+_LEVEL, _UPRIGHT = 3.0, 35.0  # degrees by which hips and spine may be off in a pose of rest
 
 HEIGHTS_M = (0.4, 2.6)
 """Heights of a body, along legs and trunk, for which the unit that a file states is believed."""
@@ -39,6 +45,47 @@ class Poses(Protocol):
     def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
         """Return the places (N, 3, K) in K frames, and the rotations (9, K) of a node from its rest pose."""
         ...
+
+
+@dataclass(frozen=True)
+class ScenePoses:
+    """The poses of a figure whose nodes have transforms relative to their parents.
+
+    Attributes
+    ----------
+    parents : tuple of int
+        Parents of the figure's nodes and of all that they hang from.
+    shown : tuple of int
+        Places of the figure's N nodes in these.
+    local : callable
+        Returns rotation and scale (M, K, 3, 3), and places (M, K, 3), of all M nodes relative to their parents at K
+        times in seconds.
+    start : float
+        Seconds of the first frame.
+    rate_hz : float
+        Frames per second.
+    axes : float64 array (3, 3)
+        From the scene's axes and unit to metres with Y up.
+    rest : float64 array (N, 3, 3)
+        The turns of the nodes in the rest pose, in the scene's axes.
+    """
+
+    parents: tuple[int, ...]
+    shown: tuple[int, ...]
+    local: Callable[[F64], tuple[F64, F64]]
+    start: float
+    rate_hz: float
+    axes: F64
+    rest: F64
+
+    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
+        """Return the places of the nodes, and the rotation of one from its rest pose."""
+        with np.errstate(over="ignore", invalid="ignore"):  # such joints are refused as too far away
+            whole, places = global_transforms(self.parents, *self.local(self.start + frames / self.rate_hz))
+            shown = places[list(self.shown)] @ self.axes.T
+        turned = without_scale(whole[self.shown[oriented]]) @ self.rest[oriented].T
+        axes = self.axes / np.cbrt(abs(np.linalg.det(self.axes)))  # may be a mirror image
+        return np.ascontiguousarray(shown.transpose(0, 2, 1)), (axes @ turned @ axes.T).reshape(-1, 9).T
 
 
 @dataclass(frozen=True)
@@ -180,6 +227,32 @@ def clip_names(clips: Sequence[NamedClip]) -> tuple[str, ...]:
     return unique_names(found)
 
 
+class FigureReader(Reader):
+    """A reader of files whose bodies are figures in a scene; subclasses define `figure`."""
+
+    format: ClassVar[Format] = "bvh"
+
+    @abstractmethod
+    def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
+        """Return the figure of a file's person, without any mapping.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged or holds no motion; the error names the place of the first fault.
+        """
+
+    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
+        """Read a person of a file.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, holds no motion of a skeleton, or its body is not recognised.
+        """
+        return body_of_figure(file.path, self.figure(file, settings), mappings, joints, settings)
+
+
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names, later ones of equal names with a number: `Hips`, `Hips (2)`."""
     taken: set[str] = set()
@@ -249,7 +322,7 @@ def body_of_figure(
     refuse_far(path, positions, joints, fit.unknown)
     return Body(
         positions=positions,
-        orientation=mapped_orientation(fit, turned),
+        orientation=_orientation(fit, figure, turned, positions, joints),
         rate_hz=rate_hz,
         unit=unit,
         skeleton=fit.mapping.name,
@@ -270,6 +343,42 @@ def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]
         places, turned[:, part] = figure.poses.at(part, fit.root)
         positions[:, :, part] = fit.apply(places, joints)
     return positions, turned
+
+
+def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: tuple[str, ...]) -> F64:
+    """Return the root's turn: from the file where the rest pose stands upright and faces ahead, else by the body.
+
+    The pose that a file has as its rest may be any pose of a clip. Then the hips and the spine's base, which move with
+    the root, tell how far the root is turned in it. A body that was recognised has the turn of its hips and spine.
+    """
+    if {"lhip", "rhip", "root"} & set(fit.unknown):
+        return mapped_orientation(fit, turned)
+    if not fit.recognised:
+        rest = dict(zip(joints, fit.apply(figure.rest[:, :, None], joints), strict=True))
+        across, up = rest["lhip"] - rest["rhip"], fit.mapping.axes @ _spine_base(fit, figure)[:, None]
+        usual = fit.mapping.axes @ fit.mapping.root_axes.T
+        if _angle(across[:, 0], usual[:, 0]) <= _LEVEL and _angle(up[:, 0], usual[:, 1]) <= _UPRIGHT:
+            return mapped_orientation(fit, turned)
+        own = kinematics.frames_along(across, up).reshape(3, 3)
+        if np.isfinite(own).all():
+            return kinematics.quaternions(turned, fit.mapping.axes, fit.mapping.axes.T @ own)
+    return root_orientation(positions, joints, np.ones(positions.shape[2], np.bool_), [])
+
+
+def _spine_base(fit: Fit, figure: Figure) -> F64:
+    """Return the way from the root to the first node of the spine in the rest pose, in the file's axes."""
+    mix = fit.joints.get("chest")
+    node = fit.places[mix.names[0]] if mix is not None and not mix.of_joints else fit.root
+    while figure.parents[node] not in (fit.root, -1):
+        node = figure.parents[node]
+    way: F64 = figure.rest[node] - figure.rest[fit.root]
+    return way
+
+
+def _angle(a: F64, b: F64) -> float:
+    """Return the angle between vectors in degrees; 180 where one has no length."""
+    lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.degrees(np.arccos(np.clip(a @ b / lengths, -1.0, 1.0)))) if lengths else 180.0
 
 
 def _scale(path: Path, positions: F64, joints: tuple[str, ...], warnings: list[str]) -> str:

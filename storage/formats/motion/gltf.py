@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.keyframe_tracks import OFF_GRID, likely_rate, sample_track
 from kinedex.ops.body.transforms import global_transforms, rotations, without_scale
 from kinedex.storage.formats.motion.figures import (
-    I64,
     Figure,
+    FigureReader,
     Group,
-    body_of_figure,
+    ScenePoses,
     chosen_person,
     clip_names,
     figure_bytes,
@@ -25,7 +25,7 @@ from kinedex.storage.formats.motion.figures import (
     unique_names,
 )
 from kinedex.storage.formats.motion.gltf_document import Animation, Document, Node, Sampler, matrix_parts, read_gltf
-from kinedex.storage.formats.motion.reader import MOST_POINTS, Body, Extent, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.reader import MOST_POINTS, Extent, MotionFile, ReadSettings
 
 F64 = npt.NDArray[np.float64]
 
@@ -36,10 +36,9 @@ _HALF_TURN = np.diag([-1.0, 1.0, -1.0])
 """From the axes of VRM 0, whose avatars face −Z, to those of glTF."""
 
 
-class GltfReader(Reader):
+class GltfReader(FigureReader):
     """Reads .gltf and .glb files, and the avatars and animations of VRM, which are such files."""
 
-    format: ClassVar[Format] = "bvh"
     endings: ClassVar[tuple[str, ...]] = (".glb", ".gltf", ".vrm", ".vrma")
 
     def relevant_settings(self, settings: ReadSettings) -> object:
@@ -64,18 +63,11 @@ class GltfReader(Reader):
         names = clip_names(_clips(read_gltf(file.path)))
         return names if len(names) > 1 else ()
 
-    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a clip of a figure of a glTF file.
-
-        Raises
-        ------
-        SourceError
-            The file is damaged, or holds no animation of a skeleton; the error names the key of the first fault.
-        """
+    def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
+        """Return a figure with the motion of a clip."""
         document = read_gltf(file.path)
         clips = _clips(document)
-        clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
-        return body_of_figure(file.path, _figure(document, clip), mappings, joints, settings)
+        return _figure(document, clips[chosen_person(file.path, file.person, clip_names(clips))])
 
 
 @dataclass(frozen=True)
@@ -169,49 +161,30 @@ class _Track:
 
 
 @dataclass(frozen=True)
-class _Poses:
-    """A clip, sampled at a rate: the chain of nodes from the scene's roots to the figure's last ones."""
+class _Local:
+    """The transforms of nodes relative to their parents in a clip."""
 
-    chain: tuple[int, ...]
-    parents: tuple[int, ...]
-    shown: tuple[int, ...]
-    rest_linear: F64
-    rest_offsets: F64
-    rest_scales: F64
-    rest_turns: F64
+    linear: F64
+    offsets: F64
+    turns: F64
+    scales: F64
     tracks: Sequence[_Track]
-    start: float
-    rate_hz: float
-    axes: F64
-    unturned: F64
+    late: float
 
-    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
-        """Return the places of the figure's nodes, and the rotation of one from its rest pose."""
-        seconds = self.start + frames / self.rate_hz
-        count = len(frames)
-        offsets = np.repeat(self.rest_offsets[:, None], count, axis=1)
-        linear = np.repeat(self.rest_linear[:, None], count, axis=1)
-        for node in dict.fromkeys(track.node for track in self.tracks):
-            turned, scaled = self.rest_turns[node], self.rest_scales[node]
-            scales = np.repeat(scaled[None], count, axis=0)
-            turns = np.repeat(rotations(turned)[None], count, axis=0)
-            for track in self.tracks:
-                if track.node != node:
-                    continue
-                turning = track.path == "rotation"
-                late = OFF_GRID / self.rate_hz
-                found = sample_track(track.times, track.values, seconds, track.interpolation, turning, late)
-                if turning:
-                    turns = rotations(found[:, [3, 0, 1, 2]])
-                elif track.path == "scale":
-                    scales = found
-                else:
-                    offsets[node] = found
-            linear[node] = turns * scales[:, None, :]
-        whole, places = global_transforms(self.parents, linear, offsets)
-        shown = places[list(self.shown)] @ self.axes.T
-        turned = self.axes @ without_scale(whole[self.shown[oriented]]) @ self.unturned[oriented].T
-        return np.ascontiguousarray(shown.transpose(0, 2, 1)), turned.reshape(-1, 9).T
+    def __call__(self, seconds: F64) -> tuple[F64, F64]:
+        """Return rotation and scale, and places, at some times."""
+        offsets = np.repeat(self.offsets[:, None], len(seconds), axis=1)
+        linear = np.repeat(self.linear[:, None], len(seconds), axis=1)
+        moved: dict[int, dict[str, F64]] = {}
+        for track in self.tracks:
+            turning = track.path == "rotation"
+            found = sample_track(track.times, track.values, seconds, track.interpolation, turning, self.late)
+            moved.setdefault(track.node, {})[track.path] = rotations(found[:, [3, 0, 1, 2]]) if turning else found
+        for node, parts in moved.items():
+            offsets[node] = parts.get("translation", self.offsets[node])
+            turns = parts.get("rotation", rotations(self.turns[node]))
+            linear[node] = turns * parts.get("scale", self.scales[node])[..., None, :]
+        return linear, offsets
 
 
 def _figure(document: Document, clip: _Clip) -> Figure:
@@ -231,11 +204,10 @@ def _figure(document: Document, clip: _Clip) -> Figure:
             linear[i], offsets[i] = matrix_parts(nodes[node])
     axes = _HALF_TURN if "VRM" in document.content.extensions else np.eye(3)
     whole, places = global_transforms(parents, linear[:, None], offsets[:, None])
-    poses = _Poses(
-        chain, parents, shown, linear, offsets, scales, turns,
-        [replace(track, node=place[track.node]) for track in tracks if track.node in place],
-        float(times[0]), rate_hz, axes, axes @ without_scale(whole[list(shown), 0]),
-    )  # fmt: skip
+    kept = [replace(track, node=place[track.node]) for track in tracks if track.node in place]
+    local = _Local(linear, offsets, turns, scales, kept, OFF_GRID / rate_hz)
+    rest = without_scale(whole[list(shown), 0])
+    poses = ScenePoses(parents, shown, local, float(times[0]), rate_hz, axes, rest)
     sampled = f"its keys have times and no rate; they are sampled at {rate_hz:.6g} Hz"
     warnings = () if usual else (f"{sampled}, which is no usual rate: its keys lie on the frames of none",)
     evidence = ("glTF defines metres, and Y up", sampled) if usual else ("glTF defines metres, and Y up",)

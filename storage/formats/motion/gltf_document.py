@@ -328,7 +328,8 @@ class Document:
 
 
 def _normalised(raw: npt.NDArray[Any], dtype: str, normalized: bool) -> F64:
-    values: F64 = raw.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a float may be none; it is refused later
+        values: F64 = raw.astype(np.float64)
     return np.maximum(values / _LARGEST[dtype], -1.0) if normalized and dtype in _LARGEST else values
 
 

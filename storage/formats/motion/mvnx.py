@@ -9,17 +9,15 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.transforms import rotations
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.figures import I64, Figure, body_of_figure, chosen_person, figure_bytes
+from kinedex.storage.formats.motion.figures import I64, Figure, FigureReader, chosen_person, figure_bytes
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     SLOWEST_HZ,
-    Body,
     Extent,
     MotionFile,
-    Reader,
     ReadSettings,
 )
 from kinedex.storage.formats.mvnx import Subject, count_elements, read_mvnx, subject_names
@@ -53,10 +51,9 @@ _Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """MVN's axes, X forward, Y left and Z up, in kinedex's: X left, Y up and Z forward."""
 
 
-class MvnxReader(Reader):
+class MvnxReader(FigureReader):
     """Reads MVNX files; every subject is a person of its own."""
 
-    format: ClassVar[Format] = "bvh"
     endings: ClassVar[tuple[str, ...]] = (".mvnx",)
 
     def relevant_settings(self, settings: ReadSettings) -> object:
@@ -77,17 +74,11 @@ class MvnxReader(Reader):
         names = subject_names(read_mvnx(file.path))
         return names if len(names) > 1 else ()
 
-    def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read a subject of an MVNX file.
-
-        Raises
-        ------
-        SourceError
-            The file is damaged, or holds no frames of the body; the error names the line of the first fault.
-        """
+    def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
+        """Return the tree of a subject with its motion."""
         subjects = read_mvnx(file.path, ("position", "orientation"), file.person or None)
         subject = subjects[chosen_person(file.path, file.person, subject_names(subjects))]
-        return body_of_figure(file.path, figure_of(file.path, subject, settings), mappings, joints, settings)
+        return figure_of(file.path, subject, settings)
 
 
 def figure_of(path: Path, subject: Subject, settings: ReadSettings) -> Figure:

@@ -25,6 +25,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
         "mvnx": "kinedex.storage.formats.motion.mvnx:MvnxReader",
         "gltf": "kinedex.storage.formats.motion.gltf:GltfReader",
+        "fbx": "kinedex.storage.formats.motion.fbx:FbxReader",
     },
 )
 """Name → reader. Of readers that share an ending a plugin is asked first, then the built-in ones in this order."""

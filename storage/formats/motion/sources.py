@@ -18,7 +18,6 @@ from kinedex.storage.formats.motion.other_files import NO_MOTION, is_of_system, 
 from kinedex.storage.formats.motion.reader_table import is_motion_file, motion_endings
 
 UNREAD = {
-    ".fbx": "convert it to BVH first, for instance with Blender (import FBX, export BVH)",
     ".htr": "export it as BVH",
     ".bip": "export it as BVH",
 }

@@ -205,10 +205,10 @@ def test_joint_angles_are_described_with_and_without_a_body_model(tmp_path: Path
 
 
 def test_what_is_no_motion_file_is_refused_with_the_way_out(tmp_path: Path) -> None:
-    (tmp_path / "a.fbx").write_bytes(b"Kaydara")
+    (tmp_path / "a.bip").write_bytes(b"Biped")
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(SourceError, match="convert it to BVH first"):
-        inspect_file(tmp_path / "a.fbx")
+    with pytest.raises(SourceError, match="export it as BVH"):
+        inspect_file(tmp_path / "a.bip")
     with pytest.raises(SourceError, match="is not read: kinedex reads"):
         inspect_file(tmp_path / "a.txt")
     with pytest.raises(KinedexError, match="no such file"):

@@ -77,13 +77,13 @@ def test_a_scan_finds_files_in_any_letter_case_and_sees_changes(tmp_path: Path) 
 
 
 def test_motion_files_of_other_formats_are_counted_with_the_way_out(tmp_path: Path) -> None:
-    for name in ("a.fbx", "b.FBX", "c.htr", "d.bvh", "e.png"):
+    for name in ("a.bip", "b.BIP", "c.htr", "d.bvh", "e.png"):
         (tmp_path / name).write_text("1")
     found = scan(tmp_path)
     assert [file.path for file in found.motions] == ["d.bvh"]
     first, second = found.unread_lines()
     assert second.startswith("1 file of a format not read (.htr): ")
-    assert first.startswith("2 files of a format not read (.fbx): convert it to BVH first, for instance with Blender")
+    assert first.startswith("2 files of a format not read (.bip): export it as BVH")
 
 
 def test_a_source_that_is_no_folder_is_refused(tmp_path: Path) -> None:

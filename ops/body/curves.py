@@ -1,0 +1,95 @@
+"""Animation curves of single numbers: steps, straight lines and cubics between keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+CONSTANT, LINEAR, CUBIC = 0x2, 0x4, 0x8
+"""Flags of a key: how the curve goes on to the next one."""
+
+NEXT_VALUE = 0x100
+"""A constant key with this flag has the next key's value."""
+
+OWN_SLOPES = 0x400
+"""A cubic key with this flag states the slopes; those of others follow from the keys beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve over time.
+
+    Attributes
+    ----------
+    times : float64 array (K,)
+        Seconds of the keys, ascending.
+    values : float64 array (K,)
+        Their values.
+    flags : int64 array (K,), optional
+        `CONSTANT`, `LINEAR` or `CUBIC`, and more; None for straight lines.
+    slopes : float64 array (K, 4), optional
+        Slope after the key and slope before the next one, in values a second; the last two columns are not used.
+    """
+
+    times: F64
+    values: F64
+    flags: I64 | None = None
+    slopes: F64 | None = None
+
+    def at(self, seconds: F64, late: float = 0.0) -> F64:
+        """Return the values at some times; before the first key its value, after the last one that.
+
+        Parameters
+        ----------
+        seconds : float64 array (T,)
+            The times.
+        late : float
+            Seconds that a constant key may come after a sample that it counts for.
+        """
+        straight: F64 = np.interp(seconds, self.times, self.values)
+        if self.flags is None or self.slopes is None or len(self.times) < 2:
+            return straight
+        last = len(self.times) - 1
+        key = np.clip(np.searchsorted(self.times, seconds, side="right") - 1, 0, last - 1)
+        inside = (seconds > self.times[key]) & (seconds < self.times[key + 1])
+        cubic = inside & (self.flags[key] & CUBIC > 0)
+        if cubic.any():
+            straight[cubic] = self._cubic(key[cubic], seconds[cubic])
+        step = np.clip(np.searchsorted(self.times, seconds + late, side="right") - 1, 0, last)
+        constant = (self.flags[step] & CONSTANT > 0) & (step < last)
+        shown = np.where(self.flags[step] & NEXT_VALUE > 0, np.minimum(step + 1, last), step)
+        straight[constant] = self.values[shown[constant]]
+        return straight
+
+    def _cubic(self, key: I64, seconds: F64) -> F64:
+        """Return the values of cubics (Hermite) after some keys."""
+        flags, slopes = self.flags, self.slopes
+        assert flags is not None
+        assert slopes is not None
+        length = self.times[key + 1] - self.times[key]
+        s = (seconds - self.times[key]) / length
+        smooth = self._smooth()
+        own = flags[key] & OWN_SLOPES > 0
+        after = np.where(own, slopes[key, 0], smooth[key])
+        before = np.where(own, slopes[key, 1], smooth[key + 1])
+        first, second = self.values[key], self.values[key + 1]
+        return (
+            (2 * s**3 - 3 * s**2 + 1) * first
+            + length * (s**3 - 2 * s**2 + s) * after
+            + (3 * s**2 - 2 * s**3) * second
+            + length * (s**3 - s**2) * before
+        )
+
+    def _smooth(self) -> F64:
+        """Return a slope at each key: that between the keys beside it, and 0 at both ends and at extremes."""
+        slopes = np.zeros(len(self.times))
+        span = self.times[2:] - self.times[:-2]
+        rise = self.values[2:] - self.values[:-2]
+        extreme = (self.values[1:-1] - self.values[:-2]) * (self.values[2:] - self.values[1:-1]) <= 0
+        np.divide(rise, span, out=slopes[1:-1], where=(span > 0) & ~extreme)
+        return slopes
