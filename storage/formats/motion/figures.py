@@ -110,6 +110,8 @@ class Figure:
         Sentences on how the file was read, for `kinedex inspect`.
     warnings : tuple of str
         Reservations about the file.
+    upright : bool
+        True if the format defines that every node is unturned where the body stands upright and faces ahead.
     """
 
     names: tuple[str, ...]
@@ -120,6 +122,7 @@ class Figure:
     rate_hz: float
     evidence: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    upright: bool = False
 
 
 @dataclass(frozen=True)
@@ -351,6 +354,8 @@ def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: 
     The pose that a file has as its rest may be any pose of a clip. Then the hips and the spine's base, which move with
     the root, tell how far the root is turned in it. A body that was recognised has the turn of its hips and spine.
     """
+    if figure.upright and "root" not in fit.unknown:
+        return kinematics.quaternions(turned)
     if {"lhip", "rhip", "root"} & set(fit.unknown):
         return mapped_orientation(fit, turned)
     if not fit.recognised:

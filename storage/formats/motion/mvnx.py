@@ -121,6 +121,7 @@ def figure_of(path: Path, subject: Subject, settings: ReadSettings) -> Figure:
         rate_hz=rate_hz,
         evidence=("the file is of Xsens MVN, whose axes are X forward and Z up, in metres",),
         warnings=(*warnings, *_gaps(subject)),
+        upright=True,
     )
 
 
