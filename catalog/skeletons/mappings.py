@@ -397,11 +397,14 @@ def _mix(located: Located, parsed: _SkeletonFile, joint: str, value: object) -> 
         raise located.error(f"expected a node, nodes, virtual, null or a list of these; got {value!r}", "joints", joint)
     mix = located.model(_Mix, "joints", joint, data=value)
     weights = mix.virtual or mix.nodes or {}
-    direct = [name for name, what in parsed.joints.items() if what is not None and not _has_virtual(what)]
+    above = list(parsed.joints)[: list(parsed.joints).index(joint)]
+    direct = [
+        name for name, what in parsed.joints.items() if what is not None and (name in above or not _has_virtual(what))
+    ]
     for other in mix.virtual or ():
         if other not in direct:
             raise located.error(
-                f"a virtual joint is made of joints that the skeleton has; '{other}' is none"
+                f"a virtual joint is made of joints that the skeleton has, or virtual ones above it; '{other}' is none"
                 f"{did_you_mean(other, direct)}",
                 "joints", joint,
             )  # fmt: skip

@@ -17,6 +17,33 @@ mapping = group("mapping", "Make skeleton mappings, and keep them in a store.", 
 
 
 @command(of=mapping)
+def new(
+    file: Annotated[Path, typer.Argument(help="Motion file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="YAML", help="File to write.")],
+    person: Annotated[str, typer.Option(help="The person of a file of several.")] = "",
+    source: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+) -> None:
+    """Write a skeleton mapping for a motion file, to be edited.
+
+    It is the mapping that fits the names of the file, or a proposal by what is recognised in it, also where the file is
+    refused. Comments name what is estimated and what was not found.
+    """
+    from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
+
+    if output.exists() and not force:
+        raise KinedexError(f"{output}: exists already; give another name, or --force to overwrite it")
+    text = propose_mapping(file, output.stem, person, source)
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as fault:
+        raise KinedexError(f"{output}: cannot be written: {fault.strerror}") from None
+    print(visible(f"{output}: edit it, and check it by `kinedex inspect {file} --skeleton {output}`"))
+
+
+@command(of=mapping)
 def add(
     store: StorePath,
     files: Annotated[

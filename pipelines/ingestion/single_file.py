@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.formats.motion.reader_table import motion_endings
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.storage.formats.motion.reader import MotionFile
+from kinedex.storage.formats.motion.reader_table import motion_endings, persons_of
 from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
 
 ABOVE = 3
@@ -57,6 +59,36 @@ def skeleton_beside(amc: Path, source: Path | None = None) -> Path:
     for folder in (folder for folder in amc.parents if folder.is_relative_to(root)):
         skeletons += [_source(root, path) for path in sorted(folder.glob("*")) if path.suffix.lower() == ".asf"]
     return skeleton_of(_source(root, amc), skeletons).absolute
+
+
+def chosen_person(file: Path, skeleton: Path | None, mappings: Mappings, person: str) -> str:
+    """Return the person to read in a file; empty for a file of one person.
+
+    Parameters
+    ----------
+    file : Path
+        The motion file.
+    skeleton : Path, optional
+        Its skeleton file.
+    mappings : Mappings
+        Skeleton mappings in which the file's nodes are looked up.
+    person : str
+        The person that the user asks for, or nothing.
+
+    Raises
+    ------
+    SourceError
+        The file holds several persons and none is asked for, or it does not hold this one.
+    """
+    persons = persons_of(MotionFile(file, skeleton), mappings)
+    if person in persons or (not persons and not person):
+        return person
+    if not persons:
+        raise SourceError(file, f"holds one person, who has no name; leave out the person '{person}'")
+    names = ", ".join(f"'{name}'" for name in persons)
+    if person:
+        raise SourceError(file, f"holds no person '{person}'{did_you_mean(person, persons)} (it holds {names})")
+    raise SourceError(file, f"holds {len(persons)} persons, {names}; give one of them as the person")
 
 
 def _source(root: Path, path: Path) -> SourceFile:

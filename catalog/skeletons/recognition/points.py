@@ -88,6 +88,25 @@ def recognise_points(
     SourceError
         The points are no human body, or too few of their labels are known; the message lists what was found.
     """
+    fit, refusal = _recognised(evidence, joints, form)
+    if refusal:
+        raise SourceError(source, refusal)
+    return fit
+
+
+def propose_points(evidence: Evidence, joints: tuple[str, ...], form: Format = "positions") -> Fit:
+    """Return the best fit to points, however bad it is: a proposal for a person to edit.
+
+    Parameters
+    ----------
+    evidence, joints, form
+        As for `recognise_points`.
+    """
+    return _recognised(evidence, joints, form)[0]
+
+
+def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format) -> tuple[Fit, str]:
+    """Return the best fit, and the reason for which it is no body, or nothing."""
     landmarks = load_landmarks()
     reading = landmarks.read(evidence.names)
     index = {name: i for i, name in enumerate(evidence.names)}
@@ -100,17 +119,16 @@ def recognise_points(
     places = {joint: place for joint in joints if (place := draft.place(joint)) is not None}
     proportions = check_proportions(places)
     refusal = _refusal(draft, reading, proportions)
-    if refusal:
-        raise SourceError(source, f"{refusal}{_found(draft, reading, evidence)}")
     axes, reasons = _upright(places, evidence)
     fit = _mapping(draft, reading, joints, axes, form).fit(index)
     counted = f"{reading.known} of {len(evidence.names)} labels name {'landmarks' if reading.skin else 'joints'}"
-    return replace(
+    found = replace(
         fit,
         estimated=dict(draft.estimated),
         reasons=(counted, *reasons, *proportions.reasons),
         confidence=proportions.confidence,
     )
+    return found, f"{refusal}{_found(draft, reading, evidence)}" if refusal else ""
 
 
 def _regressions(draft: _Draft, landmarks: Landmarks, reading: Reading, joints: Sequence[str]) -> None:

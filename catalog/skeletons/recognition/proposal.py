@@ -12,6 +12,16 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
 
 F64 = npt.NDArray[np.float64]
 
+_HELP = (
+    "# Edit what is wrong. Left are the joints, which keep their names; right is what each is made of:",
+    "#   a node: LeftFoot",
+    "#   several nodes, by weights: {nodes: {LASI: 0.5, RASI: 0.5}}; below markers on the skin, off a plane:",
+    "#     {nodes: {LASI: 1}, aside: {plane: [LASI, RASI, SACR], times: 0.1}}",
+    "#   other joints, by weights: {virtual: {neck: -1, head: 2}}",
+    "#   null, where there is no such joint; or a list of these, of which the first that is there counts",
+    "# up and facing are axes of the file; unit_m is the metres of its unit, or guess.",
+)
+
 
 def mapping_yaml(fit: Fit, name: str | None = None) -> str:
     """Return the mapping of a fit as YAML that `load_skeleton` reads.
@@ -29,9 +39,9 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
         Comments state how the body was recognised, and which joints are estimated or unknown.
     """
     mapping = fit.mapping
-    lines = [f"# Recognised with a confidence of {fit.confidence:.2f}. Edit what is wrong; a joint may be"]
-    lines += ["#   a node, {nodes: {a: 0.5, b: 0.5}}, {virtual: {neck: -1, head: 2}} of other joints, or null."]
+    lines = [f"# Recognised with a confidence of {fit.confidence:.2f}:"]
     lines += [f"# - {' '.join(reason.split())}" for reason in fit.reasons]
+    lines += ["", *_HELP]
     _, up, ahead = (_axis(row) for row in mapping.axes)
     handed = "right" if np.linalg.det(mapping.axes) > 0 else "left"
     lines += ["", f"name: {scalar(name or mapping.name)}", f"format: {mapping.format}"]
@@ -47,12 +57,12 @@ def mapping_yaml(fit: Fit, name: str | None = None) -> str:
         lines.append(f"  {scalar(bone)}: {{{_weights(weights.items())}}}")
     lines += ["", "joints:"]
     for joint, mixes in mapping.joints.items():
-        mix = mixes[0] if mixes else None
-        if mix is None:
+        choices = [_mix(mix) for mix in mixes if mix is not None]
+        if not choices:
             lines.append(f"  {joint}: null  # not found")
         else:
             how = f"  # estimated: {fit.estimated[joint]}" if joint in fit.estimated else ""
-            lines.append(f"  {joint}: {_mix(mix)}{how}")
+            lines.append(f"  {joint}: {choices[0] if len(choices) == 1 else '[' + ', '.join(choices) + ']'}{how}")
     unused = [node for node in fit.places if node not in {n for m in fit.joints.values() if m for n in m.names}]
     lines += ["", f"# Nodes that no joint is made of: {', '.join(map(scalar, unused)) or 'none'}", ""]
     return "\n".join(lines)
@@ -66,7 +76,7 @@ def _axis(row: F64) -> str:
 def _mix(mix: Mix) -> str:
     if mix.node is not None:
         return scalar(mix.node)
-    weights = _weights(mix.weights)
+    weights = _weights(_rounded(mix))
     if mix.of_joints:
         return f"{{virtual: {{{weights}}}}}"
     if not mix.plane:
@@ -77,3 +87,10 @@ def _mix(mix: Mix) -> str:
 
 def _weights(pairs: Iterable[tuple[str, float]]) -> str:
     return ", ".join(f"{scalar(name)}: {weight:.6g}" for name, weight in pairs)
+
+
+def _rounded(mix: Mix) -> list[tuple[str, float]]:
+    """Return the weights with six digits behind the point, the last one so that they add up to 1."""
+    names, weights = [name for name, _ in mix.weights], [round(weight, 6) for _, weight in mix.weights]
+    weights[-1] = round(1.0 - sum(weights[:-1]), 6)
+    return list(zip(names, weights, strict=True))

@@ -1,0 +1,115 @@
+"""A skeleton mapping for a motion file, written for a person to edit: of recognition, or of the nearest mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from kinedex.catalog.configs import read_text, scalar
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.catalog.skeletons.recognition.points import propose_points
+from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
+from kinedex.catalog.skeletons.recognition.recognised_tree import propose_tree
+from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
+from kinedex.catalog.skeletons.watched_mappings import Question, WatchedMappings
+from kinedex.ops.errors import SourceError
+from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body
+
+
+def propose_mapping(
+    file: Path, name: str, person: str = "", source: Path | None = None, given: ReadSettings = DEFAULT_SETTINGS
+) -> str:
+    """Return a mapping for a motion file as YAML, also where the file is refused.
+
+    Parameters
+    ----------
+    file : Path
+        The motion file.
+    name : str
+        The name of the mapping.
+    person : str, optional
+        The person of a file of several.
+    source : Path, optional
+        The source root, up to which the ASF of an AMC file is looked for.
+    given : ReadSettings, optional
+        Rate, gaps and body model that the user gives.
+
+    Raises
+    ------
+    KinedexError
+        The file is damaged, is no motion file, or holds no nodes with names.
+    """
+    joints = load_feature_set().joints
+    mappings = WatchedMappings.of_mappings(load_mappings("auto", joints))
+    asf = skeleton_beside(file, source) if motion_ending(file) == ".amc" else None
+    fault: SourceError | None = None
+    try:
+        read_body(file, asf, mappings, joints, given, person=chosen_person(file, asf, mappings, person))
+    except SourceError as refused:
+        fault = refused
+    asked = mappings.question
+    if asked.form is None:
+        raise fault or SourceError(file, "its reader needs no skeleton mapping")
+    return _comment(file, person, fault) + _proposal(asked, mappings, joints, name)
+
+
+def _proposal(asked: Question, mappings: WatchedMappings, joints: tuple[str, ...], name: str) -> str:
+    """Return the mapping that fits, that recognition proposes, or the nearest one with what it lacks."""
+    if asked.form is None:
+        return ""
+    if asked.fit is not None and not asked.fit.reasons:
+        return _renamed(asked.fit, name)
+    if asked.evidence is None:
+        near = mappings.nearest(asked.form, asked.nodes)
+        return "" if near is None else _lacking(near, asked) + _renamed(near, name)
+    if asked.evidence.parents is None:
+        fit = asked.fit or propose_points(asked.evidence, joints, asked.form)
+    else:
+        fit = asked.fit or propose_tree(asked.evidence, joints, asked.form, mappings.vocabulary)
+    return mapping_yaml(_of_nodes(fit, asked.nodes), name)
+
+
+def _of_nodes(fit: Fit, nodes: Mapping[str, int]) -> Fit:
+    """Return a fit without the ends of bones that mappings do not see, since they lie where their joint is."""
+
+    def seen(name: str) -> str:
+        joint = name.removesuffix("_end")
+        return joint if name not in nodes and joint in nodes else name
+
+    def of_seen(mix: Mix | None) -> Mix | None:
+        if mix is None or mix.of_joints:
+            return mix
+        weights: dict[str, float] = {}
+        for name, weight in mix.weights:
+            weights[seen(name)] = weights.get(seen(name), 0.0) + weight
+        return replace(mix, weights=tuple(weights.items()))
+
+    joints = {joint: tuple(map(of_seen, mixes)) for joint, mixes in fit.mapping.joints.items()}
+    return replace(fit, mapping=replace(fit.mapping, joints=joints))
+
+
+def _comment(file: Path, person: str, fault: SourceError | None) -> str:
+    """Return the lines above a mapping."""
+    whose = f", person {person}" if person else ""
+    lines = [f"# A skeleton mapping for files like {file.name}{whose}.".replace("\n", " ")]
+    if fault is not None:
+        lines.append(f"# Without it, the file is refused: {' '.join(fault.reason.split())}")
+    lines.append("# Check it: kinedex inspect FILE --skeleton THIS.yaml; use it: kinedex mapping add STORE THIS.yaml")
+    return "\n".join(lines) + "\n\n"
+
+
+def _renamed(fit: Fit, name: str) -> str:
+    """Return the text of a mapping file under another name."""
+    text = read_text(fit.mapping.path)
+    lines = [f"name: {scalar(name)}" if line.startswith("name:") else line for line in text.splitlines()]
+    return f"# A copy of the mapping '{fit.mapping.name}'.\n" + "\n".join(lines) + "\n"
+
+
+def _lacking(near: Fit, asked: Question) -> str:
+    """Return comments on what the nearest mapping lacks in a file, and on the nodes that the file has."""
+    lines = [f"# The file has no '{node}', for {what}." for what, node in near.missing.items()]
+    return "\n".join([*lines, f"# Its nodes: {', '.join(asked.nodes)}"]) + "\n"
