@@ -96,3 +96,30 @@ def qualisys_tsv(
         cells = [missing if np.isnan(x) else f"{x:.3f}" for x in row.ravel()]
         lines.append("\t".join([*(str(t + 1), f"{t / rate:.5f}")[:leading], *cells]))
     return "\r\n".join([*lines, ""])
+
+
+def keypoints_of(names: Sequence[str], frames: int) -> np.ndarray:
+    """The standing figure, walking, as keypoints of some names such as left_hip: (frames, points, 3) in metres."""
+    middle = {"neck": "neck", "mid_hip": "root", "head_top": "headtop"}
+    feet = {"big_toe": (0.0, 0.0, 0.0), "small_toe": (0.04, 0.0, -0.02), "foot_index": (0.0, 0.0, 0.0)}
+    pose = []
+    for name in names:
+        side, _, part = name.partition("_")
+        out = np.array([1.0 if side == "left" else -1.0, 1.0, 1.0])
+        if name in middle:
+            pose.append(np.array(STANDING[middle[name]]))
+        elif f"{side[0]}{part}" in STANDING:
+            pose.append(np.array(STANDING[f"{side[0]}{part}"]))
+        elif part in feet:
+            pose.append(np.array(STANDING[f"{side[0]}toes"]) + out * feet[part])
+        elif part == "heel":
+            pose.append(np.array(STANDING[f"{side[0]}ankle"]) + np.array([0.0, -0.06, -0.05]))
+        elif part in ("pinky", "index", "thumb"):
+            pose.append(
+                np.array(STANDING[f"{side[0]}fingers"]) + out * {"pinky": -0.02, "index": 0.02, "thumb": 0.04}[part]
+            )
+        else:  # the face
+            pose.append(np.array([0.0, 1.62, 0.1]) + out * np.array([0.0 if name == "nose" else 0.04, 0.0, 0.0]))
+    walked = np.repeat(np.array(pose, float)[None], frames, axis=0)
+    walked[:, :, 2] += np.arange(frames)[:, None] * 0.01
+    return walked

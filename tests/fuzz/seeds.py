@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_ske
 from kinedex.storage.formats.labels.formats import FORMATS
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.formats.motion.body_models import BODY, HANDS
+from kinedex.storage.formats.motion.keypoint_sets import BODY_25, COCO_17
 from tests import osim_files, point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
@@ -126,6 +128,17 @@ def qualisys() -> dict[str, bytes]:
     gaps[2, 5] = np.nan
     bare = point_files.qualisys_tsv(gaps, list(STANDING), heads=False, leading=0, missing="NULL")
     return {"heads": point_files.qualisys_tsv(points, list(STANDING)).encode(), "bare": bare.encode()}
+
+
+def keypoints() -> dict[str, bytes]:
+    """Frames of a list and of MMPose with names, and a frame of OpenPose."""
+    walk = point_files.keypoints_of(COCO_17, 4)
+    plain = {"fps": 30, "frames": [{"keypoints_3d": places.tolist()} for places in walk.round(4)]}
+    mmpose = {"meta_info": {"keypoint_id2name": dict(enumerate(COCO_17))}, "fps": 30}
+    mmpose["instance_info"] = [{"instances": [{"track_id": 7, "keypoints": p.tolist()}]} for p in walk.round(4)]
+    flat = [*point_files.keypoints_of(BODY_25, 1)[0].round(3).ravel().tolist()]
+    one = {"fps": 30, "people": [{"person_id": [-1], "pose_keypoints_3d": flat}]}
+    return {"plain": json.dumps(plain).encode(), "mmpose": json.dumps(mmpose).encode(), "one": json.dumps(one).encode()}
 
 
 def trc() -> dict[str, bytes]:

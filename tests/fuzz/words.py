@@ -64,6 +64,18 @@ QUALISYS_WORDS = (
     ),
     *(b"TRAJECTORY_TYPES\tMeasured\n", b"Frame\tTime\t", b"0.000\t0.000\t0.000\t", b"\t\t\t"),
 )
+KEYPOINT_WORDS = (
+    *(
+        b'"frames":',
+        b'"people":[',
+        b'"instances":[',
+        b'"keypoints":',
+        b'"pose_keypoints_2d":[1,2,0.5],',
+        b'"track_id":1,',
+    ),
+    *(b'"world_landmarks":', b'{"x":1,"y":2,"z":3},', b"null,", b"NaN,", b"-Infinity,", b"[],", b"{},", b'"fps":0,'),
+    *(b'"timestamp_ms":5,', b'"names":["a","a"],', b"1e999,", b"9" * 400),
+)
 
 EAF_WORDS = (
     *(

@@ -22,6 +22,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "nexus": "kinedex.storage.formats.motion.nexus:NexusReader",
         "opensim": "kinedex.storage.formats.motion.opensim:OpenSimReader",
         "qualisys": "kinedex.storage.formats.motion.qualisys:QualisysReader",
+        "keypoints": "kinedex.storage.formats.motion.keypoint_json:KeypointReader",
         "positions": "kinedex.storage.formats.motion.positions:PositionsReader",
         "mvnx": "kinedex.storage.formats.motion.mvnx:MvnxReader",
         "gltf": "kinedex.storage.formats.motion.gltf:GltfReader",
