@@ -388,6 +388,7 @@ def read(
     mapping: str | Path | None = None,
     rate: float | None = None,
     *,
+    person: str = "",
     feature_set: str | Path = FEATURES,
 ) -> Take:
     """Read one motion file of any supported format.
@@ -401,6 +402,8 @@ def read(
         names of its joints.
     rate : float, optional
         Frames per second of the file, where it does not state them or states them wrongly.
+    person : str, optional
+        The person of a file that holds several; `kinedex inspect` lists them.
     feature_set : str or Path, optional
         A shipped feature set, or the path of a YAML file.
 
@@ -412,7 +415,7 @@ def read(
     Raises
     ------
     SourceError
-        The file cannot be read; the message names file, line and reason.
+        The file cannot be read, or holds several persons and none is given; the message names file, line and reason.
     KinedexError
         There is no such file or mapping.
     ParameterError
@@ -427,7 +430,8 @@ def read(
     120.0
     """
     from kinedex.catalog.skeletons.mappings import load_mappings
-    from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
+    from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
+    from kinedex.pipelines.ingestion.take_names import person_name
     from kinedex.storage.formats.motion.reader import ReadSettings
     from kinedex.storage.formats.motion.reader_table import read_body
 
@@ -437,9 +441,10 @@ def read(
     asf = skeleton_beside(file) if motion_ending(file) == ".amc" else None
     features = load_feature_set(feature_set)
     mappings = load_mappings("auto" if mapping is None else str(mapping), features.joints)
-    body = read_body(file, asf, mappings, features.joints, ReadSettings(override_rate_hz=rate))
+    person = chosen_person(file, asf, mappings, person)
+    body = read_body(file, asf, mappings, features.joints, ReadSettings(override_rate_hz=rate), person=person)
     about = {"source": str(file), "format": file.suffix[1:].lower(), "skeleton_source": asf and str(asf)}
-    return take_of_body(file.stem, body, features, about)
+    return take_of_body(person_name(file.stem, person), body, features, about)
 
 
 @checked

@@ -39,6 +39,7 @@ def inspect(
     source: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
     ] = None,
+    person: Annotated[str, typer.Option(help="Person of a file of several; the first unless given.")] = "",
     rate: RateOption = None,
     fill_gap_frames: Annotated[
         int | None, typer.Option(min=0, help="Longest gap of a point that is filled; 0.1 s unless given.")
@@ -59,7 +60,7 @@ def inspect(
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
 
-    found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model))
+    found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model), person)
     path = picture or Path(f"{file.stem}.png")
     drawn = write_picture(found, path)
     if drawn:

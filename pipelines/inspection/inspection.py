@@ -23,7 +23,7 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.tables import Shown, pairs
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.quality import figures_of
-from kinedex.pipelines.ingestion.single_file import motion_ending, skeleton_beside
+from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
 from kinedex.storage.formats.motion.amass import parse_amass
@@ -34,6 +34,7 @@ from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.figures import Figure as SceneFigure
 from kinedex.storage.formats.motion.figures import FigureReader
 from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.points_reader import PointsReader
 from kinedex.storage.formats.motion.position_files import parse_positions
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
@@ -96,7 +97,11 @@ class _Skeleton:
 
 
 def inspect_file(
-    file: Path, skeleton: str = "auto", source: Path | None = None, given: ReadSettings = DEFAULT_SETTINGS
+    file: Path,
+    skeleton: str = "auto",
+    source: Path | None = None,
+    given: ReadSettings = DEFAULT_SETTINGS,
+    person: str = "",
 ) -> Inspection:
     """Collect the facts about a motion file, as far as they can be known where it is unreadable.
 
@@ -108,8 +113,10 @@ def inspect_file(
         `auto`, the name of a shipped mapping, or the path of one.
     source : Path or None
         The source root; the ASF of an AMC file is looked for up to it, or up to three folders above the file.
-    given : Given
+    given : ReadSettings
         Rate, gaps and body model that the user gives.
+    person : str
+        The person to describe in a file of several; unless given, the first, and the others in a line each.
 
     Returns
     -------
@@ -134,19 +141,39 @@ def inspect_file(
         asf = skeleton_beside(file, source) if ending == ".amc" else None
         if asf is not None:
             found.add("skeleton file", str(asf))
-        persons = persons_of(MotionFile(file), mappings)
+        persons = persons_of(MotionFile(file, asf), mappings)
+        chosen = chosen_person(file, asf, mappings, person) if person or not persons else persons[0]
         if persons:
-            found.add("persons", f"{', '.join(persons)}; the first is shown")
-        raw = _raw(found, file, asf, mappings, given, *persons[:1])
-        _add_mapping(found, raw, mappings)
-        found.figure = raw.figure
-        body = read_body(file, asf, mappings, feature_set.joints, given, person=persons[0] if persons else "")
+            found.add("persons", f"{len(persons)}: {', '.join(persons)}; each becomes a take")
+            _add_persons(found, file, [name for name in persons if name != chosen and not person], mappings, given)
+            found.add("person", chosen)
+        raw = _raw(found, file, asf, mappings, given, chosen)
+        if raw is not None and not persons:
+            _add_mapping(found, raw, mappings)
+        found.figure = raw.figure if raw is not None else None
+        body = read_body(file, asf, mappings, feature_set.joints, given, person=chosen)
     except KinedexError as fault:
         found.fault = fault
         return found
+    if raw is None or persons:
+        found.add("mapping", body.skeleton)
     _add_body(found, body, feature_set, given)
     found.figure = _figure(file, body, feature_set.joints)
     return found
+
+
+def _add_persons(found: Inspection, file: Path, persons: list[str], mappings: Mappings, given: ReadSettings) -> None:
+    """Add a line for each of some persons in a file."""
+    joints = load_feature_set().joints
+    for person in persons:
+        try:
+            body = read_body(file, None, mappings, joints, given, person=person)
+        except SourceError as fault:
+            found.add("", f"{person} cannot be read: {fault.reason}")
+            continue
+        height = body_height(body.positions, joints)
+        tall = "" if height is None else f", {height:.2f} m tall"
+        found.add("", f"{person}: mapping {body.skeleton}, {body.frames / body.rate_hz:.2f} s{tall}")
 
 
 def write_picture(found: Inspection, path: Path) -> bool:
@@ -175,24 +202,30 @@ def show(found: Inspection, console: Console, features: bool = False) -> None:
 
 def _raw(
     found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: ReadSettings, person: str = ""
-) -> _Skeleton:
-    """Add the facts known before any mapping, and return the nodes."""
+) -> _Skeleton | None:
+    """Add the facts known before any mapping, and return the nodes; None for a reader of a plugin."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
         _add_nodes(found, nodes)
         return _Skeleton("acclaim", nodes)
-    if reader_of(file).format == "positions":
+    reader = reader_of(file)
+    if reader.distribution:
+        return None
+    if isinstance(reader, PointsReader):
+        points = reader.points(MotionFile(file, person=person), given)
+        return _raw_points(found, file, "positions", points, points.places())
+    if reader.format == "positions":
         points = parse_positions(file)
         names = points.names or mappings.names_in_order(file, len(points.positions))
         return _raw_points(found, file, "positions", points, points.places(names))
-    if reader_of(file).format == "amass":
+    if reader.format == "amass":
         return _raw_poses(found, file, given)
-    if reader_of(file).format == "c3d":
+    if reader.format == "c3d":
         markers = parse_c3d(file)
         axes = _UPRIGHT[markers.up or "z"]
         upright = replace(markers, positions=markers.positions[:, ["xyz".index(axis) for axis in axes]])
         return _raw_points(found, file, "c3d", upright, markers.places(), axes)
-    if isinstance(reader := reader_of(file), FigureReader):
+    if isinstance(reader, FigureReader):
         return _raw_scene(found, reader.figure(MotionFile(file, person=person), given), file)
     bvh = parse_bvh(file)
     _add_nodes(found, bvh.places)

@@ -14,17 +14,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+import kinedex
 from kinedex.catalog import plugins
-from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.catalog.skeletons.mappings import Mappings, load_skeleton
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.ingestion import read_rounds
+from kinedex.pipelines.inspection.inspection import inspect_file
+from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion import reader_table
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
+from tests.bvh_files import bvh_text, dance, mixamo
 from tests.pipelines.archives import context
 
 READ: list[tuple[str, str]] = []
@@ -239,3 +243,53 @@ def test_repair_reads_the_person_of_a_take_again(source: Path, store: Path) -> N
     assert ("pair", "eve") in READ
     assert takes(store) == before
     assert verify(open_store(store, at="newest")) == []
+
+
+def test_inspect_lists_all_persons_and_describes_one(source: Path) -> None:
+    write(source / "pair.crowd", bob=50, eve=-1, kim=6)
+    found = inspect_file(source / "pair.crowd")
+    lines = [text for _, text in found.lines]
+    assert "3: bob, eve, kim; each becomes a take" in lines
+    assert "eve cannot be read: has no frames" in lines
+    assert any(line.startswith("kim: mapping crowd, 0.20 s") for line in lines)
+    assert ("person", "bob") in found.lines
+    assert "50 frames, 1.67 s" in lines
+    assert "6 frames, 0.20 s" in [text for _, text in inspect_file(source / "pair.crowd", person="kim").lines]
+    fault = inspect_file(source / "pair.crowd", person="eva").fault
+    assert "holds no person 'eva'; did you mean 'eve'? (it holds 'bob', 'eve', 'kim')" in str(fault)
+
+
+def test_read_asks_for_a_person(source: Path) -> None:
+    take = kinedex.read(source / "pair.crowd", person="eve")
+    assert (take.name, len(take)) == ("pair-eve", 7)
+    assert kinedex.read(source / "one.crowd").name == "one"
+    with pytest.raises(SourceError, match="holds 2 persons, 'bob', 'eve'; give one of them as the person"):
+        kinedex.read(source / "pair.crowd")
+    with pytest.raises(SourceError, match="holds one person, who has no name"):
+        kinedex.read(source / "one.crowd", person="al")
+
+
+def two_rooted(path: Path) -> Path:
+    """Write a BVH file of two persons, who move alike."""
+    text = bvh_text(mixamo(fingers=False), dance(mixamo(fingers=False), 20))
+    tree, motion = text.split("MOTION\n")
+    head, rows = motion.split("\n", 2)[:2], motion.split("\n", 2)[2].splitlines()
+    other = tree.removeprefix("HIERARCHY\n")
+    trees = tree.replace("mixamorig:", "Ann:") + other.replace("mixamorig:", "Ben:")
+    path.write_text("\n".join([trees + "MOTION", *head, *(f"{row} {row}" for row in rows), ""]))
+    return path
+
+
+def test_a_bvh_file_of_two_roots_is_two_takes(tmp_path: Path) -> None:
+    (tmp_path / "source").mkdir()
+    path = two_rooted(tmp_path / "source/duet.bvh")
+    bring_in(tmp_path / "store", tmp_path / "source")
+    found = takes(tmp_path / "store")
+    assert {name: found[name][:2] for name in found} == {"duet-Ann": ("Ann", 2), "duet-Ben": ("Ben", 2)}
+    store = open_store(tmp_path / "store", at="newest")
+    words = [store.words([take]).words for take in store.take_ids.values()]
+    np.testing.assert_array_equal(words[0], words[1])
+    np.testing.assert_array_equal(kinedex.read(path, person="Ben").words(), words[0])
+    text = propose_mapping(path, "ben", "Ben")
+    (tmp_path / "ben.yaml").write_text(text)
+    assert load_skeleton(tmp_path / "ben.yaml", store.feature_set.joints).name == "ben"
