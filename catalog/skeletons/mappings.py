@@ -79,6 +79,7 @@ class _SkeletonFile(BaseModel):
     root_axes: _Root | None = None
     unit_m: Any  # A number of metres or `guess`; checked below, because pydantic's messages about unions are unhelpful.
     strip_prefix: str | None = None
+    only: str | None = None
     bones: dict[str, dict[str, float]] = Field(default_factory=dict)
     order: list[str] = Field(default_factory=list)
     screen: bool | None = None
@@ -132,11 +133,16 @@ class Mappings:
         own = _best(source, [mapping.fit(nodes) for mapping in self.own.get(form, ())])
         if own is not None:
             return own
-        fits = [mapping.fit(nodes) for mapping in self.of_format.get(form, ())]
-        if len(fits) == 1:
+        usable = [mapping for mapping in self.of_format.get(form, ()) if self._may_fit(mapping, source, nodes)]
+        fits = [mapping.fit(nodes) for mapping in usable]
+        if len(fits) == 1 and (form in self.forced or fits[0].mapping.only is None):
             fits[0].check(source, self.stripped(form, nodes) if fits[0].missing else "")
             return fits[0]
         return _best(source, fits)
+
+    def _may_fit(self, mapping: SkeletonMapping, source: str | Path, nodes: Iterable[str]) -> bool:
+        """Return whether a mapping is for this file, which matters unless the user chose it."""
+        return mapping.format in self.forced or mapping.is_for(source, nodes)
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
         """Return the fit that recognition makes, by the tree of the nodes or, without one, by their places.
@@ -259,7 +265,7 @@ class Mappings:
         return near
 
     def _nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        fits = [mapping.fit(nodes) for mapping in self.of(form)]
+        fits = [mapping.fit(nodes) for mapping in self.of(form) if self._may_fit(mapping, "", nodes)]
         return min(fits, key=lambda fit: (-fit.named, -fit.known, len(fit.missing) + len(fit.unknown)), default=None)
 
 
@@ -358,11 +364,11 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
     for key, formats in _ONLY.items():
         if getattr(parsed, key) and parsed.format not in formats:
             raise located.error(f"means nothing for format {parsed.format}", key)
-    if parsed.strip_prefix is not None:
+    for key in ("strip_prefix", "only"):
         try:
-            re.compile(parsed.strip_prefix)
+            re.compile(getattr(parsed, key) or "")
         except re.error as fault:
-            raise located.error(f"is no regular expression: {fault}", "strip_prefix") from None
+            raise located.error(f"is no regular expression: {fault}", key) from None
     axes = _axes(located, parsed.up, parsed.facing, parsed.handedness, "facing")
     own = parsed.root_axes
     choices = {joint: _choices(located, parsed, joint) for joint in parsed.joints}
@@ -375,6 +381,7 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
         axes=axes,
         root_axes=_axes(located, own.up, own.facing, parsed.handedness, "root_axes") if own else axes,
         strip_prefix=parsed.strip_prefix,
+        only=parsed.only,
         bones=parsed.bones,
         joints=choices,
         order=tuple(parsed.order),

@@ -88,6 +88,8 @@ class SkeletonMapping:
         Other names of a node; the first that occurs is used.
     screen : bool
         If True, the vertical axis that a file states replaces the mapping's own.
+    only : str, optional
+        Regular expression that a file's name or the name of a node must contain for the mapping to be detected.
     """
 
     name: str
@@ -103,6 +105,11 @@ class SkeletonMapping:
     order: tuple[str, ...] = ()
     screen: bool = False
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    only: str | None = None
+
+    def is_for(self, source: str | Path, nodes: Iterable[str]) -> bool:
+        """Return whether the mapping may be detected in a file: whether it is of those that the mapping is made for."""
+        return self.only is None or any(re.search(self.only, name) for name in (Path(source).name, *nodes))
 
     def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
         """Return the index of each node by the name that the mapping uses, excluding names that become ambiguous."""

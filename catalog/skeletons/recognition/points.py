@@ -14,6 +14,7 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.proportions import Proportions, check_proportions
+from kinedex.catalog.skeletons.recognition.stand_ins import stand_ins
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
@@ -30,6 +31,17 @@ _SIDES = ("l", "r")
 _LEGS = tuple(f"{side}{part}" for side in _SIDES for part in ("hip", "knee", "ankle"))
 _ARMS = tuple(f"{side}{part}" for side in _SIDES for part in ("shoulder", "elbow", "wrist"))
 _APART = 0.04  # sizes of the body; an alternative farther off than this stands for another place
+_OFF = 0.012  # sizes of the body; a stand-in for hidden markers is nearer than this
+_PELVIS = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "ltrochanter", "rtrochanter", "lcrest", "rcrest")
+_THORAX = ("c7", "t10", "clav", "strn", "lacromion", "racromion")
+_SEGMENTS: dict[str, tuple[str, ...]] = {
+    "root": _PELVIS, "lhip": _PELVIS, "rhip": _PELVIS, "neck": _THORAX, "chest": _THORAX, "lshoulder": _THORAX,
+    "rshoulder": _THORAX,
+    **{f"{side}knee": tuple(f"{side}{part}" for part in ("kneelat", "kneemed", "thigh", "shank")) for side in "lr"},
+    **{f"{side}ankle": tuple(f"{side}{part}" for part in ("anklelat", "anklemed", "kneelat", "shank")) for side in "lr"},
+}  # fmt: skip
+"""Joint → landmarks that move with it."""
+
 _SURE_UP = 0.75  # a stated axis is doubted only above this
 
 
@@ -48,6 +60,13 @@ class _Draft:
             self.joints[joint] = found
             if how:
                 self.estimated[joint] = how
+
+    def anywhere(self, joint: str) -> F64:
+        """Return where a joint is, (3, K), by the first alternative that is seen in each frame."""
+        place = self.joints[joint][0].apply(self.places, 1.0)
+        for mix in self.joints[joint][1:]:
+            place = np.where(np.isnan(place).any(axis=0), mix.apply(self.places, 1.0), place)
+        return place
 
     def place(self, joint: str) -> F64 | None:
         """Return where a joint is in the sampled frames, (3, K); None if it is unknown."""
@@ -141,6 +160,10 @@ def _regressions(draft: _Draft, landmarks: Landmarks, reading: Reading, joints: 
         seen = [i for i, place in enumerate(places[joint]) if np.isfinite(place).all(axis=0).any()]
         kept = [i for i in seen if not _length(places[joint][i] - places[joint][seen[0]]) > _APART * size]
         draft.set(joint, *(mixes[i] for i in kept), how=how)
+    for joint, landmarks_of in _SEGMENTS.items():
+        if joint in draft.joints and reading.skin:
+            labels = [label for landmark in landmarks_of for label in reading.labels.get(landmark, ())]
+            draft.joints[joint] += stand_ins(draft.places, draft.anywhere(joint), labels, _OFF * size)
 
 
 def _size(places: Mapping[str, F64]) -> float:
@@ -256,7 +279,8 @@ def _trunk(draft: _Draft, reading: Reading) -> None:
     for joint, share in (("belly", 1 / 3), ("chest", 2 / 3)):
         draft.set(joint, _along_spine(draft, spine, share))
     if "chest" in draft.joints:
-        draft.set("belly", Mix((("root", 0.5), ("chest", 0.5)), of_joints=True), how="amid root and chest")
+        how = "" if reading.skin else "amid root and chest"
+        draft.set("belly", Mix((("root", 0.5), ("chest", 0.5)), of_joints=True), how=how)
     for joint, share in (("chest", 2 / 3), ("belly", 1 / 3)):
         line = Mix((("root", round(1 - share, 6)), ("neck", round(share, 6))), of_joints=True)
         if joint not in draft.joints:
