@@ -337,6 +337,8 @@ def _add_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
         found.add("mapping", f"none fits; the nearest is {near.called}: {near.mapping.path}")
         for what, node in near.missing.items():
             found.add("", f"lacks {node}, for {what}")
+    else:
+        found.add("mapping", "none for these names")
 
 
 def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: ReadSettings) -> None:

@@ -37,8 +37,8 @@ _THORAX = ("c7", "t10", "clav", "strn", "lacromion", "racromion")
 _SEGMENTS: dict[str, tuple[str, ...]] = {
     "root": _PELVIS, "lhip": _PELVIS, "rhip": _PELVIS, "neck": _THORAX, "chest": _THORAX, "lshoulder": _THORAX,
     "rshoulder": _THORAX,
-    **{f"{side}knee": tuple(f"{side}{part}" for part in ("kneelat", "kneemed", "thigh", "shank")) for side in "lr"},
-    **{f"{side}ankle": tuple(f"{side}{part}" for part in ("anklelat", "anklemed", "kneelat", "shank")) for side in "lr"},
+    "lknee": ("lkneelat", "lkneemed", "lthigh"), "lankle": ("lanklelat", "lanklemed", "lkneelat", "lshank"),
+    "rknee": ("rkneelat", "rkneemed", "rthigh"), "rankle": ("ranklelat", "ranklemed", "rkneelat", "rshank"),
 }  # fmt: skip
 """Joint → landmarks that move with it."""
 
@@ -60,13 +60,6 @@ class _Draft:
             self.joints[joint] = found
             if how:
                 self.estimated[joint] = how
-
-    def anywhere(self, joint: str) -> F64:
-        """Return where a joint is, (3, K), by the first alternative that is seen in each frame."""
-        place = self.joints[joint][0].apply(self.places, 1.0)
-        for mix in self.joints[joint][1:]:
-            place = np.where(np.isnan(place).any(axis=0), mix.apply(self.places, 1.0), place)
-        return place
 
     def place(self, joint: str) -> F64 | None:
         """Return where a joint is in the sampled frames, (3, K); None if it is unknown."""
@@ -163,7 +156,9 @@ def _regressions(draft: _Draft, landmarks: Landmarks, reading: Reading, joints: 
     for joint, landmarks_of in _SEGMENTS.items():
         if joint in draft.joints and reading.skin:
             labels = [label for landmark in landmarks_of for label in reading.labels.get(landmark, ())]
-            draft.joints[joint] += stand_ins(draft.places, draft.anywhere(joint), labels, _OFF * size)
+            best, *others = draft.joints[joint]
+            like = stand_ins(draft.places, best.apply(draft.places, 1.0), labels, _OFF * size)
+            draft.joints[joint] = [best, *like, *others]
 
 
 def _size(places: Mapping[str, F64]) -> float:

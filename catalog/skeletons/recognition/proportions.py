@@ -19,7 +19,7 @@ _RATIOS = {  # shares of the leg, from hip over knee to ankle
     "trunk": (0.3, 1.15), "hips": (0.06, 0.55), "shoulders": (0.2, 0.8),
 }  # fmt: skip
 _UNEQUAL = 1.35  # a longer limb than this times the other one is another limb
-_LOOSE = 0.25  # a limb whose length varies by this share of it is none
+_LOOSE = 0.15  # a limb whose length varies by this share of it is none
 _COST = 0.3  # confidence that a doubt costs
 
 
@@ -94,5 +94,5 @@ def _lengths(places: Mapping[str, F64], a: str, b: str) -> F64:
 
 def _spread(lengths: F64) -> float:
     """Return by which share of their median lengths vary, extremes excluded."""
-    low, middle, high = np.percentile(lengths, [10, 50, 90])
+    low, middle, high = np.percentile(lengths, [25, 50, 75])
     return float((high - low) / max(middle, 1e-12) / 2)

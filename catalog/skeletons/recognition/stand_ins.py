@@ -14,6 +14,7 @@ F64 = npt.NDArray[np.float64]
 
 _MOST = 6  # stand-ins of a joint
 _MOST_LABELS = 8  # of a segment; more make no better triples
+_FARTHEST = 2.0  # a joint that lies farther outside of a triple than this moves too much with each marker
 _FLAT = 0.05  # sine of an angle below which three markers lie on a line
 
 
@@ -46,7 +47,9 @@ def stand_ins(places: Mapping[str, F64], target: F64, labels: Sequence[str], tol
     known = np.isfinite(basis).all(axis=(2, 3)) & ~flat
     basis[~known] = np.eye(3)
     whole = known & seen
-    found = np.linalg.solve(basis, np.where(whole[..., None], (target - origin).transpose(0, 2, 1), 0.0)[..., None])[..., 0]
+    found = np.linalg.solve(basis, np.where(whole[..., None], (target - origin).transpose(0, 2, 1), 0.0)[..., None])[
+        ..., 0
+    ]
     hidden, mixes = ~seen, list[Mix]()
     weights = [np.median(found[i][whole[i]], axis=0) if whole[i].any() else None for i in range(len(triples))]
     order = sorted(range(len(triples)), key=lambda i: -int((known[i] & hidden).sum()))
@@ -54,13 +57,19 @@ def stand_ins(places: Mapping[str, F64], target: F64, labels: Sequence[str], tol
         shares = weights[i]
         if shares is None or not (known[i] & hidden).any() or len(mixes) == _MOST:
             continue
+        if max(abs(shares[0]), abs(shares[1]), abs(1 - shares[0] - shares[1]), abs(shares[2])) > _FARTHEST:
+            continue
         place = origin[i] + np.einsum("kab,b->ak", basis[i], shares)
         if np.median(np.linalg.norm(place - target, axis=0)[whole[i]]) > tolerance:
             continue
         a, b, c = triples[i]
         mixes.append(
             Mix(
-                ((a, round(float(1 - shares[0] - shares[1]), 6)), (b, round(float(shares[0]), 6)), (c, round(float(shares[1]), 6))),
+                (
+                    (a, round(float(1 - shares[0] - shares[1]), 6)),
+                    (b, round(float(shares[0]), 6)),
+                    (c, round(float(shares[1]), 6)),
+                ),
                 plane=(a, b, c),
                 out=round(float(shares[2]), 6),
             )

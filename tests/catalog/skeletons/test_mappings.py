@@ -46,9 +46,9 @@ def user_file(path: Path, name: str, *changes: tuple[str, str]) -> str:
 @pytest.mark.parametrize("name", config_names("skeletons"))
 def test_every_shipped_mapping_is_told_by_the_names_of_its_own_skeleton(name: str) -> None:
     mapping = load_skeleton(name, JOINTS)
-    fit = AUTO.detect("x", mapping.format, nodes_of(name))
+    fit = AUTO.detect("HDM_bd.c3d" if mapping.only else "x", mapping.format, nodes_of(name))
     assert fit.mapping.name == name
-    lacks = {"coco-17": ("ltoes", "rtoes"), "gait-c3d": ("head", "headtop", *ARMS)}
+    lacks = {"coco-17": ("ltoes", "rtoes")}
     assert set(fit.unknown) == set(lacks.get(name, ()))
     assert set(fit.joints) == set(JOINTS)
 
@@ -200,29 +200,28 @@ def test_a_joint_aside_of_a_plane_lies_as_deep_however_the_body_turns(tmp_path: 
     np.testing.assert_allclose(mirrored[JOINTS.index("chest"), :, 0], [1, 1, 0])
 
 
-def test_another_choice_stands_in_where_a_marker_is_not_seen() -> None:
-    nodes = nodes_of("landmarks-c3d") | {"L_FCC": 200, "L_FM1": 201}
-    fit = AUTO.detect("x", "c3d", nodes)
+def test_another_choice_stands_in_where_a_marker_is_not_seen(tmp_path: Path) -> None:
+    own = user_file(tmp_path, "hdm05-c3d", ("lelbow: LELB", "lelbow: [{nodes: {LELB: 0.5, LELM: 0.5}}, LELB, LELM]"))
+    nodes = nodes_of("hdm05-c3d") | {"LELM": 201}
+    fit = load_mappings(own, JOINTS).detect("x", "c3d", nodes)
     places = np.random.default_rng(0).normal(size=(202, 3, 4))
     whole = fit.apply(places, JOINTS)[JOINTS.index("lelbow")]
     hidden = places.copy()
-    hidden[nodes["L_HLE"], :, 1:] = np.nan
-    hidden[nodes["L_HME"], :, 3] = np.nan
+    hidden[nodes["LELB"], :, 1:] = np.nan
+    hidden[nodes["LELM"], :, 3] = np.nan
     found = fit.apply(hidden, JOINTS)[JOINTS.index("lelbow")]
     np.testing.assert_array_equal(found[:, 0], whole[:, 0])
-    x, y, z = places[nodes["L_HME"], :, 1:3]
+    x, y, z = places[nodes["LELM"], :, 1:3]
     np.testing.assert_array_equal(found[:, 1:3], [x, z, -y])
     assert np.isnan(found[:, 3]).all()
-    assert {nodes["L_HLE"], nodes["L_HME"], nodes["L_FCC"]} <= set(fit.nodes)
-    knee = fit.instead["lknee"]
-    assert [mix.names for mix in knee] == [("L_FLE", "L_FCC", "L_FM1"), ("L_FME", "L_FCC", "L_FM1")]
+    assert {nodes["LELB"], nodes["LELM"]} <= set(fit.nodes)
+    assert [mix.names for mix in fit.instead["lelbow"]] == [("LELB",), ("LELM",)]
 
 
-def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None:
-    other = {"LFWT": "LASI", "RFWT": "RASI", "LBWT": "LPSI", "RBWT": "RPSI"}
-    nodes = {f"Ann:{other.get(name, name)}": i for name, i in nodes_of("hdm05-c3d").items()}
-    fit = AUTO.detect("x", "c3d", nodes)
-    assert fit.mapping.name == "hdm05-c3d"
+def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up(tmp_path: Path) -> None:
+    own = user_file(tmp_path, "hdm05-c3d", ("only: ", "aliases: {LFWT: [LASI]}\nonly: "))
+    nodes = {f"Ann:{'LASI' if name == 'LFWT' else name}": i for name, i in nodes_of("hdm05-c3d").items()}
+    fit = load_mappings(own, JOINTS).detect("x", "c3d", nodes)
     assert fit.places["LFWT"] == nodes["Ann:LASI"]
     assert fit.upright(None) is fit
     assert fit.upright("z") is fit
@@ -230,8 +229,16 @@ def test_markers_may_be_called_otherwise_and_a_file_may_say_what_is_up() -> None
         axes = fit.upright(up).mapping.axes
         np.testing.assert_array_equal(axes[1], np.eye(3)["xyz".index(up)])
         assert np.linalg.det(axes) == 1.0
-    with pytest.raises(SourceError, match=r"none is near: .* the file has the markers Marker_1, Marker_2; give"):
-        AUTO.detect("x", "c3d", {"Marker_1": 0, "Marker_2": 1})
+
+
+def test_a_mapping_of_one_archive_is_detected_in_its_files_only() -> None:
+    nodes = nodes_of("hdm05-c3d")
+    assert AUTO.detect("HDM_bd_01.c3d", "c3d", nodes).mapping.name == "hdm05-c3d"
+    assert AUTO.detect("x", "c3d", {f"Bastian:{name}": i for name, i in nodes.items()}).mapping.name == "hdm05-c3d"
+    assert load_mappings("hdm05-c3d", JOINTS).detect("x", "c3d", nodes).mapping.name == "hdm05-c3d"
+    assert AUTO.exact("x", "c3d", nodes) is None
+    with pytest.raises(SourceError, match="no skeleton mapping for c3d files"):
+        AUTO.detect("x", "c3d", nodes)
 
 
 FAULTS = {

@@ -38,15 +38,9 @@ def joint(body: Body, name: str) -> np.ndarray:
 
 
 def test_markers_become_a_standing_body_in_metres_with_y_up(tmp_path: Path) -> None:
-    body = read(walking(tmp_path / "a.c3d"))
-    assert (body.skeleton, body.rate_hz, body.unit, body.unknown, body.valid) == (
-        "hdm05-c3d",
-        120.0,
-        "0.001 m",
-        (),
-        None,
-    )
-    assert body.warnings == ()
+    body = read(write_c3d(tmp_path / "a.c3d", 1000 * standing_markers(30)))
+    assert (body.skeleton, body.rate_hz, body.unit, body.valid) == ("recognised markers", 120.0, "0.001 m", None)
+    assert (body.unknown, body.estimated, body.warnings) == ((), (), ())
     for name, place in STANDING.items():
         np.testing.assert_allclose(joint(body, name)[:, 0], place, atol=0.16, err_msg=name)
     for left in ("lhip", "lknee", "lankle", "ltoes", "lshoulder", "lelbow", "lwrist", "lfingers"):
@@ -68,7 +62,7 @@ def test_subjects_names_do_not_matter_and_two_subjects_are_two_persons(tmp_path:
         read(path)
     ann_alone, bo = (read_body(path, None, AUTO, JOINTS, person=person) for person in ("Ann", "Bo"))
     np.testing.assert_array_equal(ann_alone.positions, body.positions)
-    np.testing.assert_allclose(bo.positions, body.positions + [[[-0.9], [0.9], [0.9]]] * np.array([[[-1], [1], [-1]]]))
+    np.testing.assert_allclose(bo.positions, body.positions + 0.9)
 
 
 def test_a_label_that_two_markers_have_names_neither_unless_one_is_never_seen(tmp_path: Path) -> None:
@@ -103,8 +97,8 @@ def test_the_file_s_own_word_on_what_is_up_counts(tmp_path: Path, up: str, order
     points = 1000 * standing_markers(4)[:, order]
     body = read(write_c3d(tmp_path / "b.c3d", points, Y_SCREEN=[f"+{up}"]))
     np.testing.assert_allclose(joint(body, "headtop")[1], joint(expected, "headtop")[1], atol=1e-6)
-    across = joint(body, "lhip") - joint(body, "rhip")
-    np.testing.assert_allclose(np.linalg.norm(across, axis=0), joint(expected, "lhip")[0] * 2, atol=1e-6)
+    across, apart = (joint(of, "lhip") - joint(of, "rhip") for of in (body, expected))
+    np.testing.assert_allclose(np.linalg.norm(across, axis=0), np.linalg.norm(apart, axis=0), atol=1e-6)
     assert (joint(body, "lknee")[1] < joint(body, "lhip")[1]).all()
     minus = read(write_c3d(tmp_path / "c.c3d", points, Y_SCREEN=[f"-{up}"]))
     np.testing.assert_array_equal(minus.positions, body.positions)
@@ -284,19 +278,19 @@ def test_a_long_occlusion_makes_its_frames_invalid_and_says_whose(tmp_path: Path
     assert np.isfinite(body.orientation[:, body.valid]).all()
     assert body.warnings == (
         "gaps closed along straight lines: LKNE 10 frames (longest 10), RTOE 10 frames (longest 10)",
-        "20 of 100 source frames are invalid and have no word; points that the mapping 'hdm05-c3d' takes are missing "
-        "for more than 12 frames: LKNE 20 frames (longest 20); `fill_gap_frames: 20` closes all gaps along straight "
-        "lines",
+        "20 of 100 source frames are invalid and have no word; points that the mapping 'recognised markers' takes are "
+        "missing for more than 12 frames: LKNE 20 frames (longest 20); `fill_gap_frames: 20` closes all gaps along "
+        "straight lines",
     )
     closed = read(tmp_path / "a.c3d", ReadSettings(fill_gap_frames=20))
     assert closed.valid is None
-    np.testing.assert_allclose(joint(closed, "lknee")[2, 50], joint(closed, "rknee")[2, 50], atol=1e-5)
+    np.testing.assert_allclose(joint(closed, "lknee")[0, 50], joint(closed, "rknee")[0, 50], atol=1e-5)
     none = read(tmp_path / "a.c3d", ReadSettings(fill_gap_frames=0))
     assert none.valid is not None
     assert np.count_nonzero(~none.valid) == 40
 
 
-@pytest.mark.parametrize("label", ["LHEE", "LKNE", "LFWT", "CLAV"])
+@pytest.mark.parametrize("label", ["LKNE", "LFWT", "CLAV"])
 @pytest.mark.parametrize("far", [3e38, 1e20, 1e9])
 def test_a_marker_that_is_too_far_away_is_a_fault_and_no_gap(tmp_path: Path, label: str, far: float) -> None:
     points = 1000 * z_up(standing_markers(6))
@@ -372,9 +366,9 @@ def test_markers_of_a_real_take_make_limbs_of_one_length_on_both_sides(shared: P
 def test_files_of_several_vendors_come_in_or_say_what_they_lack(shared: Path) -> None:
     found = {name: read(shared / "data" / "c3d" / f"{name}.c3d") for name in ("Qualisys", "BTS", "03_rolling")}
     assert [(body.skeleton, body.rate_hz, body.frames) for body in found.values()] == [
-        ("landmarks-c3d", 200.0, 340),
-        ("gait-c3d", 100.0, 675),
-        ("landmarks-trunk-c3d", 175.0, 2305),
+        ("recognised markers", 200.0, 340),
+        ("recognised markers", 100.0, 675),
+        ("recognised markers", 175.0, 2305),
     ]
     assert "it begins with frame 705 of its recording, which is source frame 0 here" in found["Qualisys"].warnings
     valid = found["BTS"].valid
@@ -386,8 +380,8 @@ def test_files_of_several_vendors_come_in_or_say_what_they_lack(shared: Path) ->
     assert np.count_nonzero(rolling.valid) > 900  # it lies on its markers: half of them are hidden at a time
     for side in "lr":
         thigh = np.linalg.norm(joint(rolling, f"{side}hip") - joint(rolling, f"{side}knee"), axis=0)[rolling.valid]
-        assert np.median(thigh) == pytest.approx(0.42, abs=0.02)
-        assert np.std(thigh) < 0.03
+        assert np.median(thigh) == pytest.approx(0.44, abs=0.02)
+        assert np.std(thigh) < 0.035
     for name, marker in (("Vicon", "Daphnee:ASISl"), ("Optotrak", "Marker_1")):
         with pytest.raises(SourceError, match=f"no human body is recognised among its points: .* labels .*{marker}"):
             read(shared / "data" / "c3d" / f"{name}.c3d")
