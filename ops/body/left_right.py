@@ -7,11 +7,13 @@ of them is up. Exchanged names and a mirrored axis look the same, and give the s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 F64 = npt.NDArray[np.float64]
 
@@ -63,12 +65,13 @@ def left_right(places: Mapping[str, F64]) -> LeftRight:
     """
     if "lhip" not in places or "rhip" not in places:
         return LeftRight(float("nan"), float("nan"), ("no hips",))
-    across = _unit(places["lhip"] - places["rhip"])
-    legs = _legs(places, across)
-    lines = {}
-    for pair in ("shoulder", "knee"):
-        if f"l{pair}" in places and f"r{pair}" in places:
-            lines[f"{pair}s"] = _mean(_dot(_unit(places[f"l{pair}"] - places[f"r{pair}"]), across))
+    absent = np.full(places["lhip"].shape, np.nan)
+    pairs = (
+        np.array([places.get(f"l{name}", absent), places.get(f"r{name}", absent)], np.float64)
+        for name in ("hip", "knee", "ankle", "toes", "shoulder")
+    )
+    legs, shoulders, knees = _agreement(*pairs)
+    lines = {"shoulders": shoulders, "knees": knees}
     reasons = []
     if legs == legs:
         side = "no side is clear" if abs(legs) < CLEAR else f"left is on the {'left' if legs > 0 else 'right'}"
@@ -82,39 +85,58 @@ def left_right(places: Mapping[str, F64]) -> LeftRight:
     return LeftRight(legs, min(known, default=float("nan")), tuple(reasons))
 
 
-def _legs(places: Mapping[str, F64], across: F64) -> float:
-    """Return the mean agreement of toes and knees with the sides, NaN without a leg."""
-    cues: list[tuple[float, float]] = []
-    for hip, knee, ankle, toes in (("lhip", "lknee", "lankle", "ltoes"), ("rhip", "rknee", "rankle", "rtoes")):
-        if knee not in places or ankle not in places:
-            continue
-        shank = places[knee] - places[ankle]
-        if toes in places:
-            foot = _unit(places[toes] - places[ankle])
-            cues.append((_TOES, _mean(_dot(foot, _unit(_cross(across, shank))))))
-        leg, thigh = places[hip] - places[ankle], places[hip] - places[knee]
-        length = np.sqrt(_dot(thigh, thigh)) + np.sqrt(_dot(shank, shank))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            bend = _dot(shank, _unit(_cross(across, leg))) / (_BENT * length)
-        cues.append((_KNEES, _mean(np.minimum(np.maximum(bend, -1.0), 1.0))))
-    known = [(weight, cue) for weight, cue in cues if cue == cue]
-    return sum(w * cue for w, cue in known) / sum(w for w, _ in known) if known else float("nan")
+@njit(cache=True, nogil=True, error_model="numpy")
+def _agreement(hips: F64, knees: F64, ankles: F64, toes: F64, shoulders: F64) -> tuple[float, float, float]:
+    """Return the agreement of the legs, and the mean cosines of shoulders and knees with the line of the hips."""
+    across = hips[0] - hips[1]
+    total, weights = 0.0, 0.0
+    for s in range(2):
+        toe, toe_frames, knee, knee_frames = 0.0, 0, 0.0, 0
+        for t in range(hips.shape[2]):
+            shank = knees[s, :, t] - ankles[s, :, t]
+            cue = _cosine(toes[s, :, t] - ankles[s, :, t], _cross(across[:, t], shank))
+            if cue == cue:
+                toe += cue
+                toe_frames += 1
+            front = _cross(across[:, t], hips[s, :, t] - ankles[s, :, t])
+            thigh = hips[s, :, t] - knees[s, :, t]
+            length = math.sqrt(_dot(thigh, thigh)) + math.sqrt(_dot(shank, shank))
+            bend = _dot(shank, front) / math.sqrt(_dot(front, front)) / (_BENT * length)
+            if bend == bend:
+                knee += min(max(bend, -1.0), 1.0)
+                knee_frames += 1
+        if toe_frames:
+            total += _TOES * toe / toe_frames
+            weights += _TOES
+        if knee_frames:
+            total += _KNEES * knee / knee_frames
+            weights += _KNEES
+    legs = total / weights if weights > 0.0 else np.nan
+    return legs, _parallel(shoulders, across), _parallel(knees, across)
 
 
-def _dot(a: F64, b: F64) -> F64:
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _parallel(pair: F64, across: F64) -> float:
+    """Return the mean cosine between the line through two joints and that through the hips; NaN if it is not known."""
+    total, frames = 0.0, 0
+    for t in range(across.shape[1]):
+        cosine = _cosine(pair[0, :, t] - pair[1, :, t], across[:, t])
+        if cosine == cosine:
+            total += cosine
+            frames += 1
+    return total / frames if frames else np.nan
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cosine(a: F64, b: F64) -> float:
+    return _dot(a, b) / math.sqrt(_dot(a, a) * _dot(b, b))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dot(a: F64, b: F64) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cross(a: F64, b: F64) -> F64:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _unit(v: F64) -> F64:
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return np.asarray(v / np.sqrt(_dot(v, v)))
-
-
-def _mean(values: F64) -> float:
-    """Return the mean of the known values, NaN where there is none."""
-    known = values[values == values]
-    return float(known.sum()) / known.size if known.size else float("nan")
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -126,7 +126,8 @@ def plausibility(
     if not len(frames):
         return Plausibility()
     sampled = positions[:, :, frames[np.linspace(0, len(frames) - 1, min(SAMPLED, len(frames))).round().astype(int)]]
-    places = {joint: sampled[i] for i, joint in enumerate(joints) if np.isfinite(sampled[i]).all()}
+    known = np.isfinite(sampled).reshape(len(joints), -1).sum(axis=1) == sampled[0].size
+    places = {joint: sampled[i] for i, joint in enumerate(joints) if known[i]}
     up, sides = up_axis(places), left_right(places)
     found = _body(places)
     found |= {"up_axis": up.axis, "up_confidence": up.confidence}
@@ -138,53 +139,60 @@ def plausibility(
 
 def _body(places: Mapping[str, F64]) -> dict[str, Any]:
     """Return height, proportions, symmetry, bone lengths and ground."""
-    chain = [joint for joint in _TRUNK if joint in places]
     pairs = [(side + upper, side + lower) for upper, lower in _LIMBS.values() for side in "lr"]
     pairs = [pair for pair in pairs if pair[0] in places and pair[1] in places]
-    lengths = _lengths(places, [*pairs, *pairwise(chain)])
-    median = np.sort(lengths, axis=1)[:, lengths.shape[1] // 2].tolist()
-    known = dict(zip(pairs, median, strict=False))
+    trunk = list(pairwise(joint for joint in _TRUNK if joint in places))
+    lengths = {pair: _length(places[pair[0]], places[pair[1]]) for pair in (*pairs, *trunk)}
     mean, asymmetry = {}, []
     for limb, (upper, lower) in _LIMBS.items():
-        sides = [known[pair] for pair in ((f"l{upper}", f"l{lower}"), (f"r{upper}", f"r{lower}")) if pair in known]
+        both = [(side + upper, side + lower) for side in "lr"]
+        sides = [lengths[pair][0] for pair in both if pair in lengths]
         mean[limb] = sum(sides) / len(sides) if sides else UNKNOWN
         if len(sides) == 2 and mean[limb] > 0:
             asymmetry.append(abs(sides[0] - sides[1]) / mean[limb])
-    whole = {"root", "head"} <= places.keys()
-    height = _UPRIGHT * (mean["thigh"] + mean["shank"] + sum(median[len(pairs) :])) if whole else UNKNOWN
+    height = UNKNOWN
+    if {"root", "head"} <= places.keys():
+        height = _UPRIGHT * (mean["thigh"] + mean["shank"] + sum(lengths[pair][0] for pair in trunk))
     found: dict[str, Any] = {f"{limb}_share": length / height for limb, length in mean.items() if height > 0}
-    if pairs and all(known.values()):
-        found["bone_variation"] = float((lengths.std(axis=1)[: len(pairs)] / list(known.values())).max())
+    neck = UNKNOWN
+    if height > 0 and {"neck", "lshoulder", "rshoulder"} <= places.keys():
+        ends = [places.get(joint, np.zeros((3, 0))) for joint in ("lelbow", "relbow")]
+        neck = _neck(places["neck"], places["root"], places["lshoulder"], places["rshoulder"], *ends) / height
     return found | {
         "height_m": height,
-        "neck_share": _neck(places) / height if height > 0 else UNKNOWN,
+        "neck_share": neck,
         "asymmetry": max(asymmetry, default=UNKNOWN),
+        "bone_variation": max((lengths[pair][1] for pair in pairs), default=UNKNOWN),
         "floor_m": _floor(places),
     }
 
 
-def _lengths(places: Mapping[str, F64], pairs: list[tuple[str, str]]) -> F64:
-    """Return the distances (P, K) of pairs of joints."""
-    if not pairs:
-        return np.zeros((0, 1))
-    ends = np.stack([places[b] for _, b in pairs]) - np.stack([places[a] for a, _ in pairs])
-    return np.asarray(np.sqrt((ends * ends).sum(axis=1)))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _length(a: F64, b: F64) -> tuple[float, float]:
+    """Return the median distance of two joints, and its standard deviation as a share of it."""
+    frames = a.shape[1]
+    lengths = np.empty(frames)
+    for t in range(frames):
+        x, y, z = b[0, t] - a[0, t], b[1, t] - a[1, t], b[2, t] - a[2, t]
+        lengths[t] = math.sqrt(x * x + y * y + z * z)
+    median = np.sort(lengths)[frames // 2]
+    return median, lengths.std() / median
 
 
-def _neck(places: Mapping[str, F64]) -> float:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _neck(neck: F64, root: F64, lshoulder: F64, rshoulder: F64, lelbow: F64, relbow: F64) -> float:
     """Return how far the neck lies above the middle of the shoulders along the trunk, with hanging arms if they do."""
-    if not {"neck", "root", "lshoulder", "rshoulder"} <= places.keys():
-        return UNKNOWN
-    trunk = places["neck"] - places["root"]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        trunk = trunk / np.sqrt((trunk * trunk).sum(axis=0))
-        shoulders = 0.5 * (places["lshoulder"] + places["rshoulder"])
-        above = ((places["neck"] - shoulders) * trunk).sum(axis=0)
-        if "lelbow" in places and "relbow" in places:
-            arms = shoulders - 0.5 * (places["lelbow"] + places["relbow"])
-            hanging = (arms * trunk).sum(axis=0) > 0.7 * np.sqrt((arms * arms).sum(axis=0))
-            above = above[hanging] if hanging.any() else above
-    return float(np.median(above))
+    frames = neck.shape[1]
+    above, hanging = np.empty(frames), np.zeros(frames, np.bool_)
+    for t in range(frames):
+        trunk = neck[:, t] - root[:, t]
+        trunk /= math.sqrt((trunk * trunk).sum())
+        shoulders = 0.5 * (lshoulder[:, t] + rshoulder[:, t])
+        above[t] = ((neck[:, t] - shoulders) * trunk).sum()
+        if lelbow.shape[1] == frames and relbow.shape[1] == frames:
+            arms = shoulders - 0.5 * (lelbow[:, t] + relbow[:, t])
+            hanging[t] = (arms * trunk).sum() > 0.7 * math.sqrt((arms * arms).sum())
+    return np.median(above[hanging]) if hanging.any() else np.median(above)
 
 
 def _floor(places: Mapping[str, F64]) -> float:
@@ -192,7 +200,8 @@ def _floor(places: Mapping[str, F64]) -> float:
     root = places.get("root")
     if not feet or (root is not None and root.shape[1] > 1 and np.ptp(root[1]) < _FIXED_M and abs(root[1, 0]) < 0.05):
         return UNKNOWN
-    return float(np.median(np.minimum.reduce(feet)))
+    lowest = np.sort(np.minimum.reduce(feet))
+    return float(lowest[len(lowest) // 2])
 
 
 def _motion(
@@ -216,12 +225,24 @@ def _motion(
         "fastest": (joints[joint], frame),
     }
     tracks = positions[[i for i, name in enumerate(joints) if name in _SWUNG]]
-    tracks = tracks[np.isfinite(tracks).any(axis=(1, 2))]
-    still = not len(tracks) or not float((np.nanmax(tracks, axis=2) - np.nanmin(tracks, axis=2)).max()) > _STILL_M
-    swung = None if still else tempo(tracks, rate_hz)
+    swing = _swing(tracks)
+    swung = tempo(tracks[swing > 0], rate_hz) if (swing > _STILL_M).any() else None
     if swung is not None:
         found |= {"tempo_hz": swung.hz, "acceleration_m_s2": swung.acceleration}
     return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _swing(tracks: F64) -> F64:
+    """Return the largest range (N,) of the coordinates of each point; 0 for one that is never known."""
+    swing = np.zeros(len(tracks))
+    for j in range(len(tracks)):
+        for k in range(3):
+            low, high = np.inf, -np.inf
+            for place in tracks[j, k]:
+                low, high = min(low, place), max(high, place)  # a comparison with NaN is false
+            swing[j] = max(swing[j], high - low)
+    return swing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 F64 = npt.NDArray[np.float64]
 
@@ -52,11 +54,8 @@ def tempo(tracks: F64, rate_hz: float) -> Tempo | None:
         None where there are too few frames, or nothing moves.
     """
     lag = max(1, round(rate_hz * _LAG_S))
-    found = _differences(tracks, lag)
-    if found is None:
-        return None
-    turned, second = found
-    return Tempo(turned * rate_hz / lag / (2 * np.pi), float(np.percentile(second, 90)) * (rate_hz / lag) ** 2)
+    turned, second = _differences(np.ascontiguousarray(tracks, np.float64), lag)
+    return Tempo(turned * rate_hz / lag / (2 * np.pi), second * (rate_hz / lag) ** 2) if turned == turned else None
 
 
 def likely_rate(tracks: F64) -> float | None:
@@ -75,10 +74,11 @@ def likely_rate(tracks: F64) -> float | None:
     float or None
         One of `USUAL_HZ`; None where there are too few frames, or nothing moves.
     """
+    tracks = np.ascontiguousarray(tracks, np.float64)
     lag, rate = 1, None
-    while found := _differences(tracks, lag):
-        rate = lag * TYPICAL_HZ * 2 * np.pi / max(found[0], 1e-9)
-        if found[0] >= _TURNED:
+    while (turned := _differences(tracks, lag)[0]) == turned:  # not for NaN, where frames or motion end
+        rate = lag * TYPICAL_HZ * 2 * np.pi / max(turned, 1e-9)
+        if turned >= _TURNED:
             break
         lag *= 2
     return None if rate is None else usual_rate(rate)
@@ -89,17 +89,32 @@ def usual_rate(rate_hz: float) -> float:
     return min(USUAL_HZ, key=lambda usual: abs(np.log(usual / rate_hz)))
 
 
-def _differences(tracks: F64, lag: int) -> tuple[float, F64] | None:
-    """Return the median turn over a lag in radians, and the lengths of second differences; None without motion."""
-    frames = tracks.shape[2] - 2 * lag
-    if frames < 1 or not len(tracks):
-        return None
-    at = np.arange(frames) if frames <= _MOST else np.linspace(0, frames - 1, _MOST).astype(np.intp)
-    before, now, after = (tracks[:, :, at + shift] for shift in (0, lag, 2 * lag))
-    first, second = 0.5 * (after - before), after - 2.0 * now + before
-    speed, turn = (np.sqrt((v * v).sum(axis=1)) for v in (first, second))
-    speeds, turns = speed.sum(axis=0), turn.sum(axis=0)
-    moving = speeds > 0  # false for NaN
-    if not moving.any():
-        return None
-    return float(np.median(turns[moving] / speeds[moving])), turn[np.isfinite(turn)]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _differences(tracks: F64, lag: int) -> tuple[float, float]:
+    """Return the median turn over a lag in radians, and the 90th percentile of second differences; NaN if still."""
+    points, _, length = tracks.shape
+    frames = max(length - 2 * lag, 0)
+    taken = min(frames, _MOST)
+    ratios, turns = np.empty(taken), np.empty(taken * points)
+    moving, known = 0, 0
+    for i in range(taken):
+        t = i if frames <= _MOST else i * (frames - 1) // (taken - 1)
+        speed, turn = 0.0, 0.0
+        for j in range(points):
+            first, second = 0.0, 0.0
+            for k in range(3):
+                before, now, after = tracks[j, k, t], tracks[j, k, t + lag], tracks[j, k, t + 2 * lag]
+                first += 0.25 * (after - before) * (after - before)
+                second += (after - 2.0 * now + before) * (after - 2.0 * now + before)
+            second = math.sqrt(second)
+            speed += math.sqrt(first)
+            turn += second
+            if second < np.inf:  # false for NaN
+                turns[known] = second
+                known += 1
+        if 0.0 < speed < np.inf:
+            ratios[moving] = turn / speed
+            moving += 1
+    if moving == 0:
+        return np.nan, np.nan
+    return np.median(ratios[:moving]), np.percentile(turns[:known], 90)

@@ -17,11 +17,13 @@ rest pose contradict it, and a body that lies or hangs throughout is left undeci
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 F64 = npt.NDArray[np.float64]
 
@@ -43,6 +45,7 @@ _ONCE = 0.05  # an axis along which the body stands in this share of frames has 
 _LEVEL = 0.15  # body sizes; a lowest point that varies by more does not rest on a ground
 _TRAVEL = 0.08  # body sizes; by so much more the hips travel where the ground is clear
 _ENDS = 2.0  # lead over the opposite axis of a body that never stands on its head
+_NO_BODY = ("no hips with head or feet",)
 _GAIN = 1.6  # confidence is 1 − exp(−_GAIN · lead)
 
 
@@ -81,23 +84,25 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
     UpAxis
         Axis, confidence and reasons. A body without hips and one end (head or feet) is undecided.
     """
-    votes, parts = _posture(places)
-    if votes is None:
-        return UpAxis("", 0.0, ("no hips with head or feet",))
-    share = votes.mean(axis=1)
-    rested = _posture({joint: np.reshape(place, (3, 1)) for joint, place in (rest or {}).items()})[0]
-    standing = np.zeros(6) if rested is None else rested[:, 0]
-    spreads = _spreads(places) if parts.endswith("feet") else None
-    leads = _leads(share, standing, np.zeros(6) if spreads is None else _ground(*spreads))
+    hips, head, feet = (_pair(places, choices) for choices in (_HIPS, _HEADS, _FEET))
+    if not len(hips) or not (len(head) or len(feet)):
+        return UpAxis("", 0.0, _NO_BODY)
+    share, stood, frames = _posture(hips, head, feet)
+    if not frames:
+        return UpAxis("", 0.0, _NO_BODY)
+    standing = _standing({joint: np.reshape(place, (3, 1)) for joint, place in rest.items()}) if rest else np.zeros(6)
+    lowest, travel, grounded = np.zeros(6), np.zeros(3), False
+    if len(feet):
+        lowest, travel, grounded = _spreads(np.array(list(places.values()), np.float64), hips)
+    leads = _leads(share, standing, lowest, travel, grounded)
     best = int(np.argmax(leads))
-    confidence = 1.0 - float(np.exp(-_GAIN * max(leads[best], 0.0)))
-    percent = 100 * (votes > 0).mean(axis=1)
-    reasons = [f"{parts} stand along {AXES[best]} in {percent[best]:.0f} % of {votes.shape[1]} frames"]
-    other = int(np.argmax(np.where(np.arange(6) == best, -1.0, percent)))
-    if percent[other] > 0:
-        reasons[0] += f", along {AXES[other]} in {percent[other]:.0f} %"
-    if spreads is not None:
-        lowest, travel = spreads
+    confidence = 1.0 - math.exp(-_GAIN * max(float(leads[best]), 0.0))
+    parts = " and ".join(", ".join(["head"] * bool(len(head)) + ["hips"] + ["feet"] * bool(len(feet))).rsplit(", ", 1))
+    reasons = [f"{parts} stand along {AXES[best]} in {100 * stood[best] / frames:.0f} % of {frames} frames"]
+    other = max((axis for axis in range(6) if axis != best), key=lambda axis: stood[axis])
+    if stood[other] > 0:
+        reasons[0] += f", along {AXES[other]} in {100 * stood[other] / frames:.0f} %"
+    if grounded:
         across = ", ".join(f"{AXES[a]} {travel[a]:.2f}" for a in range(3) if a != best % 3)
         level = f"the lowest point varies by {lowest[best]:.2f} body sizes along {AXES[best]}"
         reasons.append(f"{level}, the hips across it by {across}")
@@ -106,72 +111,112 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
     return UpAxis(AXES[best] if confidence >= SURE else "", confidence, tuple(reasons))
 
 
-def _leads(share: F64, standing: F64, ground: F64) -> F64:
-    """Return the least lead (6,) that each axis has over the axes of the other lines, and over its own other end."""
-    stance = share + _REST * standing
-    score = stance + _GROUND * np.where(share > _ONCE, 2.0, 1.0) * ground
-    lines = np.maximum(score[:3], score[3:])
-    rivals = np.array([max(lines[1], lines[2]), max(lines[0], lines[2]), max(lines[0], lines[1])])
-    other_end = np.roll(stance, 3)
-    both = np.where(stance + other_end > 0, stance + other_end, 1.0)
-    return np.asarray(np.minimum(score - np.tile(rivals, 2), _ENDS * (stance - other_end) / both))
-
-
-def _posture(places: Mapping[str, F64]) -> tuple[F64 | None, str]:
-    """Return how upright the body is along each axis, (6, K), and its parts in words; None without hips and one end."""
-    hips, head, feet = (_middle(places, names) for names in (_HIPS, _HEADS, _FEET))
-    if hips is None or (head is None and feet is None):
-        return None, ""
-    trunk, legs = (None if head is None else _cosines(head - hips)), (None if feet is None else _cosines(hips - feet))
-    if trunk is not None and legs is not None:
-        known, parts = trunk + legs, "head, hips and feet"
-        sitting = _SITTING * ((trunk > _LEANING) & (legs > _BENT))
-        votes = np.where((trunk > _STRAIGHT) & (legs > _STRAIGHT), 1.0, sitting)
-    else:
-        known = np.asarray(legs if trunk is None else trunk)
-        parts = "hips and feet" if trunk is None else "head and hips"
-        votes = np.where(known > _STRAIGHT, _HALF_BODY, 0.0)
-    seen = np.isfinite(known[0])
-    return (votes[:, seen], parts) if seen.any() else (None, "")
-
-
-def _middle(places: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) -> F64 | None:
-    """Return the mean place of the first choice of joints that are there, those not seen in a frame excluded."""
+def _pair(places: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) -> F64:
+    """Return the places (2, 3, K) of the first choice of joints that are there, (0, 3, 0) where none is."""
     for names in choices:
         if all(name in places for name in names):
-            if len(names) == 1:
-                return places[names[0]]
-            a, b = (places[name] for name in names)
-            return np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b)))
-    return None
+            return np.array([places[names[0]], places[names[-1]]], np.float64)
+    return np.zeros((0, 3, 0))
 
 
-def _cosines(vectors: F64) -> F64:
-    """Return the cosines (6, K) of vectors (3, K) with the axes; NaN for a vector without length."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        unit = vectors / np.sqrt((vectors * vectors).sum(axis=0))
-    return np.concatenate([unit, -unit])
+def _standing(rest: Mapping[str, F64]) -> F64:
+    """Return how upright the rest pose is along each axis, (6,)."""
+    hips, head, feet = (_pair(rest, choices) for choices in (_HIPS, _HEADS, _FEET))
+    return _posture(hips, head, feet)[0] if len(hips) and (len(head) or len(feet)) else np.zeros(6)
 
 
-def _spreads(places: Mapping[str, F64]) -> tuple[F64, F64] | None:
-    """Return by how much the lowest point (6,) and the hips (3,) vary, in body sizes; None without enough frames."""
-    hips = _middle(places, _HIPS)
-    stacked = np.stack([*places.values(), *([] if hips is None else [hips])])
-    stacked = stacked[:, :, np.isfinite(stacked).all(axis=(0, 1))]
-    if stacked.shape[2] < 3:
-        return None
-    low, high = stacked.min(axis=0), stacked.max(axis=0)
-    size = float(np.median(np.sqrt(((high - low) ** 2).sum(axis=0))))
-    if not 0 < size < np.inf:
-        return None
-    ordered = np.sort(np.concatenate([low, -high, stacked[-1]]), axis=1)
-    cut = ordered.shape[1] // 8
-    spread = (ordered[:, -1 - cut] - ordered[:, cut]) / size
-    return spread[:6], spread[6:]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _middle(pair: F64, k: int, t: int) -> float:
+    """Return a coordinate of the middle of two joints, or that of the one that is seen."""
+    a, b = pair[0, k, t], pair[1, k, t]
+    return b if np.isnan(a) else a if np.isnan(b) else 0.5 * (a + b)
 
 
-def _ground(lowest: F64, hips: F64) -> F64:
-    """Return how clearly the lowest point rests on a ground across each axis, (6,), from 0 to 1."""
-    travel = np.array([max(hips[1], hips[2]), max(hips[0], hips[2]), max(hips[0], hips[1])])
-    clear = np.clip((np.tile(travel, 2) - lowest) / _TRAVEL, 0.0, 1.0)
-    return np.asarray(clear * np.clip(1.0 - lowest / _LEVEL, 0.0, 1.0))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _posture(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
+    """Return the share of frames in which the body stands along each axis, the frames with any vote, and those seen."""
+    share, stood = np.zeros(6), np.zeros(6)
+    seen = 0
+    for t in range(hips.shape[2]):
+        trunk, legs = np.empty(3), np.empty(3)
+        for k in range(3):
+            middle = _middle(hips, k, t)
+            trunk[k] = _middle(head, k, t) - middle if len(head) else 0.0
+            legs[k] = middle - _middle(feet, k, t) if len(feet) else 0.0
+        trunk /= math.sqrt(trunk[0] * trunk[0] + trunk[1] * trunk[1] + trunk[2] * trunk[2]) if len(head) else 1.0
+        legs /= math.sqrt(legs[0] * legs[0] + legs[1] * legs[1] + legs[2] * legs[2]) if len(feet) else 1.0
+        if not (np.isfinite(trunk[0]) and np.isfinite(legs[0])):
+            continue
+        seen += 1
+        for axis in range(6):
+            sign = 1.0 if axis < 3 else -1.0
+            up, down = sign * trunk[axis % 3], sign * legs[axis % 3]
+            vote = 0.0
+            if not len(head) or not len(feet):
+                vote = _HALF_BODY if up + down > _STRAIGHT else 0.0
+            elif up > _STRAIGHT and down > _STRAIGHT:
+                vote = 1.0
+            elif up > _LEANING and down > _BENT:
+                vote = _SITTING
+            share[axis] += vote
+            stood[axis] += vote > 0.0
+    return share / max(seen, 1), stood, seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
+    """Return by how much the lowest point (6,) and the hips (3,) vary in body sizes, and whether frames suffice."""
+    joints, _, frames = places.shape
+    tracks = np.empty((9, frames))
+    sizes = np.empty(frames)
+    whole = 0
+    for t in range(frames):
+        size, known = 0.0, True
+        for k in range(3):
+            low, high = np.inf, -np.inf
+            for j in range(joints):
+                place = places[j, k, t]
+                known = known and np.isfinite(place)
+                low, high = min(low, place), max(high, place)
+            middle = _middle(hips, k, t)
+            known = known and np.isfinite(middle)
+            tracks[k, whole], tracks[3 + k, whole], tracks[6 + k, whole] = low, -high, middle
+            size += (high - low) * (high - low)
+        if known:
+            sizes[whole] = math.sqrt(size)
+            whole += 1
+    lowest, travel = np.zeros(6), np.zeros(3)
+    if whole < 3:
+        return lowest, travel, False
+    size = np.median(sizes[:whole])
+    if not 0.0 < size < np.inf:
+        return lowest, travel, False
+    cut = whole // 8
+    for i in range(9):
+        ordered = np.sort(tracks[i, :whole])
+        spread = (ordered[whole - 1 - cut] - ordered[cut]) / size
+        if i < 6:
+            lowest[i] = spread
+        else:
+            travel[i - 6] = spread
+    return lowest, travel, True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leads(share: F64, standing: F64, lowest: F64, travel: F64, grounded: bool) -> F64:
+    """Return the least lead (6,) that each axis has over the axes of the other lines, and over its own other end."""
+    stance = share + _REST * standing
+    score = stance.copy()
+    for axis in range(6) if grounded else range(0):
+        far = max(travel[(axis + 1) % 3], travel[(axis + 2) % 3])
+        clear = min(max((far - lowest[axis]) / _TRAVEL, 0.0), 1.0) * max(1.0 - lowest[axis] / _LEVEL, 0.0)
+        score[axis] += _GROUND * (2.0 if share[axis] > _ONCE else 1.0) * clear
+    leads = np.empty(6)
+    for axis in range(6):
+        other_end = stance[(axis + 3) % 6]
+        both = stance[axis] + other_end
+        leads[axis] = _ENDS * (stance[axis] - other_end) / both if both > 0.0 else 0.0
+        for other in range(6):
+            if other % 3 != axis % 3:
+                leads[axis] = min(leads[axis], score[axis] - score[other])
+    return leads
