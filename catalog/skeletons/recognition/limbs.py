@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import accumulate, combinations
 
 from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
 
@@ -119,7 +119,7 @@ def _matched(tree: Tree, at: int, first: Limb, second: Limb, kind: Sequence[str]
         for own, other, swapped in ((first, second, False), (second, first, True)):
             places = [own.path.index(node) for node in own.nodes]
             if places[2] < len(other.path):
-                twin = _limb(tree, other.path, (places[0], places[1], places[2]), kind)
+                twin = _Branch(tree, other.path, kind).limb((places[0], places[1], places[2]))
                 both = Pair(at, twin, own) if swapped else Pair(at, own, twin)
                 pair = max(pair, both, key=lambda one: one.score)
     return pair
@@ -127,19 +127,37 @@ def _matched(tree: Tree, at: int, first: Limb, second: Limb, kind: Sequence[str]
 
 def _best_limb(tree: Tree, top: int, kind: Sequence[str]) -> Limb | None:
     path = tuple(tree.longest_way(top)[:_LONGEST])
-    cuts = combinations(range(len(path)), 3)
-    found = [_limb(tree, path, cut, kind) for cut in cuts]
-    return max(found, key=lambda limb: limb.score, default=None)
+    branch = _Branch(tree, path, kind)
+    best = max(combinations(range(len(path)), 3), key=branch.score, default=None)
+    return None if best is None else branch.limb(best)
 
 
-def _limb(tree: Tree, path: tuple[int, ...], cut: tuple[int, int, int], kind: Sequence[str]) -> Limb:
-    i, j, k = cut
-    steps = [tree.lengths[node] for node in path]
-    before, upper, lower = sum(steps[: i + 1]), sum(steps[i + 1 : j + 1]), sum(steps[j + 1 : k + 1])
-    rest = sum(steps[k + 1 :])
-    nodes = (path[i], path[j], path[k])
-    names = sum(_named(tree, path, at, part, kind) for at, part in zip(cut, kind, strict=True))
-    return Limb(path, nodes, (before, upper, lower, rest), names, _shape(before, upper, lower, rest, kind))
+class _Branch:
+    """The nodes of a branch with the figures by which it is cut into the bones of a limb."""
+
+    def __init__(self, tree: Tree, path: tuple[int, ...], kind: Sequence[str]) -> None:
+        self.path, self.arm = path, tuple(kind) == ARM
+        self.far = list(accumulate(tree.lengths[node] for node in path))
+        self.named = [[_named(tree, path, at, part, kind) for at in range(len(path))] for part in kind]
+
+    def bones(self, cut: tuple[int, int, int]) -> tuple[float, float, float, float]:
+        """Return the lengths before, between and past the three nodes of a cut."""
+        near, middle, last = (self.far[at] for at in cut)
+        return near, middle - near, last - middle, self.far[-1] - last
+
+    def names(self, cut: tuple[int, int, int]) -> float:
+        """Return how well the names of three nodes fit."""
+        return self.named[0][cut[0]] + self.named[1][cut[1]] + self.named[2][cut[2]]
+
+    def score(self, cut: tuple[int, int, int]) -> float:
+        """Return the score of the limb of a cut."""
+        return _NAME_WEIGHT * self.names(cut) + _shape(*self.bones(cut), self.arm)
+
+    def limb(self, cut: tuple[int, int, int]) -> Limb:
+        """Return the limb of a cut."""
+        bones = self.bones(cut)
+        nodes = (self.path[cut[0]], self.path[cut[1]], self.path[cut[2]])
+        return Limb(self.path, nodes, bones, self.names(cut), _shape(*bones, self.arm))
 
 
 def _named(tree: Tree, path: Sequence[int], at: int, part: str, kind: Sequence[str]) -> float:
@@ -163,12 +181,11 @@ def _only(parts: tuple[str, ...]) -> bool:
     return len({part for part in parts if part in _OF_LIMBS}) == 1
 
 
-def _shape(before: float, upper: float, lower: float, rest: float, kind: Sequence[str]) -> float:
+def _shape(before: float, upper: float, lower: float, rest: float, arm: bool) -> float:
     """Return how well the lengths of a limb fit a human's; 0 is perfect, and less is worse."""
     if min(upper, lower) <= 0:
         return -20.0
     whole = upper + lower
-    arm = tuple(kind) == ARM
     score = -((math.log(upper / lower) / 0.25) ** 2) / 2
     score -= (max(before / whole - (0.75 if arm else 0.4), 0.0) / 0.12) ** 2 / 2
     score -= (max(rest / whole - 0.5, 0.0) / 0.1) ** 2 / 2

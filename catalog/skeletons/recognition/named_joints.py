@@ -191,8 +191,8 @@ def head_nodes(tree: Tree, head: Sequence[int]) -> tuple[int | None, int | None,
     heads = [node for node in inner if "head" in tree.parts[node] and node not in necks]
     if heads:
         return (necks[0] if necks else None), heads[0], (ends[0] if ends else None)
-    nameless = [node for node in inner if not tree.parts[node]]
     if necks:
+        nameless = [node for node in inner if node not in necks]
         way = [*necks, *(node for node in nameless if head.index(node) > head.index(necks[-1]))]
         if len(way) > 1:
             return way[0], way[-1], (ends[0] if ends else None)

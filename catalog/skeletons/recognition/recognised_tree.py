@@ -22,7 +22,6 @@ from kinedex.catalog.skeletons.recognition.anatomy import (
 from kinedex.catalog.skeletons.recognition.limbs import Limb
 from kinedex.catalog.skeletons.recognition.named_joints import JointMixes, joint_mixes, leg_length
 from kinedex.catalog.skeletons.recognition.names import Vocabulary, load_vocabulary
-from kinedex.catalog.skeletons.recognition.proposal import mapping_yaml
 from kinedex.catalog.skeletons.recognition.sides import Sides, find_sides
 from kinedex.catalog.skeletons.recognition.tree import Tree, build_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
@@ -117,7 +116,7 @@ def _recognised(
     fault = _fault(tree, bodies, confidence)
     reasons = (*_reasons(tree, body, sides), up_reason)
     fit = replace(fit, estimated=found.estimated, reasons=reasons, confidence=round(confidence, 3))
-    digest = hashlib.sha256(mapping_yaml(fit).encode()).hexdigest()[:16]
+    digest = hashlib.sha256(repr((fit.mapping.joints, fit.mapping.axes.tolist())).encode()).hexdigest()[:16]
     return replace(fit, mapping=replace(fit.mapping, digest=digest)), fault
 
 

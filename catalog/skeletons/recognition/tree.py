@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,7 @@ class Tree:
     rest: F64
     lengths: tuple[float, ...]
     reach: tuple[float, ...]
+    _far: dict[int, list[float]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def ancestors(self, node: int) -> list[int]:
         """Return a node and all above it, the root last."""
@@ -86,7 +87,10 @@ class Tree:
 
     def distance(self, a: int, b: int) -> float:
         """Return the median distance of two nodes."""
-        return float(np.median(np.linalg.norm(self.places[a] - self.places[b], axis=0)))
+        if a not in self._far:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._far[a] = np.median(np.linalg.norm(self.places - self.places[a], axis=1), axis=1).tolist()
+        return self._far[a][b]
 
 
 def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
