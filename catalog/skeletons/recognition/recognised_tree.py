@@ -229,8 +229,8 @@ def _confidence(tree: Tree, body: Anatomy, sides: Sides) -> float:
     surely = math.exp(shape / 8.0) * (_UNNAMED + (1.0 - _UNNAMED) * names)
     if sides.mirrored or sides.crossed:
         surely *= 0.6
-    elif not sides.named and abs(sides.facing) < 0.5:
-        surely *= 0.5
+    elif not sides.named:
+        surely *= min(0.4 + abs(sides.facing), 1.0)
     if body.legs is None or body.arms is None:
         surely *= 0.8
     return min(surely, 0.99)

@@ -14,7 +14,7 @@ from kinedex.catalog.skeletons.recognition.tree import Tree
 F64 = npt.NDArray[np.float64]
 
 _SEEN = 0.012  # of a leg's length; a foot or a bend shorter than this points nowhere
-_SURE = 0.5  # cosine with the left, averaged over frames
+_SURE = 0.3  # cosine with the left, averaged over frames
 
 
 @dataclass(frozen=True)
