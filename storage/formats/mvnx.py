@@ -149,6 +149,8 @@ def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = No
         with path.open("rb") as file:
             empty = True
             while block := file.read(AT_ONCE):
+                if empty and block.startswith((b"\xff\xfe", b"\xfe\xff")):
+                    raise SourceError(path, "is encoded as UTF-16; MVN writes UTF-8")
                 empty = empty and block.isspace()
                 document.feed(block)
         if empty:

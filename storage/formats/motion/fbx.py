@@ -96,8 +96,8 @@ def figure_clips(scene: Scene) -> list[FigureClip]:
     if not found:
         raise SourceError(
             scene.path,
-            f"holds no animation of a skeleton: of {len(scene.clips)} clips (animation stacks) none moves one of "
-            f"{len(groups)} skeletons",
+            f"holds no animation of a skeleton: none of its clips (animation stacks: {len(scene.clips)}) moves one of "
+            f"its skeletons ({len(groups)})",
         )
     return found
 

@@ -206,21 +206,74 @@ def _figure(document: Document, clip: _Clip) -> Figure:
     whole, places = global_transforms(parents, linear[:, None], offsets[:, None])
     kept = [replace(track, node=place[track.node]) for track in tracks if track.node in place]
     local = _Local(linear, offsets, turns, scales, kept, OFF_GRID / rate_hz)
-    rest = without_scale(whole[list(shown), 0])
+    whole, places, posed = _bound(document, chain, parents, (linear, offsets), (whole[:, 0], places[:, 0]))
+    rest = without_scale(whole[list(shown)])
     poses = ScenePoses(parents, shown, local, float(times[0]), rate_hz, axes, rest)
     sampled = f"its keys have times and no rate; they are sampled at {rate_hz:.6g} Hz"
     warnings = () if usual else (f"{sampled}, which is no usual rate: its keys lie on the frames of none",)
-    evidence = ("glTF defines metres, and Y up", sampled) if usual else ("glTF defines metres, and Y up",)
+    evidence = ("glTF defines metres, and Y up", *((sampled,) if usual else ()), f"its rest pose is {posed}")
     return Figure(
         names=_names(document, clip.group),
         parents=clip.group.parents,
-        rest=places[list(shown), 0] @ axes.T,
+        rest=places[list(shown)] @ axes.T,
         poses=poses,
         frames=frames,
         rate_hz=rate_hz,
         evidence=evidence,
         warnings=warnings,
     )
+
+
+def _bound(
+    document: Document, chain: Sequence[int], parents: Sequence[int], local: tuple[F64, F64], scene: tuple[F64, F64]
+) -> tuple[F64, F64, str]:
+    """Return turns (M, 3, 3) and places (M, 3) of a chain at rest, and the pose's name.
+
+    That is the pose in which a mesh was bound to the skeleton, where the file has its nodes in another one outside of
+    clips. The matrices of binding are in axes of their own; these are the scene's, turned by right angles as far as the
+    first joint suggests.
+    """
+    whole, places = scene
+    inverse = _binding(document)
+    bound = [(i, inverse[node]) for i, node in enumerate(chain) if node in inverse]
+    between = [whole[i] @ matrix[:3, :3] for i, matrix in bound]  # from the axes of binding to the scene's
+    usable = bool(bound) and all(abs(np.linalg.det(matrix)) > 1e-12 for matrix in between)
+    if not usable:
+        return whole, places, "that of the scene outside of clips"
+    turns = without_scale(np.array(between))
+    if (np.einsum("ab,kab->k", turns[0], turns) > 3.0 - 1e-3).all():
+        return whole, places, "the pose of binding"
+    axes = _right_angles(turns[0]) * np.cbrt(np.linalg.det(between[0]))
+    matrices = {i: np.linalg.inv(matrix) for i, matrix in bound}
+    moved = places[bound[0][0]] - axes @ matrices[bound[0][0]][:3, 3]
+    whole, places = whole.copy(), places.copy()
+    for i, above in enumerate(parents):
+        if i in matrices:
+            whole[i], places[i] = axes @ matrices[i][:3, :3], axes @ matrices[i][:3, 3] + moved
+        elif above >= 0:
+            whole[i], places[i] = whole[above] @ local[0][i], places[above] + whole[above] @ local[1][i]
+    return whole, places, "the pose of binding"
+
+
+def _binding(document: Document) -> dict[int, F64]:
+    """Return node → inverse matrix (4, 4) of the pose in which its skin was bound, of the skins that have them."""
+    found: dict[int, F64] = {}
+    for skin in document.content.skins:
+        if skin.inverseBindMatrices is not None:
+            columns = document.numbers(skin.inverseBindMatrices, "MAT4").reshape(-1, 4, 4)
+            matrices = columns.transpose(0, 2, 1)
+            sound = np.abs(np.linalg.det(matrices)) > 1e-12
+            for joint, matrix, whole in zip(skin.joints, matrices, sound, strict=False):
+                if whole and joint not in found:
+                    found[joint] = matrix
+    return found
+
+
+def _right_angles(turn: F64) -> F64:
+    """Return the turn by right angles about the axes that is nearest to another one."""
+    ways = [[s * np.eye(3)[i] for i in range(3) for s in (1, -1)] for _ in range(2)]
+    turns = [np.array([x, y, np.cross(x, y)]) for x in ways[0] for y in ways[1] if abs(x @ y) < 0.5]
+    return max(turns, key=lambda other: float(np.sum(other * turn)))
 
 
 def _rest(node: Node) -> tuple[F64, F64, F64]:

@@ -25,7 +25,7 @@ from kinedex.storage.formats.motion.reader import file_size
 
 F64 = npt.NDArray[np.float64]
 
-LONGEST_JSON = 256 << 20
+LONGEST_JSON = 64 << 20
 """Bytes of the JSON; longer ones embed models that belong into a .glb or a .bin file."""
 
 MOST_NUMBERS = 50_000_000
@@ -60,6 +60,7 @@ class Skin(_Part):
     """The joints of a mesh that is bent."""
 
     joints: list[Index] = []
+    inverseBindMatrices: Index | None = None
 
 
 class Target(_Part):

@@ -3,7 +3,7 @@
 A distribution adds a reader for files of its own by an entry point of the group `kinedex.readers`::
 
     [project.entry-points."kinedex.readers"]
-    mvnx = "my_package.mvnx:MvnxReader"
+    joints = "my_package.joints:JointsReader"
 
 The entry point names a subclass of `Reader`, which is made without arguments. `storage.formats.motion.reader_table`
 holds the built-in readers in the same form.

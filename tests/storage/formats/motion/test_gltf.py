@@ -15,6 +15,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.ingestion.analysis import analyse
+from kinedex.storage.formats.motion.figures import FigureReader
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import reader_of
 from tests.bvh_files import Joint, bvh_text, dance, mixamo
@@ -117,6 +118,31 @@ def test_rest_turns_of_nodes_do_not_count_as_turns_of_the_body(tmp_path: Path) -
         nodes[child]["rotation"] = conjugate(turn).tolist()
     (tmp_path / "a.glb").write_bytes(document.glb())
     assert_same(read(tmp_path / "a.glb"), twin(tmp_path, mixamo()))
+
+
+def test_the_rest_pose_is_that_of_binding_where_the_scene_is_in_another(tmp_path: Path) -> None:
+    document = dancing_gltf(mixamo(), dance(mixamo(), 12))
+    places = np.zeros((len(mixamo().all()), 3))
+    names = [joint.name for joint in mixamo().all()]
+    for joint in mixamo().all():
+        for child in joint.children:
+            places[names.index(child.name)] = places[names.index(joint.name)] + 0.01 * np.array(child.offset)
+    matrices = np.tile(np.eye(4), (len(names), 1, 1))
+    # the mesh was bound with Z up, in centimetres, and somewhere else
+    matrices[:, :3, :3] = 0.01 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    matrices[:, :3, 3] = -places - [0.0, 1.0, 0.0]
+    skin = document.json["skins"][0]
+    skin["inverseBindMatrices"] = document.accessor(matrices.transpose(0, 2, 1).reshape(-1, 16))
+    for node in document.json["nodes"]:
+        node["rotation"] = [0.1, 0.2, 0.15, 0.9631]
+    path = tmp_path / "a.glb"
+    path.write_bytes(document.glb())
+    reader = reader_of(path)
+    assert isinstance(reader, FigureReader)
+    figure = reader.figure(MotionFile(path), ReadSettings())
+    np.testing.assert_allclose(figure.rest - figure.rest[0], places, atol=1e-6)
+    assert "its rest pose is the pose of binding" in figure.evidence
+    assert_same(read(path), twin(tmp_path, mixamo()))
 
 
 def values_of(document: Builder, index: int) -> np.ndarray:

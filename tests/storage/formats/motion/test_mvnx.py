@@ -105,6 +105,14 @@ def test_rates_that_are_missing_can_be_given(tmp_path: Path) -> None:
     assert read(path, settings=ReadSettings(rate_hz=100.0)).rate_hz == 100.0
 
 
+def test_a_file_in_another_encoding_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.mvnx"
+    write_mvnx(path)
+    path.write_bytes(path.read_text().replace("UTF-8", "UTF-16").encode("utf-16"))
+    with pytest.raises(SourceError, match="is encoded as UTF-16"):
+        read(path)
+
+
 def test_missing_frames_are_a_warning(tmp_path: Path) -> None:
     path = tmp_path / "a.mvnx"
     write_mvnx(path)
