@@ -17,6 +17,7 @@ from kinedex.pipelines.annotation.threshold_calibration import Calibration, cali
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import every_query
 from kinedex.pipelines.keyframes.runs import outcomes_of
+from kinedex.pipelines.templates.examples import Rejected, interval_of
 from kinedex.pipelines.templates.learning import (
     SubclassTemplate,
     TrainingClips,
@@ -60,7 +61,13 @@ def template_words(store: Store, templates: Sequence[SubclassTemplate]) -> list[
     """Return the words of the clips that templates were learned from, or of all takes where they are of none."""
     clips = {name for one in templates for name in one.clips}
     takes = store.takes().filter(pl.col("name").is_in(clips))
-    return [store.words(takes["take_id"].to_list() if takes.height else None).words]
+    parts = {name: interval_of(name, store.take_ids) for name in sorted(clips - set(takes["name"]))}
+    cut = [
+        store.words([store.take_ids[take]]).words[frames] for take, frames in parts.values() if take in store.take_ids
+    ]
+    if cut and not takes.height:
+        return cut
+    return [store.words(takes["take_id"].to_list() if takes.height else None).words, *cut]
 
 
 def prepare_annotator(
@@ -127,6 +134,7 @@ def calibrated_thresholds(
     classes: Classes,
     clips: Callable[[], Sequence[TrainingClips]],
     executor: Executor,
+    rejected: Callable[[], Sequence[Rejected]] = tuple,
 ) -> Calibration:
     """Calibrate the thresholds of classes, where the parameters ask for it and the method uses them.
 
@@ -144,6 +152,8 @@ def calibrated_thresholds(
         Returns the clips to calibrate on; called where they are needed.
     executor : Executor
         The workers.
+    rejected : callable, optional
+        Returns the intervals that people have rejected; called where they are needed.
     """
     if params.tau != CALIBRATED or not params.annotation_method.uses_thresholds:
         return Calibration({}, {}, ())
@@ -155,7 +165,7 @@ def calibrated_thresholds(
         return completed(found, templates, store.feature_set, kinds, where_possible=True)
 
     actors = dict(store.takes().select("name", "actor").iter_rows())
-    return calibrate(clips(), actors, classes, params.delta, learn, executor)
+    return calibrate(clips(), actors, classes, params.delta, learn, executor, rejected())
 
 
 def annotated_classes(store: Store, params: AnnotationParameters, stage: str) -> Classes:

@@ -17,6 +17,7 @@ from kinedex.ops.templates.templates import quantise
 from kinedex.pipelines.annotation.batches import split_takes
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 
 F64 = npt.NDArray[np.float64]
@@ -46,11 +47,12 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Fold:
-    """The clips of one actor and templates of the other actors' clips, as the task of one worker."""
+    """The clips and rejected intervals of one actor and templates of other actors' clips, as the task of one worker."""
 
     templates: tuple[SubclassTemplate, ...]
     clips: tuple[TrainingClips, ...]
     delta: float
+    rejected: tuple[Rejected, ...] = ()
 
 
 def calibrate(
@@ -60,6 +62,7 @@ def calibrate(
     delta: float,
     learn: Learn,
     executor: Executor,
+    rejected: Sequence[Rejected] = (),
 ) -> Calibration:
     """Choose the threshold of each class with the highest F on clips of actors whose clips made no template.
 
@@ -81,6 +84,9 @@ def calibrate(
         Learns templates from clips; called once for each actor.
     executor : Executor
         The workers.
+    rejected : sequence of Rejected, optional
+        Intervals that a person has rejected. The costs of an interval for the templates of the class that it was
+        rejected for count like those of other classes' clips; for other classes it counts nothing.
 
     Returns
     -------
@@ -93,7 +99,7 @@ def calibrate(
     KinedexError
         The clips are of fewer than two actors, or fit no template.
     """
-    known = sorted({actors.get(name) or "" for one in clips for name in one.names})
+    known = sorted({actors.get(take) or "" for one in clips for take in one.of_takes})
     if len(known) < 2:
         raise KinedexError(
             f"`tau: calibrated` leaves one actor out at a time, but all training clips are of {known[0] or 'no actor'}"
@@ -102,16 +108,23 @@ def calibrate(
         )
     folds = []
     for actor in known:
-        names = {name for one in clips for name in one.names if (actors.get(name) or "") == actor}
+        names = {take for one in clips for take in one.of_takes if (actors.get(take) or "") == actor}
         theirs = [part for one in clips if (part := one.only(names)).names]
         rest = [part for one in clips if (part := one.without(names)).names]
-        folds.append(Fold(tuple(learn(rest)), tuple(theirs), delta))
+        refused = tuple(one for one in rejected if (actors.get(one.take) or "") == actor)
+        folds.append(Fold(tuple(learn(rest)), tuple(theirs), delta, refused))
+    strangers = tuple(one for one in rejected if (actors.get(one.take) or "") not in known)
+    if strangers:
+        folds.append(Fold(tuple(learn(clips)), (), delta, strangers))
     return _choose([*zip(folds, executor.map(fold_costs, folds), strict=True)], classes)
 
 
 def fold_costs(fold: Fold) -> F64:
-    """Return the cost of each clip for each template, float64 (templates, clips), ∞ where none fits; in a worker."""
-    words = [one for clips in fold.clips for one in clips.words]
+    """Return the cost of each clip, then of each rejected interval, for each template, in a worker.
+
+    They are float64 (templates, clips and intervals), ∞ where nothing fits.
+    """
+    words = [*(one for clips in fold.clips for one in clips.words), *(one.words for one in fold.rejected)]
     templates = [quantise(one.learned.template, fold.delta) for one in fold.templates]
     costs = np.full((len(templates), len(words)), np.inf)
     for batch in split_takes(range(len(words)), map(len, words)) if templates else ():
@@ -134,10 +147,14 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
         for label in truth:
             actors[label].add(number)
         labels = [of_subclass.get(one.subclass) for one in fold.templates]
+        refused = [_class_of_rejected(one, classes) for one in fold.rejected]
         for name in sorted({label for label in labels if label is not None}):
-            least = costs[[label == name for label in labels]].min(axis=0)
-            for label, cost in zip(truth, least.tolist(), strict=True):
+            least = costs[[label == name for label in labels]].min(axis=0).tolist()
+            for label, cost in zip(truth, least[: len(truth)], strict=True):
                 (own if label == name else others).setdefault(name, []).append(cost)
+            for label, cost in zip(refused, least[len(truth) :], strict=True):
+                if label == name:
+                    others.setdefault(name, []).append(cost)
     every = [np.array([cost for costs in side.values() for cost in costs]) for side in (own, others)]
     if not np.isfinite(every[0]).any():
         raise KinedexError("`tau: calibrated`: no clip fits a template of its class that other actors' clips made")
@@ -155,3 +172,11 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
         taus[name] = min(tau, HIGHEST)
     remarks = [f"τ of all classes together ({common:.3g}), as {why}: {few(names)}" for why, names in bare.items()]
     return Calibration(taus, scores, tuple(remarks))
+
+
+def _class_of_rejected(one: Rejected, classes: Classes) -> str | None:
+    """Return the class that a rejected interval is no example of; None where only one of its subclasses was meant."""
+    if one.label in classes.names:
+        return one.label
+    found = next((each for each in classes.classes if one.label in each.subclasses), None)
+    return found.name if found is not None and len(found.subclasses) == 1 else None

@@ -556,8 +556,11 @@ class Store:
         return Template(learned, self.feature_set, self.rate_hz, lambda: self._clips(learned.clips))
 
     def _clips(self, names: Sequence[str]) -> Mapping[str, U64]:
-        """Return the words of those of the clips that are still takes of the store."""
-        return {name: self.words(name) for name in names if name in self._rows}
+        """Return the words of those of the clips that are still takes of the store, or intervals of them."""
+        from kinedex.pipelines.templates.examples import interval_of
+
+        places = {name: interval_of(name, self._rows) for name in names}
+        return {name: self.words(take)[frames] for name, (take, frames) in places.items() if take in self._rows}
 
     def rank(
         self,

@@ -152,7 +152,7 @@ def list_(
 ) -> None:
     """List the labels of a store."""
     from kinedex.pipelines.labels.selection import selected
-    from kinedex.storage.snapshot.labels import shown_labels
+    from kinedex.storage.snapshot.label_view import shown_labels
 
     opened = open_for_reading(store, at)
     table = shown_labels(opened)

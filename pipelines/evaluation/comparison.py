@@ -183,7 +183,7 @@ def _known(context: StageContext, params: ComparisonParameters, store: Store) ->
 def _folds(plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
     """Make the folds of a split."""
     store, group = known.store, plan.params.divide_by
-    training, clips = training_material(store, known.learned_with.model_copy(update={"where": split.train}))
+    material = training_material(store, known.learned_with.model_copy(update={"where": split.train}))
     tested = plan.tested(store, split)
     if group not in tested.columns:
         raise KinedexError(f"divide_by: takes have no column '{group}'{did_you_mean(group, tested.columns)}")
@@ -198,7 +198,7 @@ def _folds(plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
             )
         return ground_truth(store, plan.truth, takes, known.classes)
 
-    return make_folds(split, Material(training, tuple(clips), tested, known.classes, place, group))
+    return make_folds(split, Material(material.takes, tuple(material.clips), tested, known.classes, place, group))
 
 
 def _swept(params: ComparisonParameters) -> list[Method]:

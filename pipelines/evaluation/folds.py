@@ -166,7 +166,7 @@ def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> 
     if split.leave_out is not None and split.leave_out in material.training.columns:
         value = tested[split.leave_out][0]
         excluded |= set(material.training.filter(pl.col(split.leave_out) == value)["name"].to_list())
-    trained = {clip for one in material.clips for clip in one.names}
+    trained = {take for one in material.clips for take in one.of_takes}
     both = sorted(names & trained)
     if both and split.leave_out is None and split.folds is None:
         raise KinedexError(

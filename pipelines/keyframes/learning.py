@@ -32,6 +32,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quant
 from kinedex.ops.words import U64
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.keyframes.margins import Margins, clips_hit, margins_of
+from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import TrainingClips
 
 Learner = Literal["genetic", "random", "greedy"]
@@ -70,7 +71,7 @@ class TrainingSet:
     positives : tuple of uint64 arrays (L,)
         The words of its clips.
     negatives : tuple of uint64 arrays (L,)
-        The words of clips of other classes.
+        The words of clips of other classes, and of intervals that a person has rejected.
     """
 
     subclass: str
@@ -182,7 +183,9 @@ class Outcome:
     runs: int
 
 
-def training_sets(clips: Sequence[TrainingClips], classes: Classes) -> list[TrainingSet]:
+def training_sets(
+    clips: Sequence[TrainingClips], classes: Classes, rejected: Sequence[Rejected] = ()
+) -> list[TrainingSet]:
     """Make the training set of each subclass: clips of other classes are negative, other subclasses of its own are not.
 
     Parameters
@@ -191,6 +194,9 @@ def training_sets(clips: Sequence[TrainingClips], classes: Classes) -> list[Trai
         The clips of each subclass.
     classes : Classes
         The classes; a subclass in none of them is a class of its own.
+    rejected : sequence of Rejected, optional
+        Intervals that a person has rejected for a class, which are negative for it: for one of its subclasses, or for
+        all of them where the class is named. They come last.
     """
     of = classes.of_subclass()
     label = {one.subclass: of.get(one.subclass, one.subclass) for one in clips}
@@ -199,7 +205,10 @@ def training_sets(clips: Sequence[TrainingClips], classes: Classes) -> list[Trai
             one.subclass,
             one.names,
             one.words,
-            tuple(words for other in clips if label[other.subclass] != label[one.subclass] for words in other.words),
+            (
+                *(words for other in clips if label[other.subclass] != label[one.subclass] for words in other.words),
+                *(other.words for other in rejected if other.label in (one.subclass, label[one.subclass])),
+            ),
         )
         for one in clips
     ]

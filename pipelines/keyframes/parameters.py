@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from kinedex.catalog.classes import OWN
 from kinedex.ops.keyframes.consensus import AtLeast
@@ -10,10 +10,11 @@ from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSetting
 from kinedex.pipelines.keyframes.learning import Learner, Setting, allowed_features
 from kinedex.pipelines.keyframes.margins import Margins
 from kinedex.pipelines.keyframes.runs import GROUP, PATIENCE, SETTLED, Rounds
+from kinedex.pipelines.templates.examples import ExampleParameters
 from kinedex.storage.store.store import Store
 
 
-class KeyframeParameters(BaseModel):
+class KeyframeParameters(ExampleParameters):
     """The parameters of the stage `learn_keyframes`, with the numbers of the thesis (Chapter 4) as defaults.
 
     `configs/pipelines/keyframes.yaml` sets the numbers that find the motions of people best who were not in the
@@ -23,7 +24,6 @@ class KeyframeParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    where: str = Field("class IS NOT NULL", description="takes to learn from: a SQL filter over the columns of takes")
     classes: str = Field(OWN, description="a class file; other subclasses of a class are no negatives of each other")
     sets: list[str] = Field([], description="feature sets that keyframes may use; all unless given")
     learner: Learner = Field("genetic", description="genetic; or, to compare with it, random or greedy")

@@ -27,6 +27,7 @@ from kinedex.pipelines.report.data import (
 )
 from kinedex.pipelines.report.reproduction import command
 from kinedex.pipelines.report.take_selection import median_take
+from kinedex.pipelines.templates.examples import interval_of
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.report_sums import SUMS
 from kinedex.storage.store.store import Store, data_frame
@@ -281,7 +282,8 @@ def _held_out_column(reader: Reader) -> str:
 
 
 def _learned_from(takes: pl.DataFrame, templates: Sequence[Template], column: str) -> tuple[str, ...]:
-    clips = {clip for template in templates for clip in template.clips}
+    names = set(takes["name"].to_list())
+    clips = {interval_of(clip, names)[0] for template in templates for clip in template.clips}
     if column not in takes.columns:
         return ()
     values = takes.filter(pl.col("name").is_in(list(clips)))[column].drop_nulls().unique()

@@ -36,6 +36,7 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.search.not_applied import known_of, not_applied_table
+from kinedex.pipelines.templates.examples import rejected_examples
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
@@ -72,7 +73,13 @@ class Annotate(Stage[AnnotationParameters]):
             learned = learned_queries(store, context.key(keyframes)) if keyframes is not None else []
             made_with = context.params_of("templates", TemplateParameters)
             calibration = calibrated_thresholds(
-                store, params, made_with, classes, lambda: training_material(store, made_with)[1], context.executor
+                store,
+                params,
+                made_with,
+                classes,
+                lambda: training_material(store, made_with).clips,
+                context.executor,
+                lambda: rejected_examples(store, made_with),
             )
             annotator = prepare_annotator(
                 store,

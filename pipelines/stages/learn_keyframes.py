@@ -1,4 +1,4 @@
-"""Stage learn_keyframes: keyframe queries for every subclass, learned from its clips and those of all others."""
+"""Stage learn_keyframes: keyframe queries for every subclass, learned from its examples and those of all others."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.consensus import AtLeast
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
+from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.keyframes.learning import training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
@@ -15,7 +15,8 @@ from kinedex.pipelines.keyframes.run_storage import StoredRuns
 from kinedex.pipelines.keyframes.runs import ClassRuns, learn, queries_table
 from kinedex.pipelines.report.keyframes_page import keyframes_page
 from kinedex.pipelines.report.page_files import write_page
-from kinedex.pipelines.templates.learning import training_clips, training_takes
+from kinedex.pipelines.templates.examples import examples_of, examples_read, rejected_examples
+from kinedex.pipelines.templates.learning import example_clips
 from kinedex.storage.store.store import Store
 
 
@@ -26,8 +27,8 @@ class LearnKeyframes(Stage[KeyframeParameters]):
     parameters = KeyframeParameters
 
     def reading(self, params: KeyframeParameters, store: Store) -> Reading:
-        """Return a digest of the clips to learn from."""
-        return takes_read(store, {"clip": params.where})
+        """Return a digest of the examples to learn from."""
+        return examples_read(store, params)
 
     def external_digest(self, params: KeyframeParameters, store: Store | None) -> str:
         """Return a hash of the class file."""
@@ -36,17 +37,16 @@ class LearnKeyframes(Stage[KeyframeParameters]):
     def run(self, context: StageContext, params: KeyframeParameters) -> dict[str, object]:
         """Learn and store the queries and all runs; runs that were finished before are not done again."""
         store = context.open()
-        takes = training_takes(store, params.where)
-        clips = training_clips(store, takes)
-        if len(clips) < 2:
+        found, remarks = examples_of(store, params)
+        clips, rejected = example_clips(store, found), rejected_examples(store, params)
+        if len(clips) < 2 and not rejected:
             raise KinedexError(
                 f"keyframe queries tell classes apart, so clips of at least two are needed; the filter "
                 f"`{params.where}` selects those of {clips[0].subclass} only"
             )
-        for one in clips:
-            for remark in one.remarks:
-                context.say(f"{one.subclass}: {remark}")
-        wanted = training_sets(clips, load_classes(params.classes, [one.subclass for one in clips]))
+        for remark in [*remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks)]:
+            context.say(remark)
+        wanted = training_sets(clips, load_classes(params.classes, [one.subclass for one in clips]), rejected)
         bare = [one.subclass for one in wanted if not one.negatives]
         if bare:
             raise KinedexError(f"no clip is of another class than {few(bare)}, so there is nothing to tell it from")
@@ -55,6 +55,8 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         before = {(one.key, one.number) for one in kept.known()}
         subclasses = counted(len(wanted), "subclass", "subclasses")
         examples = counted(sum(len(one.names) for one in clips), "clip")
+        if rejected:
+            examples += f" and {counted(len(rejected), 'rejected interval')}"
         context.say(f"{subclasses} with {examples}, in rounds of {rounds.group} runs each")
         with context.progress("runs", rounds.runs * len(wanted)) as progress:
             classes = learn(

@@ -9,10 +9,11 @@ from typing import ClassVar
 from kinedex.ops.templates.templates import MOST_ROUNDS
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading, files_digest, takes_read
+from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.templates.examples import examples_read
 from kinedex.pipelines.templates.learning import SubclassTemplate, learn_templates, templates_table
-from kinedex.pipelines.templates.recipes import feature_weights, templates_of_files
+from kinedex.pipelines.templates.recipes import feature_weights
 from kinedex.pipelines.templates.training import TemplateParameters, completed, training_material
 from kinedex.storage.store.store import Store
 
@@ -25,8 +26,8 @@ class LearnTemplates(Stage[TemplateParameters]):
     inputs: ClassVar = {"takes": Input("ingest")}
 
     def reading(self, params: TemplateParameters, store: Store) -> Reading:
-        """Return a digest of the clips to learn from."""
-        return takes_read(store, {"clip": params.where})
+        """Return a digest of the examples to learn from, rejected ones included: thresholds depend on them."""
+        return examples_read(store, params)
 
     def external_digest(self, params: TemplateParameters, store: Store | None) -> str:
         """Return a hash of the template files and, where clips are mirrored, of the pairs of mirrored features."""
@@ -36,11 +37,12 @@ class LearnTemplates(Stage[TemplateParameters]):
     def run(self, context: StageContext, params: TemplateParameters) -> dict[str, object]:
         """Learn and store the templates."""
         store = context.open()
-        takes, clips = training_material(store, params)
-        given = {one.name for _, one in templates_of_files(params.template_files, store.feature_set)}
-        unused = sorted(given & set(takes["class"]))
-        if unused:
-            context.say(f"templates from files, so their clips are not learned from: {few(unused)}")
+        material = training_material(store, params)
+        clips = material.clips
+        for remark in material.remarks:
+            context.say(remark)
+        if material.unused:
+            context.say(f"templates from files, so their clips are not learned from: {few(material.unused)}")
         features = len(store.feature_set.features)
         counts = feature_weights(params.weights, store.feature_set)
         learned: list[SubclassTemplate] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from kinedex.ops.words import NO_WORD, U64
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.clip_checks import clip_remarks
+from kinedex.pipelines.templates.examples import Example, example_words, whole_takes
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -44,7 +46,7 @@ class TrainingClips:
     subclass : str
         The subclass.
     names : tuple of str
-        The names of the takes.
+        The names of the takes, with intervals where they are not whole ("walk_01[30:90]").
     words : tuple of uint64 arrays (L,)
         The words of each clip.
     mirrored : int
@@ -53,6 +55,8 @@ class TrainingClips:
         The subclass of the mirrored clips.
     remarks : tuple of str
         Clips that were shortened or excluded.
+    takes : tuple of str
+        The take of each clip; the names are those of takes unless given.
     """
 
     subclass: str
@@ -61,6 +65,12 @@ class TrainingClips:
     mirrored: int = 0
     source: str = ""
     remarks: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
+
+    @property
+    def of_takes(self) -> tuple[str, ...]:
+        """The take of each clip."""
+        return self.takes or self.names
 
     @property
     def cells(self) -> int:
@@ -75,16 +85,19 @@ class TrainingClips:
         return f"{LEARNED}, {self.mirrored} of {len(self.names)} clips are those of {self.source} in the mirror"
 
     def without(self, names: Container[str]) -> TrainingClips:
-        """Return the clips except those of some names."""
-        return self._of([index for index, name in enumerate(self.names) if name not in names])
+        """Return the clips except those of some takes."""
+        return self._of([index for index, take in enumerate(self.of_takes) if take not in names])
 
     def only(self, names: Container[str]) -> TrainingClips:
-        """Return the clips of some names."""
-        return self._of([index for index, name in enumerate(self.names) if name in names])
+        """Return the clips of some takes."""
+        return self._of([index for index, take in enumerate(self.of_takes) if take in names])
 
     def _of(self, chosen: Sequence[int]) -> TrainingClips:
         return TrainingClips(
-            self.subclass, tuple(self.names[index] for index in chosen), tuple(self.words[index] for index in chosen)
+            self.subclass,
+            tuple(self.names[index] for index in chosen),
+            tuple(self.words[index] for index in chosen),
+            takes=tuple(self.of_takes[index] for index in chosen),
         )
 
 
@@ -110,66 +123,45 @@ class Task:
     feature_weights: F64 | None = None
 
 
-def training_takes(store: Store, where: str) -> pl.DataFrame:
-    """Return the takes that a filter selects for learning, sorted by name; all of them have a class.
-
-    Parameters
-    ----------
-    store : Store
-        The store that holds the takes.
-    where : str
-        A SQL filter over the columns of takes.
-
-    Raises
-    ------
-    KinedexError
-        The filter selects no take, or one without a class.
-    """
-    takes = store.takes(where)
-    if not takes.height:
-        labelled = store.takes().filter(pl.col("class").is_not_null()).height
-        raise KinedexError(
-            f"no take to learn from: the filter `{where}` selects none of the {store.takes().height} takes, "
-            f"{labelled} of which have a class. The class of a take comes from its path, by `patterns` of ingest"
-        )
-    unlabelled = takes.filter(pl.col("class").is_null())["name"].to_list()
-    if unlabelled:
-        raise KinedexError(
-            f"the filter `{where}` selects {len(unlabelled)} takes to learn from that have no class, such as "
-            f"{unlabelled[0]}; add `AND class IS NOT NULL`"
-        )
-    return takes
-
-
 def training_clips(store: Store, takes: pl.DataFrame) -> list[TrainingClips]:
-    """Group training takes by subclass and read their words.
+    """Group whole takes by subclass and read their words (`example_clips`)."""
+    return example_clips(store, whole_takes(takes))
 
-    Invalid frames at the ends of a clip are cut off; a clip with others, or without any valid frame, is excluded.
+
+def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingClips]:
+    """Group examples by subclass and read their words.
+
+    Invalid frames at the ends of an example are cut off; one with others, or without any valid frame, is excluded.
 
     Parameters
     ----------
     store : Store
         The store that holds the takes.
-    takes : polars.DataFrame
-        Rows of takes, each with a class.
+    examples : iterable of Example
+        Clips and intervals; rejected ones are ignored.
 
     Returns
     -------
     list of TrainingClips
-        Subclasses, and the clips of each, in the order of their names.
+        Subclasses, and the examples of each, in the order of their names.
 
     Raises
     ------
     KinedexError
-        A subclass is left without a clip.
+        A subclass is left without an example.
     """
-    words = store.words(takes["take_id"].to_list())
-    place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
+    words = example_words(store, (one for one in examples if one.positive))
     clips = []
-    for (subclass,), group in takes.sort("class", "name").group_by("class", maintain_order=True):
-        every = {str(name): words.take(place[take_id]) for take_id, name in group.select("take_id", "name").iter_rows()}
-        clips.append(usable_clips(str(subclass), every))
+    for subclass, group in groupby(sorted(words, key=_order), key=lambda one: one.label):
+        chosen = list(group)
+        usable = usable_clips(subclass, {one.name: words[one] for one in chosen})
+        take = {one.name: one.take for one in chosen}
+        clips.append(replace(usable, takes=tuple(take[name] for name in usable.names)))
     return clips
+
+
+def _order(one: Example) -> tuple[str, str, int, int]:
+    return one.label, one.take, one.start, one.stop
 
 
 def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:

@@ -104,7 +104,12 @@ def with_mirrored(
         words = tuple(feature_set.mirrored(clip) for clip in one.words)
         own = known.get(target, TrainingClips(target, (), ()))
         found[target] = replace(
-            own, names=own.names + one.names, words=own.words + words, mirrored=len(one.names), source=source
+            own,
+            names=own.names + one.names,
+            words=own.words + words,
+            mirrored=len(one.names),
+            source=source,
+            takes=own.of_takes + one.of_takes,
         )
     return [found[name] for name in sorted(found)]
 

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import polars as pl
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.templates.learning import (
-    SubclassTemplate,
-    TrainingClips,
-    as_subclass_template,
-    training_clips,
-    training_takes,
-)
+from kinedex.pipelines.templates.examples import ExampleParameters, examples_of
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, as_subclass_template, example_clips
 from kinedex.pipelines.templates.recipes import (
     Combination,
     combined,
@@ -29,15 +25,9 @@ from kinedex.pipelines.templates.recipes import (
 from kinedex.storage.store.store import Store
 
 
-class TemplateParameters(BaseModel):
+class TemplateParameters(ExampleParameters):
     """The parameters of the stage `learn_templates`, and of stages that repeat its work."""
 
-    model_config = ConfigDict(extra="forbid")
-
-    where: str = Field(
-        "class IS NOT NULL",
-        description="takes to learn from: a SQL filter over the columns of takes; they are grouped by `class`",
-    )
     methods: list[Kind] = Field(
         ["soft", "hard"], min_length=1, description="soft: shares of the clips; hard: what all clips have in common"
     )
@@ -62,8 +52,30 @@ class TemplateParameters(BaseModel):
         return list(dict.fromkeys(self.methods))
 
 
-def training_material(store: Store, params: TemplateParameters) -> tuple[pl.DataFrame, list[TrainingClips]]:
-    """Return the training takes of an archive, and the clips of every subclass that is learned.
+@dataclass(frozen=True)
+class TrainingMaterial:
+    """The material that templates are learned from.
+
+    Attributes
+    ----------
+    takes : polars.DataFrame
+        Rows of the takes that examples are of; none where all templates come from files.
+    clips : list of TrainingClips
+        The examples of each subclass, with mirrored ones, without subclasses that have a template of a file.
+    unused : list of str
+        Subclasses with examples whose templates come from files.
+    remarks : list of str
+        Labels that were excluded.
+    """
+
+    takes: pl.DataFrame
+    clips: list[TrainingClips]
+    unused: list[str]
+    remarks: list[str]
+
+
+def training_material(store: Store, params: TemplateParameters) -> TrainingMaterial:
+    """Return the examples of every subclass that is learned.
 
     Parameters
     ----------
@@ -72,24 +84,17 @@ def training_material(store: Store, params: TemplateParameters) -> tuple[pl.Data
     params : TemplateParameters
         Its mirrored clips are included, and subclasses with a template of a file are not.
 
-    Returns
-    -------
-    polars.DataFrame
-        Rows of takes; none where the filter selects none and templates come from files.
-    list of TrainingClips
-        By subclass.
-
     Raises
     ------
     KinedexError
-        No take is selected and no template comes from a file, or a take has no class.
+        There is no example and no template comes from a file, or a take has no class.
     """
-    takes = store.takes(params.where)
-    if takes.height or not params.template_files:
-        takes = training_takes(store, params.where)
+    examples, remarks = examples_of(store, params, required=not params.template_files)
     given = {one.name for _, one in templates_of_files(params.template_files, store.feature_set)}
-    clips = with_mirrored(training_clips(store, takes), params.mirror, store.feature_set)
-    return takes, [one for one in clips if one.subclass not in given]
+    clips = with_mirrored(example_clips(store, examples), params.mirror, store.feature_set)
+    takes = store.takes().filter(pl.col("take_id").is_in({one.take_id for one in examples}))
+    unused = sorted(given.intersection(one.label for one in examples))
+    return TrainingMaterial(takes, [one for one in clips if one.subclass not in given], unused, remarks)
 
 
 def completed(

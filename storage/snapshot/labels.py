@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import uuid
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from kinedex.catalog.sql.views import VIEWS
 from kinedex.ops.errors import ParameterError
 from kinedex.storage.snapshot.schemas import LABEL_ORIGINS, LABEL_VERDICTS, labels_schema, with_columns
-
-if TYPE_CHECKING:
-    from kinedex.storage.snapshot.snapshot import Snapshot
-
-LABEL_COLUMNS = [column.name for view in VIEWS if view.name == "label_history" for column in view.columns]
-"""The columns of the view `label_history`."""
 
 
 def current_labels(rows: pa.Table) -> pa.Table:
@@ -25,28 +18,6 @@ def current_labels(rows: pa.Table) -> pa.Table:
     replaced = pc.is_in(rows.column("id"), rows.column("replaces"))
     withdrawn = pc.equal(rows.column("verdict"), "withdrawn")
     return rows.filter(pc.invert(pc.or_(replaced, withdrawn)))
-
-
-def shown_labels(store: Snapshot) -> pa.Table:
-    """Return all rows of labels with the columns of the view `label_history`."""
-    rows = store.labels(history=True)
-    current = set(current_labels(rows).column("id").to_pylist())
-    ids, checksums = (store.take_ids, store.checksums) if rows.num_rows else ({}, {})
-    takes = rows.column("take").to_pylist()
-    checks = zip(takes, rows.column("checksum").to_pylist(), strict=True)
-    changed = [
-        checksums[take] != (checksum or checksums[take]) if take in checksums else None for take, checksum in checks
-    ]
-    added = {
-        "take_id": pa.array([ids.get(take) for take in takes], pa.int64()),
-        "start_seconds": pc.divide(pc.cast(rows.column("start"), pa.float64()), store.rate_hz),
-        "stop_seconds": pc.divide(pc.cast(rows.column("stop"), pa.float64()), store.rate_hz),
-        "file_changed": pa.array(changed, pa.bool_()),
-        "current": pa.array([one in current for one in rows.column("id").to_pylist()], pa.bool_()),
-    }
-    for name, column in added.items():
-        rows = rows.append_column(name, column)
-    return rows.select(LABEL_COLUMNS).replace_schema_metadata(None)
 
 
 def new_labels(labels: pa.Table, known: pa.Table, checksums: dict[str, str]) -> pa.Table:

@@ -23,7 +23,7 @@ from kinedex.storage.index.generations import (
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.remedies import build_index, repair
-from kinedex.storage.snapshot.labels import shown_labels
+from kinedex.storage.snapshot.label_view import shown_labels
 from kinedex.storage.snapshot.parts import part_file, read_errors
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
