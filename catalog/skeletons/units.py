@@ -22,8 +22,13 @@ UNITS_M = {"metres": 1.0, "inches / 0.45 (Acclaim)": 0.0254 / 0.45, "inches": 0.
 RARE_UNITS_M = {"dm (MakeHuman)": 0.1}
 """Units that are tried where none of `UNITS_M` fits."""
 
+RARE_HEIGHTS_M = ((0.8, 1.0), (2.2, 2.3), (0.7, 0.8), (2.3, 4.1))
+"""Heights that a guessed unit makes of a body where none makes one of `HUMAN_M`, the likelier first: small children,
+giants, and stylised figures, which come in with a warning on their height."""
+
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
+_POSSIBLE_M = (0.4, 4.1)  # heights that a stated unit is believed with
 _UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
 _ARMS = (("lshoulder", "lelbow", "lwrist"), ("rshoulder", "relbow", "rwrist"))
 _ARM_TO_LEG, _TRUNK_TO_LEG = 0.68, 0.76  # lengths of arms and trunk as shares of the legs', as in HDM05 and CMU
@@ -53,14 +58,43 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
     height = body_height(positions, joints)
     if height is None:
         raise SourceError(source, f"its unit of length cannot be guessed without a whole leg or arm; {way_out}")
-    for name, unit_m in (UNITS_M | RARE_UNITS_M).items():
-        if HUMAN_M[0] <= height * unit_m <= HUMAN_M[1]:
-            return name, unit_m, height * unit_m
+    for low, high in (HUMAN_M, *RARE_HEIGHTS_M):
+        for name, unit_m in (UNITS_M | RARE_UNITS_M).items():
+            if low <= height * unit_m <= high:
+                return name, unit_m, height * unit_m
     raise SourceError(
         source,
-        f"its unit of length cannot be guessed: the body is {height:.4g} units high, which is {HUMAN_M[0]:g} to "
-        f"{HUMAN_M[1]:g} m in none of {', '.join(UNITS_M)}; {way_out}",
+        f"its unit of length cannot be guessed: the body is {height:.4g} units high, which is {RARE_HEIGHTS_M[2][0]:g} "
+        f"to {RARE_HEIGHTS_M[3][1]:g} m in none of {', '.join(UNITS_M)}; {way_out}",
     )
+
+
+def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:
+    """Return the unit that the height of a body asks for in place of a stated one; None where the stated one may hold.
+
+    A stated unit holds if it makes a body of 0.4 to 4.1 m, or if no unit makes a human height.
+
+    Parameters
+    ----------
+    positions : float64 array (J, 3, T)
+        Of the named joints, in the file's unit.
+    joints : tuple of str
+        The names of the J joints.
+    unit_m : float
+        Metres of the stated unit.
+
+    Returns
+    -------
+    tuple[str, float, float] or None
+        The name of the unit, its metres, and the height of the body in metres.
+    """
+    height = body_height(positions, joints)
+    if height is None or _POSSIBLE_M[0] <= height * unit_m <= _POSSIBLE_M[1]:
+        return None
+    for name, other_m in UNITS_M.items():
+        if HUMAN_M[0] <= height * other_m <= HUMAN_M[1]:
+            return name, other_m, height * other_m
+    return None
 
 
 def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:

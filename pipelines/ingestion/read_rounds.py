@@ -212,4 +212,4 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     textnumbers.parse_rows(b"0\n", 0, 1, 1)
     body, upright = np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2))
     features.words(body, upright, 30.0, feature_set.rules, None, feature_set.plugin_primitives)
-    plausibility(body, feature_set.joints, 30.0)
+    plausibility(np.random.default_rng(0).normal(size=(len(feature_set.joints), 3, 9)), feature_set.joints, 30.0)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.skeleton_fit import Fit
-from kinedex.catalog.skeletons.units import guess_unit
+from kinedex.catalog.skeletons.units import contradicted_unit, guess_unit
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import body_bytes
@@ -113,7 +113,13 @@ def posed_bytes(frames: int, size: int, nodes: int, joints: int) -> int:
 
 
 def to_metres(
-    path: Path, positions: F64, unit_m: float | None, joints: tuple[str, ...], warnings: list[str], frame: int = 0
+    path: Path,
+    positions: F64,
+    unit_m: float | None,
+    joints: tuple[str, ...],
+    warnings: list[str],
+    frame: int = 0,
+    stated: bool = False,
 ) -> str:
     """Scale positions to metres in place and return the unit in words.
 
@@ -128,15 +134,25 @@ def to_metres(
     joints : tuple of str
         The names of the J joints.
     warnings : list of str
-        A sentence is appended if the unit is guessed.
+        A sentence is appended if the unit is guessed or corrected.
     frame : int, optional
         First frame in which the body is measured.
+    stated : bool, optional
+        True for a unit that the file states. Another one replaces it if it makes no body; that of a mapping stands.
     """
     unit = f"{unit_m:.6g} m" if unit_m is not None else ""
     if unit_m is None:
         name, unit_m, height = guess_unit(path, positions[:, :, frame:], joints)
         unit = f"{unit_m:.6g} m (guessed)"
         warnings.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
+    elif stated and (other := contradicted_unit(positions[:, :, frame:], joints, unit_m)) is not None:
+        name, other_m, height = other
+        unit = f"{other_m:.6g} m (guessed)"
+        warnings.append(
+            f"its unit of length is wrong: it states {unit_m:.6g} m, which makes the body "
+            f"{height / other_m * unit_m:.3g} m high; it is read in {name}, which make it {height:.2f} m high"
+        )
+        unit_m = other_m
     positions *= unit_m
     return unit
 

@@ -115,7 +115,8 @@ def body_of_points(
         lost = [joints[i] for i in known if np.isnan(positions[i]).any()]
         warnings.append(_invalid(path, fit, valid, left, longest, called, lost))
     first = int(np.argmax(valid))
-    unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, first)
+    stated = points.unit_m is not None
+    unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, first, stated)
     refuse_far(path, positions, joints, fit.unknown, valid)
     return Body(
         positions=positions,

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kinedex.catalog.configs import config_names
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_skeleton, stripping
-from kinedex.catalog.skeletons.units import HUMAN_M, UNITS_M, guess_unit
+from kinedex.catalog.skeletons.units import HUMAN_M, UNITS_M, contradicted_unit, guess_unit
 from kinedex.ops.body import features
 from kinedex.ops.errors import ConfigError, SourceError
 from tests.bodies import standing, upright
@@ -304,12 +304,36 @@ def test_a_standing_body_is_as_high_as_it_looks_and_a_lying_one_no_lower() -> No
 
 
 def test_a_body_of_no_human_height_or_without_legs_has_no_unit_to_guess() -> None:
-    with pytest.raises(SourceError, match=r"units high, which is 1 to 2\.2 m in none of metres"):
+    with pytest.raises(SourceError, match=r"units high, which is 0\.7 to 4\.1 m in none of metres"):
         guess_unit("x", standing(1) * 1e5, JOINTS)
     body = standing(1)
     body[[JOINTS.index(joint) for joint in ("lknee", "rhip", "lelbow", "rwrist")]] = np.nan
     with pytest.raises(SourceError, match=r"without a whole leg or arm; state `unit_m`"):
         guess_unit("x", body, JOINTS)
+
+
+@pytest.mark.parametrize(
+    ("units", "unit", "height"),
+    [
+        (0.9, "metres", 0.9),
+        (88, "cm", 0.88),
+        (2.25, "metres", 2.25),
+        (3.5, "metres", 3.5),
+        (310, "cm", 3.1),
+        (7.5, "dm", 0.75),
+    ],
+)
+def test_children_giants_and_cartoons_get_the_unit_that_is_likeliest(units: float, unit: str, height: float) -> None:
+    _, _, metres = guess_unit("x", standing(1), JOINTS)
+    name, _, found = guess_unit("x", standing(1) * units / metres, JOINTS)
+    assert (name.split(" ")[0], found) == (unit, pytest.approx(height))
+
+
+@pytest.mark.parametrize(("stated", "found"), [(1.0, "mm"), (0.01, "mm"), (0.001, None), (0.0004, None), (1e-6, "mm")])
+def test_a_stated_unit_that_makes_no_body_is_contradicted(stated: float, found: str | None) -> None:
+    other = contradicted_unit(standing(1) * 1000, JOINTS, stated)
+    assert (other and other[0]) == found
+    assert contradicted_unit(standing(1) * 1e5, JOINTS, stated) is None
 
 
 @pytest.mark.parametrize(
