@@ -36,6 +36,8 @@ LEAST_CONFIDENCE = 0.35
 NAME = "recognised"
 """The name of a mapping that recognition makes."""
 
+_NO_UP = 0.6  # times the confidence where no axis is clearly up
+_AT_ZERO = 0.03  # of the body's height
 _UNNAMED = 0.6  # the confidence of a body of perfect proportions without any name
 _LEAD = 1.0  # the score by which a nameless body must surpass the next one
 _WHOLE_NAMES = 0.6  # the share of named parts above which names leave no choice
@@ -112,7 +114,7 @@ def _recognised(
     fit = _fit(found, evidence, joints, form, source, places, sides.mirrored)
     fit, up_reason, up_sure = _upright(fit, tree, evidence)
     fit = replace(fit, mapping=replace(fit.mapping, root_axes=_root_axes(tree, body, sides, fit.mapping.axes)))
-    confidence = _confidence(tree, body, sides) * (1.0 if up_sure else 0.9)
+    confidence = _confidence(tree, body, sides) * (1.0 if up_sure else _NO_UP)
     fault = _fault(tree, bodies, confidence)
     reasons = (*_reasons(tree, body, sides), up_reason)
     fit = replace(fit, estimated=found.estimated, reasons=reasons, confidence=round(confidence, 3))
@@ -180,7 +182,7 @@ def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
 
 
 def judged_up(places: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAxis:
-    """Return which axis is up; a rest pose that stands on its head does not count against the motion.
+    """Return which axis is up; the motion outweighs a rest pose on its head, or one that lies where feet are at 0.
 
     Parameters
     ----------
@@ -193,7 +195,14 @@ def judged_up(places: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAx
             return judged
         alone = up_axis(places)
         standing = up_axis({joint: np.reshape(place, (3, 1)) for joint, place in rest.items()})
-    upside_down = standing.axis and alone.axis and standing.axis[-1] == alone.axis[-1]
+    if not alone.axis:
+        return judged
+    upside_down = standing.axis and standing.axis[-1] == alone.axis[-1]
+    index, sign = "xyz".index(alone.axis[-1]), -1.0 if alone.axis[0] == "-" else 1.0
+    heights = sign * np.stack(list(places.values()))[:, index]
+    low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
+    if abs(low) < _AT_ZERO * (high - low):
+        return replace(alone, reasons=(*judged.reasons, f"the lowest point is at 0 along {alone.axis}"))
     return replace(alone, reasons=judged.reasons) if upside_down else judged
 
 

@@ -12,8 +12,8 @@ from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.ops.body import features
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import mapped_body
-from kinedex.storage.formats.motion.reader import Body, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body
+from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
 from tests.oracles import bvh as oracle
 
@@ -225,3 +225,108 @@ def test_a_rate_that_is_given_counts_in_place_of_the_file_s_and_that_is_said(tmp
         same = read_body(path, None, AUTO, JOINTS, given)
         assert same.rate_hz == 30.0
         assert not any("Hz" in warning for warning in same.warnings)
+
+
+def turned(joint: Joint) -> Joint:
+    """The same joints with Z up, as exports of Blender have them: X stays, Y becomes Z, and Z becomes -Y."""
+    x, y, z = joint.offset
+    ends = [(a, -c, b) for a, b, c in joint.ends]
+    return Joint(joint.name, (x, -z, y), joint.channels, [turned(child) for child in joint.children], ends)
+
+
+def z_up(frames: list[dict[str, list[float]]]) -> list[dict[str, list[float]]]:
+    """Standing frames whose root's place is that with Z up."""
+    found = []
+    for frame in frames:
+        moved = dict(frame)
+        x, y, z = frame["mixamorig:Hips"][:3]
+        moved["mixamorig:Hips"] = [x, -z, y, *frame["mixamorig:Hips"][3:]]
+        found.append(moved)
+    return found
+
+
+def test_a_file_with_z_up_stands_where_the_one_with_y_up_does(tmp_path: Path) -> None:
+    frames = still(mixamo(), 20)
+    upright = read(tmp_path, mixamo(), frames)
+    exported = read(tmp_path, turned(mixamo()), z_up(frames))
+    assert exported.skeleton == "mixamo"
+    assert exported.evidence[0].startswith("z is up in this file, not the axis of mapping 'mixamo': ")
+    np.testing.assert_allclose(exported.positions[:, 1], upright.positions[:, 1], atol=1e-9)
+    sideways = exported.positions[:, :, 0] - exported.positions[:1, :, 0]
+    across = np.linalg.norm(sideways[:, [0, 2]], axis=1)
+    expected = upright.positions[:, :, 0] - upright.positions[:1, :, 0]
+    np.testing.assert_allclose(across, np.linalg.norm(expected[:, [0, 2]], axis=1), atol=1e-9)
+
+
+def test_the_axis_that_a_mapping_of_the_user_states_counts(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.bvh", turned(mixamo()), z_up(still(mixamo(), 20)))
+    own = load_mappings(own_mapping(tmp_path, "name: mixamo", "name: own"), JOINTS)
+    body = read_body(path, None, own, JOINTS)
+    assert body.evidence == ()
+    assert joint(body, "head")[1, 0] == pytest.approx(joint(body, "root")[1, 0], abs=0.2)
+
+
+def test_each_root_of_a_file_is_a_person(tmp_path: Path) -> None:
+    first, second = mixamo("Ann:"), mixamo("Bob:", scale=0.9)
+    frames = [one | other for one, other in zip(dance(first, 12), dance(second, 12, seed=1), strict=True)]
+    text = bvh_text(first, frames)
+    other = bvh_text(second, frames)
+    hierarchy = other[other.index("ROOT") : other.index("MOTION")]
+    rows = [f"{a} {b}" for a, b in zip(text.splitlines()[-12:], other.splitlines()[-12:], strict=True)]
+    head = text[: text.index("MOTION")] + hierarchy + text[text.index("MOTION") : text.index("Frame Time")]
+    path = tmp_path / "two.bvh"
+    path.write_text("\n".join([head + "Frame Time: 0.0333333", *rows, ""]))
+    reader = reader_of(path)
+    assert reader.persons(MotionFile(path), AUTO) == ("Ann", "Bob")
+    for person, root, seed in (("Ann", first, 0), ("Bob", second, 1)):
+        alone = read(tmp_path, root, dance(root, 12, seed))
+        body = reader.read(MotionFile(path, person=person), AUTO, JOINTS, ReadSettings())
+        np.testing.assert_allclose(body.positions, alone.positions, atol=1e-12)
+    with pytest.raises(SourceError, match="holds 2 figures or clips: 'Ann', 'Bob'"):
+        reader.read(MotionFile(path), AUTO, JOINTS, ReadSettings())
+
+
+def test_a_spine_longer_than_mixamos_is_divided_by_its_length(tmp_path: Path) -> None:
+    root = mixamo()
+    chest = root.children[2].children[0].children[0]
+    lower = Joint("mixamorig:Spine3", (0, 13, 0), chest.channels, chest.children)
+    chest.children = [lower]
+    body = read(tmp_path, root, still(root, 5))
+    assert body.skeleton == "recognised"
+    heights = [joint(body, name)[1, 0] for name in ("root", "belly", "chest", "neck")]
+    np.testing.assert_allclose(np.diff(heights), 0.01 * (10 + 12 + 13 + 13 + 16) / 3, atol=1e-4)
+
+
+def test_positions_beside_an_offset_are_added_to_it_where_they_are_nothing(tmp_path: Path) -> None:
+    plain, beside = mixamo(), mixamo()
+    for part in beside.all()[1:]:
+        part.channels = (*POSITIONS, *part.channels)
+    frames = dance(plain, 6)
+    added = [
+        {name: (numbers if name == "mixamorig:Hips" else [0.0, 0.0, 0.0, *numbers]) for name, numbers in frame.items()}
+        for frame in frames
+    ]
+    np.testing.assert_allclose(read(tmp_path, beside, added).positions, read(tmp_path, plain, frames).positions)
+
+
+def test_a_frame_time_of_one_second_gives_way_to_the_likely_rate(tmp_path: Path) -> None:
+    root = mixamo()
+    path = tmp_path / "a.bvh"
+    path.write_text(bvh_text(root, dance(root, 400), frame_time="1.0"))
+    body = read_body(path, None, AUTO, JOINTS)
+    assert body.rate_hz > 5
+    assert any("its rate is wrong: it states 1 Hz" in warning for warning in body.warnings)
+
+
+def test_wild_files_come_in_upright_and_of_human_height_or_are_no_human(shared: Path) -> None:
+    refused = []
+    for path in sorted((shared / "data" / "wild").rglob("*.bvh")):
+        try:
+            body = read_body(path, None, AUTO, JOINTS)
+        except SourceError as fault:
+            refused.append((path.stem, "not human" in str(fault)))
+            continue
+        assert body.unknown == ()
+        lifted = np.nanmedian(joint(body, "head")[1] - joint(body, "root")[1])
+        assert 0.35 < lifted < 0.8, path
+    assert refused == [("test", True), ("Dog_example", True), ("dog_std", True)]
