@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.catalog.skeletons.recognition.landmarks import Landmarks
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
@@ -29,7 +30,7 @@ __all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings
 
 F64 = npt.NDArray[np.float64]
 
-_WAY_OUT = "give one by `skeleton`, a shipped name or a .yaml file of your own"
+_WAY_OUT = "write one with `kinedex mapping new FILE -o my.yaml`, and give it by `skeletons`"
 
 
 class _Aside(BaseModel):
@@ -101,14 +102,17 @@ class Mappings:
         The formats for which the user chose one mapping.
     vocabulary : Vocabulary, optional
         The names by which trees are recognised; the shipped ones by default.
+    landmarks : Landmarks, optional
+        The labels by which points are recognised; the shipped ones by default.
     vocabulary_digest : str
-        A hash of the names that the user added.
+        A hash of the names and labels that the user added.
     """
 
     of_format: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
     own: dict[Format, tuple[SkeletonMapping, ...]] = field(default_factory=dict)
     forced: tuple[Format, ...] = ()
     vocabulary: Vocabulary | None = None
+    landmarks: Landmarks | None = None
     vocabulary_digest: str = ""
 
     def of(self, form: Format) -> tuple[SkeletonMapping, ...]:
@@ -153,7 +157,7 @@ class Mappings:
             If no body is recognised.
         """
         if evidence.parents is None:
-            return recognise_points(source, evidence, self.joints, form)
+            return recognise_points(source, evidence, self.joints, form, self.landmarks)
         return recognise_tree(source, evidence, self.joints, form, self.vocabulary)
 
     def detect(
@@ -249,7 +253,7 @@ class Mappings:
         raise SourceError(
             source,
             f"does not name its {count} joints, and {'no' if not fitting else 'more than one'} mapping has as many in "
-            f"its `order` (there are: {known}); give one of your own by `skeleton`, or add an array `names`",
+            f"its `order` (there are: {known}); give one of your own by `skeletons`, or add an array `names`",
         )
 
     def nearest(self, form: Format, nodes: Mapping[str, int]) -> Fit | None:
@@ -275,7 +279,7 @@ def _best(source: str | Path, fits: Sequence[Fit]) -> Fit | None:
     best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
     if len(best) > 1:
         names = ", ".join(f"'{fit.mapping.name}'" for fit in best)
-        raise SourceError(source, f"mappings {names} fit this skeleton equally well; {_WAY_OUT}")
+        raise SourceError(source, f"mappings {names} fit this skeleton equally well; give one by `skeleton`")
     return best[0] if best else None
 
 

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinedex.catalog.configs import parse_yaml, read_text
+from kinedex.catalog.configs import Located, parse_yaml, read_text
 from kinedex.catalog.skeletons.mappings import Mappings, SkeletonMapping, parse_skeleton
+from kinedex.catalog.skeletons.recognition.landmarks import landmarks_with
 from kinedex.catalog.skeletons.recognition.names import Vocabulary, load_vocabulary, parse_vocabulary
 from kinedex.catalog.skeletons.skeleton_fit import Format
 from kinedex.ops.errors import ConfigError
@@ -82,6 +83,7 @@ def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ..
     """
     own: dict[Format, tuple[SkeletonMapping, ...]] = {}
     vocabularies: list[Vocabulary] = []
+    labels: list[Located] = []
     digests: list[str] = []
     names: dict[str, Path] = {}
     for file in sorted(files, key=lambda one: one.stored):
@@ -92,13 +94,15 @@ def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ..
             taken = names[found.name]
             raise ConfigError(file.path, f"{taken} has the name '{found.name}', too; rename one", key="name")
         names[found.name] = file.path
-        if isinstance(found.content, Vocabulary):
-            vocabularies.append(found.content)
+        if not isinstance(found.content, SkeletonMapping):
+            vocabularies += [found.content] if isinstance(found.content, Vocabulary) else []
+            labels += [found.content] if isinstance(found.content, Located) else []
             digests.append(hashlib.sha256(file.text.encode()).hexdigest()[:16])
         elif found.content.format not in mappings.forced:
             own[found.content.format] = (*own.get(found.content.format, ()), found.content)
     vocabulary = load_vocabulary("joints").merged(vocabularies) if vocabularies else None
-    return replace(mappings, own=own, vocabulary=vocabulary, vocabulary_digest=" ".join(digests))
+    landmarks = landmarks_with(labels) if labels else None
+    return replace(mappings, own=own, vocabulary=vocabulary, landmarks=landmarks, vocabulary_digest=" ".join(digests))
 
 
 @dataclass(frozen=True)
@@ -109,12 +113,12 @@ class Own:
     ----------
     name : str
         Its name.
-    content : SkeletonMapping or Vocabulary
-        Its content.
+    content : SkeletonMapping, Vocabulary or Located
+        Its content; labels of landmarks are only parsed.
     """
 
     name: str
-    content: SkeletonMapping | Vocabulary
+    content: SkeletonMapping | Vocabulary | Located
 
 
 def parse_own(file: OwnFile, joints: tuple[str, ...]) -> Own:
@@ -130,14 +134,19 @@ def parse_own(file: OwnFile, joints: tuple[str, ...]) -> Own:
     Raises
     ------
     ConfigError
-        It is neither a mapping nor a vocabulary, or wrong.
+        It is neither a mapping nor a vocabulary of names or labels, or wrong.
     """
     located = parse_yaml(file.text, file.path)
     keys = located.mapping()
     if "terms" in keys:
         vocabulary = parse_vocabulary(located, tuple(load_vocabulary("joints").terms))
         return Own(str(keys.get("name") or file.path.stem), vocabulary)
+    if {"skin", "centres"} & keys.keys():
+        landmarks_with([located])
+        return Own(str(keys.get("name") or file.path.stem), located)
     if "joints" not in keys:
-        raise located.error("expected a skeleton mapping (`joints`) or a vocabulary of names (`terms`)")
+        raise located.error(
+            "expected a skeleton mapping (`joints`), names of nodes (`terms`) or labels of markers (`skin`, `centres`)"
+        )
     mapping = parse_skeleton(located, joints)
     return Own(mapping.name, mapping)

@@ -52,6 +52,8 @@ class FilesRead:
         Path → number of persons of the files that hold several.
     surplus : list of int
         The ids of takes of persons whom their files do not hold any more.
+    skeletons : set of str
+        The names of the mappings that takes were read with.
     """
 
     failures: list[Failure] = field(default_factory=list)
@@ -59,6 +61,7 @@ class FilesRead:
     takes: dict[str, list[str]] = field(default_factory=dict)
     persons: dict[str, int] = field(default_factory=dict)
     surplus: list[int] = field(default_factory=list)
+    skeletons: set[str] = field(default_factory=set)
 
 
 class ReadRounds:
@@ -135,6 +138,7 @@ class ReadRounds:
         self.done.failures += written.failures
         for row in written.takes:
             self.done.takes.setdefault(row["source"], []).append(row["name"])
+            self.done.skeletons.add(row["skeleton"])
         for task in batch.tasks:
             file = self.plan.known.get(task.motion.path)
             if task.person is None and file is not None and any(row["name"] == task.name for row in written.takes):

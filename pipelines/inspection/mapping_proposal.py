@@ -67,7 +67,7 @@ def _proposal(asked: Question, mappings: WatchedMappings, joints: tuple[str, ...
         near = mappings.nearest(asked.form, asked.nodes)
         return "" if near is None else _lacking(near, asked) + _renamed(near, name)
     if asked.evidence.parents is None:
-        fit = asked.fit or propose_points(asked.evidence, joints, asked.form)
+        fit = asked.fit or propose_points(asked.evidence, joints, asked.form, mappings.landmarks)
     else:
         fit = asked.fit or propose_tree(asked.evidence, joints, asked.form, mappings.vocabulary)
     return mapping_yaml(_of_nodes(fit, asked.nodes), name)

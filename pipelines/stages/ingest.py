@@ -10,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.catalog.plugins import Plugins
+from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
@@ -93,6 +94,7 @@ class Ingest(Stage[IngestParameters]):
                 raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
             surplus = [*plan.surplus, *done.surplus]
             _report_persons(context, params, done, surplus)
+            _report_unused(context, mappings, done)
             dropped = [*plan.gone, *surplus, *(take for take, _, _ in plan.renamed)] if params.prune else []
             if dropped:
                 writer.drop_takes(dropped)
@@ -192,6 +194,16 @@ def _report_persons(context: StageContext, params: IngestParameters, done: Files
     if surplus:
         what = "dropped" if params.prune else "kept; `prune: true` drops them"
         context.say(f"{counted(len(surplus), 'take')} of persons whom their files do not hold any more: {what}")
+
+
+def _report_unused(context: StageContext, mappings: Mappings, done: FilesRead) -> None:
+    """Report the mappings of the user's own that fit none of the files that were read."""
+    for own in (own for several in mappings.own.values() for own in several):
+        if done.takes and own.name not in done.skeletons:
+            context.say(
+                f"the mapping '{own.name}' ({own.path}) fits none of the files that were read; "
+                "`kinedex inspect FILE --skeleton YAML` names the node that a file lacks"
+            )
 
 
 def _named_otherwise(plan: Changes) -> NewStoreError:

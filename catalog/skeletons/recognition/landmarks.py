@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.configs import Located, load_yaml, shipped_configs
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX
 from kinedex.catalog.skeletons.skeleton_fit import Mix
+from kinedex.ops.errors import did_you_mean
 
 _WORD = re.compile(r"[^\W_]+")
 _EXPLICIT = ("joint", "center", "centre", "jc")  # words by which a label of a marker set names a joint
@@ -46,6 +47,17 @@ class _LandmarkFile(BaseModel):
     centres: _Part
     points: dict[str, list[dict[str, float]]]
     joints: dict[str, list[dict[str, Any]]]
+
+
+class _OwnFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str = ""
+    description: str = ""
+    left: list[str] = Field(default_factory=list)
+    right: list[str] = Field(default_factory=list)
+    suffixes: list[str] = Field(default_factory=list)
+    skin: _Part = Field(default_factory=_Part)
+    centres: _Part = Field(default_factory=_Part)
 
 
 @dataclass(frozen=True)
@@ -273,7 +285,44 @@ def load_landmarks() -> Landmarks:
 def _load(path: Path) -> Landmarks:
     located = load_yaml(path)
     located.mapping()
+    return _landmarks(located, located.model(_LandmarkFile))
+
+
+def landmarks_with(others: Iterable[Located]) -> Landmarks:
+    """Return the shipped landmarks with the labels of other files added, such as those of a user.
+
+    Parameters
+    ----------
+    others : iterable of Located
+        Parsed files with `skin` and `centres` as in `configs/names/landmarks.yaml`; their labels count after the
+        shipped ones.
+
+    Raises
+    ------
+    ConfigError
+        A file names a landmark that does not exist, or is wrong; the error names its line.
+    """
+    located = load_yaml(shipped_configs() / "names" / "landmarks.yaml")
+    located.mapping()
     parsed = located.model(_LandmarkFile)
+    for other in others:
+        added = other.model(_OwnFile)
+        parsed.left += added.left
+        parsed.right += added.right
+        parsed.suffixes += added.suffixes
+        for section in ("skin", "centres"):
+            part, more = getattr(parsed, section), getattr(added, section)
+            part.spine += more.spine
+            for group in ("sided", "middle", "clusters"):
+                known = getattr(part, group)
+                for name, labels in getattr(more, group).items():
+                    if name not in known:
+                        raise other.error(f"no such landmark{did_you_mean(name, known)}", section, group, name)
+                    known[name] += labels
+    return _landmarks(located, parsed)
+
+
+def _landmarks(located: Located, parsed: _LandmarkFile) -> Landmarks:
     sides = {word.lower(): side for side, words in (("l", parsed.left), ("r", parsed.right)) for word in words}
     skin, centres = _table(parsed.skin, parsed.suffixes), _table(parsed.centres, parsed.suffixes)
     both = (parsed.skin, parsed.centres)

@@ -75,7 +75,11 @@ class _Draft:
 
 
 def recognise_points(
-    source: str | Path, evidence: Evidence, joints: tuple[str, ...], form: Format = "positions"
+    source: str | Path,
+    evidence: Evidence,
+    joints: tuple[str, ...],
+    form: Format = "positions",
+    landmarks: Landmarks | None = None,
 ) -> Fit:
     """Recognise the body of a file of points by labels, proportions and posture.
 
@@ -89,6 +93,8 @@ def recognise_points(
         The named joints.
     form : str
         The format of the file, for which the mapping is made.
+    landmarks : Landmarks, optional
+        The labels of landmarks, `configs/names/landmarks.yaml` by default.
 
     Returns
     -------
@@ -100,26 +106,27 @@ def recognise_points(
     SourceError
         The points are no human body, or too few of their labels are known; the message lists what was found.
     """
-    fit, refusal = _recognised(evidence, joints, form)
+    fit, refusal = _recognised(evidence, joints, form, landmarks or load_landmarks())
     if refusal:
         raise SourceError(source, refusal)
     return fit
 
 
-def propose_points(evidence: Evidence, joints: tuple[str, ...], form: Format = "positions") -> Fit:
+def propose_points(
+    evidence: Evidence, joints: tuple[str, ...], form: Format = "positions", landmarks: Landmarks | None = None
+) -> Fit:
     """Return the best fit to points, however bad it is: a proposal for a person to edit.
 
     Parameters
     ----------
-    evidence, joints, form
+    evidence, joints, form, landmarks
         As for `recognise_points`.
     """
-    return _recognised(evidence, joints, form)[0]
+    return _recognised(evidence, joints, form, landmarks or load_landmarks())[0]
 
 
-def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format) -> tuple[Fit, str]:
+def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landmarks: Landmarks) -> tuple[Fit, str]:
     """Return the best fit, and the reason for which it is no body, or nothing."""
-    landmarks = load_landmarks()
     reading = landmarks.read(evidence.names)
     index = {name: i for i, name in enumerate(evidence.names)}
     draft = _Draft({name: evidence.places[i] for name, i in index.items()})
@@ -433,5 +440,5 @@ def _found(draft: _Draft, reading: Reading, evidence: Evidence) -> str:
     return (
         f"; {reading.known} of {len(evidence.names)} labels are known{': ' + shown if named else ''}"
         f"{'; not known: ' + unread if unread else ''}; joints found: {joints}; write a mapping with `kinedex mapping "
-        "new FILE -o my.yaml`, complete it and give it by `skeleton`"
+        "new FILE -o my.yaml`, complete it and give it by `skeletons`"
     )

@@ -80,8 +80,8 @@ def recognise_tree(
     if fault:
         raise SourceError(
             source,
-            f"no skeleton mapping fits its names, and no body is recognised: {fault}; `kinedex mapping new` writes a "
-            "mapping with what was found, to be edited and given by `skeleton`",
+            f"no skeleton mapping fits its names, and no body is recognised: {fault}; `kinedex mapping new FILE -o "
+            "my.yaml` writes a mapping with what was found, to be edited and given by `skeletons`",
         )
     return fit
 

@@ -87,7 +87,7 @@ def test_a_skeleton_that_no_mapping_fits_is_told_the_nearest_and_what_it_lacks()
         AUTO.detect("a.bvh", "bvh", nodes)
     assert "the nearest, 'bandai', finds" in str(caught.value)
     assert "lacks Toes_L (for joint 'ltoes'), Foot_R (for joint 'rankle')" in str(caught.value)
-    assert "give one by `skeleton`" in str(caught.value)
+    assert "give it by `skeletons`" in str(caught.value)
 
 
 def test_a_skeleton_of_strange_names_is_near_to_no_mapping() -> None:
@@ -246,7 +246,7 @@ FAULTS = {
     "a missing joint": (("  belly: Spine\n", ""), "joints", "write `belly: null`"),
     "keys of all kinds": (("belly: Spine", "belly: {.nan: 1, x: 2}"), "joints.belly", "joints.belly"),
     "weights of two": (("-2, head: 3", "-2, head: 4"), "joints.headtop", "the weights must add up to 1, got 2"),
-    "a virtual of a virtual": (("lelbow: -0.25", "headtop: -0.25"), "joints.lfingers", "'headtop' is none"),
+    "a virtual of one below": (("neck: -2, head: 3", "lfingers: -2, head: 3"), "joints.headtop", "'lfingers' is none"),
     "no kind of mix": (("{virtual: {neck: -2, head: 3}}", "{}"), "joints.headtop", "expected `virtual`"),
     "a unit of nothing": (("unit_m: 0.01", "unit_m: -1"), "unit_m", "a positive number of metres, or guess; got -1"),
     "a unit of a name": (("unit_m: 0.01", "unit_m: cm"), "unit_m", "a positive number of metres, or guess; got 'cm'"),

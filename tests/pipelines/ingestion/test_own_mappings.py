@@ -10,6 +10,7 @@ import pytest
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.catalog.skeletons.own_mappings import own_files, with_own
+from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.errors import ConfigError
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.pipelines.stages.ingest import Ingest
@@ -69,12 +70,25 @@ def test_folders_and_vocabularies_are_read_and_wrong_files_are_named(tmp_path: P
     with pytest.raises(ConfigError, match=r"b\.yaml: name: .*a\.yaml has the name 'studio', too; rename one"):
         with_own(mappings, own_files([tmp_path / "own"]), JOINTS)
     (tmp_path / "own/b.yaml").write_text("name: x\n")
-    with pytest.raises(ConfigError, match=r"expected a skeleton mapping \(`joints`\) or a vocabulary"):
+    with pytest.raises(ConfigError, match=r"expected a skeleton mapping \(`joints`\), names of nodes"):
         with_own(mappings, own_files([tmp_path / "own/b.yaml"]), JOINTS)
     (tmp_path / "empty").mkdir()
     for place, text in (("empty", "the folder holds no .yaml file"), ("none.yaml", "no such file or folder")):
         with pytest.raises(ConfigError, match=text):
             own_files([tmp_path / place])
+
+
+def test_labels_of_markers_are_added_to_those_of_landmarks(tmp_path: Path) -> None:
+    file = tmp_path / "labels.yaml"
+    file.write_text("name: ours\nskin:\n  sided: {asis: [becken vorn]}\n")
+    mappings = with_own(load_mappings("auto", JOINTS), own_files([file]), JOINTS)
+    assert mappings.landmarks is not None
+    labels = ["LBeckenVorn", "RBeckenVorn", "LPSI", "RPSI", "LKNE", "RKNE", "LANK", "RANK", "C7", "LSHO", "RSHO"]
+    assert mappings.landmarks.read(labels).labels["lasis"] == ("LBeckenVorn",)
+    assert "lasis" not in load_landmarks().read(labels).labels
+    file.write_text("name: ours\nskin:\n  sided: {asys: [becken]}\n")
+    with pytest.raises(ConfigError, match=r"labels\.yaml:3: skin\.sided\.asys: no such landmark; did you mean 'asis'"):
+        with_own(load_mappings("auto", JOINTS), own_files([file]), JOINTS)
 
 
 def acclaim(path: Path, name: str) -> Path:
@@ -129,3 +143,15 @@ def test_the_command_ingest_takes_a_folder(tmp_path: Path) -> None:
     assert kinedex("ingest", store, source, *given).returncode == 0
     assert set(open_store(store).takes()["skeleton"]) == {"ours"}
     assert read_newest(store).sources[str(source)].settings["skeletons"] == [f"{tmp_path}/own"]
+
+
+def test_a_mapping_that_fits_no_file_is_reported(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "source", {"x_1.amc": 9})
+    file = acclaim(tmp_path / "ours.yaml", "ours")
+    file.write_text(file.read_text().replace("lfemur", "lthigh"))
+    place = context(tmp_path / "store")
+    Ingest().run(place, Ingest.parameters(source=str(source), skeletons=[str(file)]))
+    message = " ".join(place.terminal.console.file.getvalue().split())  # type: ignore[attr-defined]
+    assert "the mapping 'ours'" in message
+    assert "fits none of the files that were read" in message
+    assert set(open_store(tmp_path / "store").takes()["skeleton"]) == {"acclaim"}
