@@ -14,6 +14,9 @@ import numpy as np
 
 from tests.attacks.outcome import Options, Outcome
 from tests.bvh_files import bvh_text, dance, mixamo
+from tests.fbx_files import Part, dancing_fbx
+from tests.gltf_files import dancing_gltf
+from tests.mvnx_files import dancing, mvnx_text, subject_text
 from tests.pipelines.archives import human_amc, human_asf
 from tests.storage.formats.labels.test_limits import CUE, EAF
 
@@ -107,6 +110,52 @@ def _laughs() -> bytes:
     return text.replace("<ANNOTATION_DOCUMENT>", f"<!DOCTYPE a [{entities}]><ANNOTATION_DOCUMENT>").encode()
 
 
+def _mvnx_laughs() -> bytes:
+    entities = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10 if i else "1 "}">' for i in range(12))
+    text = mvnx_text([subject_text(*dancing(2))]).replace("<position>", "<position>&a11; ")
+    return text.replace("<mvnx", f"<!DOCTYPE mvnx [{entities}]><mvnx", 1).encode()
+
+
+def _mvnx_line() -> bytes:
+    text = mvnx_text([subject_text(*dancing(2))])
+    return text.replace("<position>", "<position>" + "1 " * 10**7).encode()
+
+
+def _gltf_times(seconds: float) -> bytes:
+    """Return a clip of four keys, the last of them late."""
+    scene = dancing_gltf(mixamo(), dance(mixamo(), 4))
+    late = scene.accessor(np.array([0.0, 0.1, 0.2, seconds]))
+    for sampler in scene.json["animations"][0]["samplers"]:
+        sampler["input"] = late
+    return scene.glb()
+
+
+def _gltf_zeros(count: int) -> bytes:
+    """Return a clip whose turns claim to be zeros that no bytes hold."""
+    scene = dancing_gltf(mixamo(), dance(mixamo(), 4))
+    scene.json["accessors"].append({"componentType": 5126, "count": count, "type": "VEC4"})
+    scene.json["animations"][0]["samplers"][0]["output"] = len(scene.json["accessors"]) - 1
+    return scene.glb()
+
+
+def _fbx_array(count: int) -> bytes:
+    """Return a binary file of which an array unpacks to much more than the file has."""
+    scene = dancing_fbx(mixamo(), dance(mixamo(), 3))
+    curve = next(part for part in scene.objects.below if part.name == "AnimationCurve")
+    curve.below[0].values = (np.zeros(count, "<i8"),)
+    return scene.binary()
+
+
+def _deep_fbx(depth: int) -> bytes:
+    """Return a binary file of records in records."""
+    part = Part("a")
+    for _ in range(depth):
+        part = Part("a", (), [part])
+    scene = dancing_fbx(mixamo(), dance(mixamo(), 3))
+    scene.objects.below.append(Part("Pose", (), [part]))
+    return scene.binary()
+
+
 TEN_TO_12 = 10**12
 LONG_LINE = b"1 " * 40_000_000
 BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
@@ -131,6 +180,19 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "an NPZ of 2.4 GB in 2 MB": ("npz", lambda: _npz((4_096_000, 24, 3), 2250 << 20)),
     "an NPZ of 100,000 entries": ("npz", lambda: _entries(100_000)),
     "C3D counts of 65,535": ("c3d", _c3d_counts),
+    "a billion laughs in MVNX": ("mvnx", _mvnx_laughs),
+    "levels of MVNX": ("mvnx", lambda: b"<mvnx>" + b"<a>" * 5_000_000),
+    "a million subjects": ("mvnx", lambda: b"<mvnx>" + b'<subject label="a"/>' * 1_000_000 + b"</mvnx>"),
+    "an MVNX text of 60 MB": ("mvnx", _mvnx_line),
+    "levels of glTF": ("gltf", lambda: b"[" * 60_000_000),
+    "a million nodes": ("gltf", lambda: b'{"asset":{"version":"2.0"},"nodes":[' + b"{}," * 10**6 + b"{}]}"),
+    "a clip of 10^9 seconds": ("glb", lambda: _gltf_times(1e9)),
+    "a clip of 3,000 seconds and four keys": ("glb", lambda: _gltf_times(3000.0)),
+    "10^9 zeros in glTF": ("glb", lambda: _gltf_zeros(10**9)),
+    "an FBX array of 160 MB in 0.2 MB": ("fbx", lambda: _fbx_array(20_000_000)),
+    "levels of FBX": ("fbx", lambda: _deep_fbx(800)),
+    "levels of FBX text": ("fbx", lambda: b"; FBX\nFBXVersion: 7400\nObjects: {" + b"Pose: {" * 5_000_000),
+    "comments of FBX text": ("fbx", lambda: b"; FBX\nFBXVersion: 7400\n" + b"; x \n" * 10_000_000),
     "an annotation of 50 MB": ("eaf", lambda: EAF.format(tier="t", value="x" * 50_000_000).encode()),
     "text between elements": ("eaf", lambda: EAF.format(tier="t", value="x\n<b/>" * 1_000_000).encode()),
     "a billion laughs": ("eaf", _laughs),

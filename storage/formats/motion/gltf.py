@@ -25,7 +25,7 @@ from kinedex.storage.formats.motion.figures import (
     unique_names,
 )
 from kinedex.storage.formats.motion.gltf_document import Animation, Document, Node, Sampler, matrix_parts, read_gltf
-from kinedex.storage.formats.motion.reader import MOST_POINTS, Extent, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
 
 F64 = npt.NDArray[np.float64]
 
@@ -89,8 +89,6 @@ def _clips(document: Document) -> list[_Clip]:
         No animation moves a skeleton.
     """
     content = document.content
-    if len(content.nodes) > MOST_POINTS:
-        raise document.error(f"has {len(content.nodes)} nodes, more than {MOST_POINTS}")
     groups = [_humanoid(document)] if _human_bones(document) else _groups(document)
     figures = unique_names([content.nodes[group.nodes[0]].name or "figure" for group in groups])
     names = unique_names([animation.name or "clip" for animation in content.animations])

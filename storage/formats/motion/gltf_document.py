@@ -21,7 +21,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.reader import file_size
+from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size
 
 F64 = npt.NDArray[np.float64]
 
@@ -30,6 +30,9 @@ LONGEST_JSON = 64 << 20
 
 MOST_NUMBERS = 50_000_000
 """Numbers of one accessor; as many 32-bit numbers take 200 MB."""
+
+MOST_ENTRIES = 50_000
+"""Entries of a list in the JSON, animations with their channels and samplers; files of whole scenes have thousands."""
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -354,6 +357,7 @@ def read_gltf(path: Path) -> Document:
         raise SourceError(path, f"its JSON cannot be read: {str(fault)[:200]}") from None
     if not isinstance(found, dict) or "asset" not in found:
         raise SourceError(path, "is no glTF: its JSON has no `asset`")
+    _refuse_long_lists(path, found)
     try:
         content = Content.model_validate(found)
     except ValidationError as fault:
@@ -363,6 +367,19 @@ def read_gltf(path: Path) -> Document:
     if not content.asset.version.startswith("2."):
         raise SourceError(path, f"asset.version must be 2.x, got {content.asset.version[:20]!r}; write it as glTF 2.0")
     return Document(path, content, binary, len(text), file_size(path))
+
+
+def _refuse_long_lists(path: Path, found: dict[str, Any]) -> None:
+    """Raise a SourceError for lists so long that their entries would take much memory."""
+    lists = {key: found.get(key) for key in Content.model_fields}
+    clips = lists["animations"] if isinstance(lists["animations"], list) else []
+    parts = [clip.get(key) for clip in clips if isinstance(clip, dict) for key in ("channels", "samplers")]
+    sizes = {key: len(entries) for key, entries in lists.items() if isinstance(entries, list)}
+    sizes["animations"] = len(clips) + sum(len(part) for part in parts if isinstance(part, list))
+    for key, size in sizes.items():
+        most = MOST_POINTS if key == "nodes" else MOST_ENTRIES
+        if size > most:
+            raise SourceError(path, f"{key} has {size} entries, more than {most}")
 
 
 def _parts(path: Path) -> tuple[bytes, tuple[int, int]]:
