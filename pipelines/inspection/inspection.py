@@ -148,6 +148,7 @@ def inspect_file(
             _add_persons(found, file, [name for name in persons if name != chosen and not person], mappings, given)
             found.add("person", chosen)
         raw = _raw(found, file, asf, mappings, given, chosen)
+        before = len(found.lines)
         if raw is not None and not persons:
             _add_mapping(found, raw, mappings)
         found.figure = raw.figure if raw is not None else None
@@ -155,7 +156,10 @@ def inspect_file(
     except KinedexError as fault:
         found.fault = fault
         return found
-    if raw is None or persons:
+    known = {mapping.name for group in mappings.of_format.values() for mapping in group}
+    if body.skeleton not in known:
+        found.lines[before:] = [("mapping", f"{body.skeleton}: no mapping fits all these names")]
+    elif raw is None or persons:
         found.add("mapping", body.skeleton)
     _add_body(found, body, feature_set, given)
     found.figure = _figure(file, body, feature_set.joints)

@@ -113,7 +113,7 @@ def test_a_skeleton_that_is_near_to_none_or_to_one_but_for_a_prefix_is_told_so(t
     text = write_bvh(tmp_path / "own.bvh").read_text()
     names = re.findall(r"(?:ROOT|JOINT) (\S+)", text)
     strange.write_text(re.sub(r"(ROOT|JOINT) (\S+)", lambda found: f"{found[1]} n{names.index(found[2])}", text))
-    assert message(inspect_file(strange), "mapping") == "none fits; no mapping has any of the names"
+    assert message(inspect_file(strange), "mapping") == "recognised: no mapping fits all these names"
     strange.write_text(re.sub(r"(ROOT|JOINT) (?:mixamorig:)?(\S+)", r"\1 Bob_\2", text))
     found = inspect_file(strange)
     assert message(found, "mapping").startswith("none fits; without 'Bob_' its names fit 'mixamo': copy ")
@@ -152,7 +152,7 @@ def test_markers_are_described_and_drawn_in_frames_that_are_whole(tmp_path: Path
     found = inspect_file(write_c3d(tmp_path / "a.c3d", 1000 * z_up(points)))
     assert message(found, "format") == "C3D, markers"
     assert message(found, "nodes").startswith("30: LFWT, ")
-    assert message(found, "mapping") == "none for these names"
+    assert message(found, "mapping") == "recognised markers: no mapping fits all these names"
     assert message(found, "gaps") == "1 in 1 points, the longest of 60 frames"
     assert message(found, "valid frames") == "30 of 90; the other frames are invalid"
     assert "LKNE 60 frames" in message(found, "warnings")
