@@ -15,7 +15,6 @@ import pytest
 
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_stored
-from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate

@@ -16,7 +16,6 @@ from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.reuse import setting_digest
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages import annotate
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates

@@ -17,7 +17,6 @@ from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import SerialExecutor
 from kinedex.pipelines.engine.plan import make_plan
 from kinedex.pipelines.engine.runner import StageFailed, run_pipeline
-from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages import ingest
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest

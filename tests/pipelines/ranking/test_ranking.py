@@ -29,7 +29,6 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
 )
 from kinedex.pipelines.ranking.stiffness import EVERYWHERE, WRITTEN, Trial
 from kinedex.pipelines.ranking.store_ranking import rank_store
-from kinedex.pipelines.stages.evaluate_ranking import EvaluateRanking
 from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
 from kinedex.pipelines.stages.evaluate_ranking import EvaluateRanking
 from kinedex.pipelines.stages.rank import Rank

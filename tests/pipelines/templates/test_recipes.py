@@ -11,7 +11,6 @@ from kinedex.catalog.template_files import NamedTemplate, write_yaml
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, Learned, Template, quantise
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.stages import learn_templates
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate
