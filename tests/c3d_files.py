@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -74,3 +75,73 @@ def write_c3d(
         c3d["data"]["analogs"] = np.random.default_rng(0).normal(size=(1, analog, 2 * frames))
     c3d.write(str(path))
     return path
+
+
+PROCESSORS = {"Intel": 84, "DEC": 85, "MIPS": 86}
+
+
+def _real(value: float, processor: str) -> bytes:
+    if processor == "DEC":
+        raw = struct.pack("<f", 4.0 * value)
+        return raw[2:] + raw[:2]
+    return struct.pack(">f" if processor == "MIPS" else "<f", value)
+
+
+def c3d_bytes(
+    points: np.ndarray,
+    labels: tuple[str, ...] = LABELS,
+    *,
+    processor: str = "Intel",
+    scale: float = -1.0,
+    analog: int = 0,
+    rate: float = 120.0,
+) -> bytes:
+    """A C3D file by hand, in the numbers of any processor: (N, 3, T) in mm, NaN as occluded.
+
+    scale: of 16-bit numbers; floating-point ones if negative. analog: samples of a frame.
+    """
+    order = ">" if processor == "MIPS" else "<"
+    frames, count = points.shape[2], len(labels)
+    width = max(map(len, labels))
+    texts = b"".join(label.encode().ljust(width) for label in labels)
+
+    def record(name: str, group: int, kind: int, dims: tuple[int, ...], values: bytes) -> bytes:
+        body = struct.pack("<bB", kind, len(dims)) + bytes(dims) + values + b"\0"
+        return struct.pack("<bb", len(name), group) + name.encode() + struct.pack(f"{order}H", len(body) + 2) + body
+
+    def group(name: str, number: int) -> bytes:
+        return struct.pack("<bb", len(name), -number) + name.encode() + struct.pack(f"{order}HB", 3, 0)
+
+    word = f"{order}H"
+    records = [
+        group("POINT", 1), record("USED", 1, 2, (), struct.pack(word, count)),
+        record("SCALE", 1, 4, (), _real(scale, processor)), record("RATE", 1, 4, (), _real(rate, processor)),
+        record("FRAMES", 1, 2, (), struct.pack(word, min(frames, 65535))),
+        record("LABELS", 1, -1, (width, count), texts), record("UNITS", 1, -1, (2,), b"mm"),
+        group("ANALOG", 2), record("USED", 2, 2, (), struct.pack(word, analog)),
+        group("TRIAL", 3),
+        record("ACTUAL_START_FIELD", 3, 2, (2,), struct.pack(f"{order}2H", 1, 0)),
+        record("ACTUAL_END_FIELD", 3, 2, (2,), struct.pack(f"{order}2H", frames & 0xFFFF, frames >> 16)),
+    ]  # fmt: skip
+    parameters = b"".join(records) + b"\0\0"
+    blocks = -(-(len(parameters) + 4) // 512)
+    start = 2 + blocks
+    header = struct.pack(f"{order}5H", count, analog, 1, min(frames, 65535), 10) + _real(scale, processor)
+    header += struct.pack(f"{order}2H", start, 1) + _real(rate, processor)
+    rows = np.zeros((frames, 4 * count + analog))
+    places = np.moveaxis(points, 2, 0)
+    lost = np.isnan(places).any(axis=2)
+    quads = np.concatenate([np.where(lost[..., None], 0.0, places), np.where(lost, -1.0, 0.0)[..., None]], axis=2)
+    if scale > 0:
+        quads[..., :3] = np.round(quads[..., :3] / scale)
+    rows[:, : 4 * count] = quads.reshape(frames, -1)
+    if scale > 0:
+        data = rows.astype(f"{order}i2").tobytes()
+    elif processor == "DEC":
+        data = (4.0 * rows + 0.0).astype("<f4").view("<u2").reshape(-1, 2)[:, ::-1].tobytes()
+    else:
+        data = rows.astype(f"{order}f4").tobytes()
+    head = bytes([2, 0x50]) + header
+    whole = head.ljust(512, b"\0") + bytes([1, 0x50, blocks & 0xFF, PROCESSORS[processor]]) + parameters
+    whole = whole.ljust(512 * (1 + blocks), b"\0") + data
+    return whole.ljust(-(-len(whole) // 512) * 512, b"\0")

@@ -9,7 +9,7 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.c3d_layout import read_layout
-from kinedex.storage.formats.motion.c3d_markers import Markers, ezc3d_bytes, labels_of, parse_c3d
+from kinedex.storage.formats.motion.c3d_markers import Markers, frames_bytes, labels_of, parse_c3d
 from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
 from kinedex.storage.formats.motion.points import body_of_points, points_bytes
 from kinedex.storage.formats.motion.points_reader import evidence_of, persons_of, subjects
@@ -30,9 +30,9 @@ class C3dReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the frames of the file's layout; the memory is that of all markers and of a block in ezc3d."""
+        """Return the frames of the file's layout; the memory is that of all markers and of a block of them."""
         layout = read_layout(file.path)
-        need = points_bytes(layout.frames, layout.points, joints) + ezc3d_bytes(layout)
+        need = points_bytes(layout.frames, layout.points, joints) + frames_bytes(layout)
         rate_hz = next((rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ), None)
         return Extent(layout.frames, need, rate_hz and settings.rate_of(rate_hz, []))
 

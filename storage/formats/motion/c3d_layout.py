@@ -6,6 +6,7 @@ Blocks of 512 bytes: a header, parameters, frames (the C3D user guide, c3d.org).
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +20,14 @@ KEY = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
 """Processor types, which determine how numbers are written."""
 
-_USED = ("POINT", "ANALOG", "TRIAL")  # only these groups are read; others may be damaged
+_USED = {
+    "POINT": r"USED|SCALE|RATE|DATA_START|FRAMES|LONG_FRAMES|UNITS|Y_SCREEN|LABELS\d*",
+    "ANALOG": "USED",
+    "TRIAL": r"ACTUAL_(START|END)_FIELD",
+}
+"""The groups and parameters that are read; others may be damaged."""
+
+_LONGEST_HEAD = 16 << 20  # bytes of header and parameters; 300 labels take some 50 kB
 _MOST_COUNTED = 0xFFFF  # frames that 16 bits can count
 
 
@@ -35,16 +43,19 @@ class Parameter:
         Numbers of its values along each dimension.
     values : bytes
         All values.
+    order : str
+        The order of bytes in numbers, as `struct` has it.
     """
 
     kind: int
     dims: tuple[int, ...]
     values: bytes
+    order: str = "<"
 
     @property
     def words(self) -> tuple[int, ...]:
         """The values as unsigned numbers if they have two bytes each; otherwise empty."""
-        return struct.unpack(f"<{len(self.values) // 2}H", self.values) if self.kind == 2 else ()
+        return struct.unpack(f"{self.order}{len(self.values) // 2}H", self.values) if self.kind == 2 else ()
 
     @property
     def real(self) -> bytes:
@@ -70,9 +81,14 @@ def _decoded(text: bytes) -> str:
 
 def real(raw: bytes, processor: int) -> float:
     """Decode a number of four bytes; DEC's has its halves exchanged and is four times as large."""
-    if processor == INTEL:
-        return float(struct.unpack("<f", raw)[0])
+    if processor != DEC:
+        return float(struct.unpack(order_of(processor) + "f", raw)[0])
     return float(struct.unpack("<f", raw[2:] + raw[:2])[0]) / 4.0
+
+
+def order_of(processor: int) -> str:
+    """Return the order of bytes in numbers, as `struct` and NumPy have it: MIPS machines write the high byte first."""
+    return ">" if processor == MIPS else "<"
 
 
 @dataclass(frozen=True)
@@ -94,7 +110,7 @@ class Layout:
     size : int
         Bytes of one number.
     processor : int
-        `INTEL` or `DEC`.
+        `INTEL`, `DEC` or `MIPS`.
     scale : bytes
         The factor of whole numbers, as the file writes it.
     rates : tuple of float
@@ -135,15 +151,15 @@ def read_layout(path: Path) -> Layout:
     begin = (head[0] - 1) * BLOCK if head else 0
     if len(head) < BLOCK or head[1] != KEY or not BLOCK <= begin < len(head) - 4:
         raise SourceError(path, "is no C3D file: its first two bytes do not lead to its parameters")
-    blocks, processor = head[begin + 2], head[begin + 3]
-    if processor not in (INTEL, DEC):
-        what = f"numbers in the order of {'MIPS machines' if processor == MIPS else f'processor {processor}'}"
-        raise SourceError(path, f"{what}, which are not read; save it again in that of Intel")
-    # Some programs leave the count of blocks at 0; the frames begin after the parameters anyhow.
-    end = begin + blocks * BLOCK if blocks else len(head)
-    found = dict(_parameters(path, head, begin + 4, min(end, len(head))))
-    points, analog, first, last = struct.unpack_from("<4H", head, 2)
-    start_block, per_frame = struct.unpack_from("<2H", head, 16)
+    processor = head[begin + 3]
+    if processor not in (INTEL, DEC, MIPS):
+        raise SourceError(path, f"numbers in the order of processor {processor}, which is none of C3D files (84 to 86)")
+    order = order_of(processor)
+    points, analog, first, last = struct.unpack_from(f"{order}4H", head, 2)
+    start_block, per_frame = struct.unpack_from(f"{order}2H", head, 16)
+    # The count of blocks may be 0 or, above 255 blocks, overflow; the frames begin after the parameters anyhow.
+    end = max(begin + head[begin + 2] * BLOCK, (start_block - 1) * BLOCK)
+    found = dict(_parameters(path, head[: end if end > begin else len(head)], begin + 4, order))
     stated = found.get("POINT:USED")
     if stated is not None and stated.words:
         points = stated.words[0]
@@ -152,7 +168,7 @@ def read_layout(path: Path) -> Layout:
     channels = found.get("ANALOG:USED")
     start = _start(path, found, start_block, begin + 4, size)
     number = _number_size(_real(found, "POINT:SCALE") or head[12:16], processor)
-    counts = _frame_counts(found, first, last)
+    counts = _frame_counts(found, first, last, processor)
     samples = {analog}
     if channels is not None and channels.words:
         samples.add(channels.words[0] * per_frame)
@@ -183,19 +199,21 @@ def _head(path: Path) -> tuple[bytes, int]:
     """Return the first bytes of the file, in which header and parameters lie, and its size."""
     try:
         with path.open("rb") as file:
-            head = file.read(BLOCK * (255 + 255))
-            return head, file.seek(0, 2)
+            return file.read(_LONGEST_HEAD), file.seek(0, 2)
     except OSError as fault:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from None
 
 
-def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[str, Parameter]]:
-    """Yield all parameters with their names "GROUP:NAME"; a damaged one of the groups in use is an error."""
+def _parameters(path: Path, head: bytes, at: int, order: str) -> Iterator[tuple[str, Parameter]]:
+    """Yield all parameters with their names "GROUP:NAME"; a damaged one of those in use is an error."""
+    end = len(head)
     groups: dict[int, str] = {}
     loose: list[tuple[int, str, Parameter | None]] = []
     while True:
         if at + 2 > end:
-            raise SourceError(path, "its parameters do not end where the header states")
+            if not loose:
+                raise SourceError(path, "has no parameters where its header states them")
+            break
         length, group = struct.unpack_from("<bb", head, at)
         if group == 0 or (length == 0 and group > 0):
             break
@@ -203,11 +221,11 @@ def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[st
         if after + 2 > end:
             raise SourceError(path, "a parameter's name reaches beyond the parameters")
         name = head[at + 2 : after].decode("latin-1").strip().upper()
-        (step,) = struct.unpack_from("<H", head, after)
+        (step,) = struct.unpack_from(f"{order}H", head, after)
         if group < 0:
             groups.setdefault(-group, name)
         else:
-            loose.append((group, name, _parameter(head[:end], after + 2)))
+            loose.append((group, name, _parameter(head, after + 2, order)))
         if step == 0:
             break
         if step < 2:
@@ -217,11 +235,11 @@ def _parameters(path: Path, head: bytes, at: int, end: int) -> Iterator[tuple[st
         of = groups.get(group, "")
         if parameter is not None:
             yield f"{of}:{name}", parameter
-        elif of in _USED:
+        elif re.fullmatch(_USED.get(of, ""), name):
             raise SourceError(path, f"its parameter {of}:{name} is larger than there is room for, or of no known kind")
 
 
-def _parameter(head: bytes, at: int) -> Parameter | None:
+def _parameter(head: bytes, at: int, order: str) -> Parameter | None:
     """Read the parameter at a byte; None if that cannot be a parameter."""
     try:
         kind, count = struct.unpack_from("<bB", head, at)
@@ -231,7 +249,7 @@ def _parameter(head: bytes, at: int) -> Parameter | None:
     begin, size = at + 2 + count, abs(kind) * math.prod(dims)
     if kind not in (-1, 1, 2, 4) or count > 7 or begin + size > len(head):
         return None
-    return Parameter(kind, dims, head[begin : begin + size])
+    return Parameter(kind, dims, head[begin : begin + size], order)
 
 
 def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size: int) -> int:
@@ -246,7 +264,7 @@ def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size
 
 def _number_size(scale: bytes, processor: int) -> int:
     """Return the bytes of one number: 4 if the scale is negative, else 2."""
-    return 4 if scale[3 if processor == INTEL else 1] & 0x80 else 2
+    return 4 if scale[{INTEL: 3, DEC: 1, MIPS: 0}[processor]] & 0x80 else 2
 
 
 def _long(parameter: Parameter | None) -> int | None:
@@ -256,7 +274,7 @@ def _long(parameter: Parameter | None) -> int | None:
     return parameter.words[0] + (parameter.words[1] << 16)
 
 
-def _frame_counts(found: dict[str, Parameter], first: int, last: int) -> list[int]:
+def _frame_counts(found: dict[str, Parameter], first: int, last: int, processor: int) -> list[int]:
     """Return the stated numbers of frames, the parameters that can hold large ones first."""
     counts = []
     start, end = (_long(found.get(f"TRIAL:ACTUAL_{name}_FIELD")) for name in ("START", "END"))
@@ -267,7 +285,7 @@ def _frame_counts(found: dict[str, Parameter], first: int, last: int) -> list[in
         if stated is not None and stated.words:
             counts.append(stated.words[0])
         elif stated is not None and stated.kind == 4 and len(stated.values) == 4:
-            (value,) = struct.unpack("<f", stated.values)
+            value = real(stated.values, processor)
             counts.append(int(value) if 0 < value < 2**31 else 0)
     counts.append(last - first + 1)
     return [count for count in counts if count > 0]
@@ -284,18 +302,20 @@ def _fit(
         for count in counts:
             if count * size <= room <= count * size + BLOCK:
                 return analog, count, ()
+    doubt: tuple[str, ...] = ()
     if len(sizes) > 1:
-        raise SourceError(path, "its header and its parameters contradict each other in how large a frame is")
-    ((analog, size),) = sizes.items()
+        doubt = ("its header and its parameters contradict each other in the analog samples of a frame",)
+    analog, size = min(sizes.items(), key=lambda item: min(abs(count * item[1] - room) for count in counts or [0]))
     there = room // size
     if not there or not counts:
         raise SourceError(path, "holds no frames" if counts else "does not state how many frames it holds")
     if counts[0] > there:
-        return analog, there, (f"the file states {counts[0]} frames, it holds {there}, which are kept",)
+        return analog, there, (*doubt, f"the file states {counts[0]} frames, it holds {there}, which are kept")
     if counts[0] == _MOST_COUNTED:
         there -= _empty(path, start + there * size, size)
-        return analog, there, (f"the file states {counts[0]} frames, the most that it can state, and holds {there}",)
-    return analog, counts[0], (f"the file states {counts[0]} frames, which are read; it has room for {there}",)
+        most = f"the file states {counts[0]} frames, the most that it can state, and holds {there}"
+        return analog, there, (*doubt, most)
+    return analog, counts[0], (*doubt, f"the file states {counts[0]} frames, which are read; it has room for {there}")
 
 
 def _empty(path: Path, end: int, size: int) -> int:

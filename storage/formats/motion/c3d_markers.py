@@ -1,15 +1,12 @@
-"""The markers of C3D files, read with ezc3d from copies that are known to be whole and hold markers only.
+"""The markers of C3D files: frames of whole or floating-point numbers in the byte orders of three processors.
 
-ezc3d ends the process on some files whose parameters contradict each other, and keeps some 200 bytes of every marker
-of every frame, and all analog channels. So the parameters are checked here first, and their counts compared with the
-size of the file; then ezc3d gets the markers alone, a block of frames at a time, with the few parameters that it needs.
+The frames are a plain array of four numbers for every marker (x, y, z and its residual) and the analog samples. The
+layout that `c3d_layout` has checked against the file's size gives their place (docs/decisions/0007).
 """
 
 from __future__ import annotations
 
 import re
-import struct
-import tempfile
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.c3d_layout import BLOCK, DEC, INTEL, KEY, Layout, read_layout
+from kinedex.storage.formats.motion.c3d_layout import DEC, Layout, order_of, read_layout, real
 from kinedex.storage.formats.motion.numpy_arrays import MOST_BYTES
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 
 F64 = npt.NDArray[np.float64]
 
-_HUNDRED = {INTEL: struct.pack("<f", 100.0), DEC: struct.pack("<f", 400.0)[2:] + struct.pack("<f", 400.0)[:2]}
-_AT_ONCE = 400_000  # markers times frames that ezc3d holds at a time: some 90 MB
+_AT_ONCE = 4_000_000  # numbers of frames that are decoded at a time: some 50 MB
 _UNITS_M = {
     "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "meters": 1.0, "metres": 1.0, "centimeters": 0.01,
     "centimetres": 0.01, "millimeters": 0.001, "millimetres": 0.001, "inches": 0.0254,
@@ -77,7 +73,7 @@ def parse_c3d(path: Path) -> Markers:
     step = _frames_at_once(layout)
     for start in range(0, layout.frames, step):
         stop = min(start + step, layout.frames)
-        positions[:, :, start:stop] = _read_with_ezc3d(path, layout, start, stop)
+        positions[:, :, start:stop] = _decode(path, layout, start, stop)
     lost = np.isnan(positions).any(axis=1) | (positions == 0.0).all(axis=1)
     positions[np.broadcast_to(lost[:, None], positions.shape)] = np.nan
     warnings = list(layout.warnings)
@@ -87,69 +83,41 @@ def parse_c3d(path: Path) -> Markers:
         raise SourceError(path, f"marker '{names[point]}' is infinitely far away in source frame {frame}")
     if layout.first > 1:
         warnings.append(f"it begins with frame {layout.first} of its recording, which is source frame 0 here")
-    rate_hz, unit_m, up = _rate(path, layout, warnings), _unit_m(path, layout), _up(layout, warnings)
+    rate_hz, unit_m, up = _rate(layout, warnings), _unit_m(layout, warnings), _up(layout, warnings)
     return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up)
 
 
-def ezc3d_bytes(layout: Layout) -> int:
-    """Return the memory of a block of frames, as a copy of the file and as ezc3d holds it."""
-    frames = min(layout.frames, _frames_at_once(layout))
-    return frames * (400 * layout.points + 2 * layout.size * (4 * layout.points + layout.analog))
+def frames_bytes(layout: Layout) -> int:
+    """Return the memory of a block of frames, as the file has them and decoded."""
+    row = 4 * layout.points + layout.analog
+    return min(layout.frames, _frames_at_once(layout)) * (2 * layout.size * row + 40 * layout.points)
 
 
 def _frames_at_once(layout: Layout) -> int:
-    return max(1, min(30_000, _AT_ONCE // layout.points))
+    return max(1, _AT_ONCE // (4 * layout.points + layout.analog))
 
 
-def _read_with_ezc3d(path: Path, layout: Layout, start: int, stop: int) -> F64:
+def _decode(path: Path, layout: Layout, start: int, stop: int) -> F64:
     """Return the frames [start, stop) as (points, 3, frames), NaN where the residual is negative."""
-    import ezc3d  # loading the library takes longer than reading a file of another format
-
+    row, count = 4 * layout.points + layout.analog, stop - start
+    kind = np.dtype(f"{order_of(layout.processor)}{'i2' if layout.size == 2 else 'f4'}")
     try:
-        with tempfile.TemporaryDirectory(prefix="kinedex-") as folder:
-            copy = Path(folder) / "part.c3d"
-            copy.write_bytes(_copy(path, layout, start, stop))
-            read = ezc3d.c3d(str(copy))
+        raw = np.fromfile(path, np.uint8, count * row * layout.size, offset=layout.start + start * row * layout.size)
     except OSError as fault:
-        raise SourceError(path, f"cannot be read by way of {tempfile.gettempdir()}: {fault}") from None
-    except (RuntimeError, ValueError) as fault:
-        raise SourceError(path, f"ezc3d does not read it: {fault}") from None
-    found = read["data"]["points"]
-    if found.shape[1:] != (layout.points, stop - start):
-        raise SourceError(
-            path, f"ezc3d reads {found.shape[1:]} markers and frames, not {(layout.points, stop - start)}"
-        )
-    positions = np.moveaxis(found[:3], 0, 1)
-    residuals = read["data"]["meta_points"]["residuals"][0]
-    return np.where((residuals < 0.0)[:, None], np.nan, positions)
-
-
-def _copy(path: Path, layout: Layout, start: int, stop: int) -> bytes:
-    """Return a C3D file of only these frames' markers: a block of header, one of parameters, the frames."""
-    frames, markers = stop - start, layout.size * 4 * layout.points
-    words = {"USED": layout.points, "FRAMES": frames, "DATA_START": 3}
-    records = [
-        _group("POINT", 1), *(_record(name, 1, struct.pack("<bBH", 2, 0, value)) for name, value in words.items()),
-        _record("SCALE", 1, struct.pack("<bB", 4, 0) + layout.scale),
-        _record("RATE", 1, struct.pack("<bB", 4, 0) + _HUNDRED[layout.processor]),
-        _group("ANALOG", 2), _record("USED", 2, struct.pack("<bBH", 2, 0, 0)), b"\0\0",
-    ]  # fmt: skip
-    header = struct.pack("<BBHHHHH", 2, KEY, layout.points, 0, 1, frames, 0) + layout.scale
-    header += struct.pack("<HH", 3, 0) + _HUNDRED[layout.processor]
-    parameters = struct.pack("<BBBB", 1, KEY, 1, layout.processor) + b"".join(records)
-    row = markers + layout.size * layout.analog
-    with path.open("rb") as file:
-        file.seek(layout.start + start * row)
-        data = np.frombuffer(file.read(frames * row), np.uint8).reshape(frames, row)[:, :markers]
-    return header.ljust(BLOCK, b"\0") + parameters.ljust(BLOCK, b"\0") + data.tobytes()
-
-
-def _group(name: str, number: int) -> bytes:
-    return struct.pack("<bb", len(name), -number) + name.encode() + struct.pack("<HB", 3, 0)
-
-
-def _record(name: str, group: int, raw: bytes) -> bytes:
-    return struct.pack("<bb", len(name), group) + name.encode() + struct.pack("<H", len(raw) + 3) + raw + b"\0"
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from None
+    if len(raw) != count * row * layout.size:
+        raise SourceError(path, "was changed while it was read; run again when it is whole")
+    if layout.size == 4 and layout.processor == DEC:  # the halves of numbers exchanged, and four times as large
+        raw = raw.view("<u2").reshape(-1, 2)[:, ::-1].copy().view(np.uint8).reshape(-1)
+    numbers = raw.view(kind).reshape(count, row)[:, : 4 * layout.points].reshape(count, layout.points, 4)
+    with np.errstate(invalid="ignore", over="ignore"):
+        places = numbers[:, :, :3].astype(np.float64)
+        if layout.size == 2:
+            places *= real(layout.scale, layout.processor)
+        elif layout.processor == DEC:
+            places /= 4.0
+        places[numbers[:, :, 3] < 0] = np.nan
+    return places.transpose(1, 2, 0)
 
 
 def _texts(layout: Layout, name: str) -> list[str]:
@@ -187,24 +155,24 @@ def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ..
     return tuple(names)
 
 
-def _rate(path: Path, layout: Layout, warnings: list[str]) -> float:
-    """Return POINT:RATE, else the header's rate; warn if they differ."""
+def _rate(layout: Layout, warnings: list[str]) -> float | None:
+    """Return POINT:RATE, else the header's rate, None if neither is possible; warn if they differ."""
     good = [rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ]
     if not good:
-        raise SourceError(path, f"its rate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {layout.rates[0]:g}")
+        return None
     if len(good) == 2 and abs(good[0] - good[1]) > 0.01 * good[0]:
         warnings.append(f"its parameters state {good[0]:.6g} Hz, which counts, its header {good[1]:.6g} Hz")
     return good[0]
 
 
-def _unit_m(path: Path, layout: Layout) -> float | None:
-    """Return the metres of the unit that POINT:UNITS names; None if it names none."""
+def _unit_m(layout: Layout, warnings: list[str]) -> float | None:
+    """Return the metres of the unit that POINT:UNITS names; None if it names none that is known."""
     units = [unit.lower() for unit in _texts(layout, "UNITS") if unit]
     if not units:
         return None
     if units[0] not in _UNITS_M:
-        raise SourceError(path, f"its unit must be one of {', '.join(_UNITS_M)}, got {units[0]!r}")
-    return _UNITS_M[units[0]]
+        warnings.append(f"its unit {units[0]!r} is none of {', '.join(_UNITS_M)}")
+    return _UNITS_M.get(units[0])
 
 
 def _up(layout: Layout, warnings: list[str]) -> str | None:

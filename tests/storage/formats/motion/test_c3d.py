@@ -6,6 +6,8 @@ import contextlib
 import struct
 from pathlib import Path
 
+import c3d
+import ezc3d
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +21,9 @@ from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body
 from tests.bodies import STANDING
-from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
+from tests.c3d_files import LABELS, c3d_bytes, standing_markers, write_c3d, z_up
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # py-c3d warns of parameters that files lack
 
 JOINTS = load_feature_set().joints
 AUTO = load_mappings("auto", JOINTS)
@@ -113,8 +117,9 @@ def test_units_and_rates_are_the_file_s_own(tmp_path: Path) -> None:
         np.testing.assert_allclose(body.positions, expected.positions, atol=1e-5)
         assert body.rate_hz == 99.5
     assert read(tmp_path / "b.c3d", ReadSettings(override_rate_hz=50.0)).rate_hz == 50.0
-    with pytest.raises(SourceError, match="its unit must be one of m, cm, mm, in"):
-        read(write_c3d(tmp_path / "c.c3d", walk, unit="ft"))
+    guessed = read(write_c3d(tmp_path / "c.c3d", walk * 1000, unit="parsec"))
+    assert guessed.unit == "0.001 m (guessed)"
+    assert guessed.warnings[0].startswith("its unit 'parsec' is none of m, cm, mm, in")
     contradicted = bytearray((tmp_path / "a.c3d").read_bytes())
     struct.pack_into("<f", contradicted, 20, 60.0)
     (tmp_path / "d.c3d").write_bytes(contradicted)
@@ -150,41 +155,76 @@ def test_analog_channels_cost_nothing_and_stretches_have_no_seam(
     assert with_forces.names == plain.names
 
 
-def test_whole_numbers_with_a_scale_are_read_like_others(tmp_path: Path) -> None:
-    """The same file by hand, with 16-bit numbers: ezc3d writes floating point only."""
-    data = bytearray((walking(tmp_path / "a.c3d", 10)).read_bytes())
-    markers = parse_c3d(tmp_path / "a.c3d")
+def _pyc3d(path: Path) -> np.ndarray:
+    """The markers (N, 3, T) as py-c3d reads them, NaN where the residual is negative."""
+    with path.open("rb") as file:
+        frames = [points.astype(float) for _, points, _ in c3d.Reader(file).read_frames(copy=True)]
+    read = np.stack(frames)
+    return np.where(read[:, :, 3:4] < 0, np.nan, read[:, :, :3]).transpose(1, 2, 0)
+
+
+def _ezc3d(path: Path) -> np.ndarray:
+    """The same as ezc3d reads them."""
+    data = ezc3d.c3d(str(path))["data"]
+    hidden = data["meta_points"]["residuals"][0] < 0
+    return np.where(hidden[:, None], np.nan, np.moveaxis(data["points"][:3], 0, 1))
+
+
+@pytest.mark.parametrize("analog", [0, 6])
+@pytest.mark.parametrize("scale", [-1.0, 0.1])
+@pytest.mark.parametrize("processor", ["Intel", "DEC", "MIPS"])
+def test_frames_of_all_processors_are_read_as_py_c3d_reads_them(
+    tmp_path: Path, processor: str, scale: float, analog: int
+) -> None:
+    points = 1000 * z_up(standing_markers(50))
+    points[3, :, 5:9] = np.nan
+    path = tmp_path / "a.c3d"
+    path.write_bytes(c3d_bytes(points, processor=processor, scale=scale, analog=analog))
+    found = parse_c3d(path)
+    assert (found.names, found.rate_hz, found.unit_m, found.warnings) == (LABELS, 120.0, 0.001, [])
+    np.testing.assert_allclose(found.positions, _pyc3d(path), rtol=1e-6)
+    np.testing.assert_allclose(found.positions, points, atol=0.051 if scale > 0 else 1e-3)
+    if processor != "MIPS" and not analog:  # ezc3d reads no MIPS, and takes the analog samples for markers
+        np.testing.assert_array_equal(found.positions, _ezc3d(path))
+
+
+@pytest.mark.parametrize("processor", ["Intel", "DEC", "MIPS"])
+def test_more_frames_than_a_word_counts_are_read_by_the_fields_of_the_trial(tmp_path: Path, processor: str) -> None:
+    points = np.broadcast_to(np.arange(1, 70_001) / 100, (3, 3, 70_000)).copy()
+    path = tmp_path / "a.c3d"
+    path.write_bytes(c3d_bytes(points, ("a", "b", "c"), processor=processor))
+    found = parse_c3d(path)
+    assert found.warnings == []
+    np.testing.assert_allclose(found.positions, points, rtol=1e-6)
+
+
+@pytest.mark.parametrize("labels", [300, 4000])
+def test_parameters_of_more_than_255_blocks_are_read(tmp_path: Path, labels: int) -> None:
+    points = 1000 * standing_markers(3)
+    data = bytearray(c3d_bytes(points))
     start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
-    scale = data.index(b"SCALE") + 5 + 4  # after the name: its offset, type, and number of dimensions
-    struct.pack_into("<f", data, scale, 0.1)
-    struct.pack_into("<f", data, 12, 0.1)
-    words = np.zeros((10, len(LABELS), 4), "<i2")
-    words[:, :, :3] = np.round(np.moveaxis(markers.positions, 2, 0) / 0.1)
-    words[3, 4, 3] = -1
-    (tmp_path / "b.c3d").write_bytes(bytes(data[:start]) + words.tobytes())
-    whole = parse_c3d(tmp_path / "b.c3d")
-    assert np.argwhere(np.isnan(whole.positions[:, 0])).tolist() == [[4, 3]]
-    np.testing.assert_allclose(
-        np.delete(whole.positions, 3, axis=2), np.delete(markers.positions, 3, axis=2), atol=0.051
+    filler = b"".join(  # parameters without meaning between the group TRIAL and the end of all
+        struct.pack("<bb", 6, 9) + f"M{i:05}".encode() + struct.pack("<HbBBB", 36, -1, 1, 30, 0) + b"x" * 30
+        for i in range(labels)
     )
+    end = data.index(b"ACTUAL_END_FIELD")
+    at = end + 16 + struct.unpack_from("<H", data, end + 16)[0]
+    grown = bytes(data[:at]) + filler + b"\0\0"
+    blocks = -(-(len(grown) - 512) // 512)
+    grown = bytearray(grown.ljust(512 * (1 + blocks), b"\0") + bytes(data[start:]))
+    grown[514] = blocks & 0xFF
+    struct.pack_into("<H", grown, 16, 2 + blocks)
+    (tmp_path / "a.c3d").write_bytes(grown)
+    np.testing.assert_allclose(parse_c3d(tmp_path / "a.c3d").positions, points, atol=1e-3)
 
 
-def test_numbers_in_the_order_of_dec_machines_are_read_like_others(tmp_path: Path) -> None:
-    data = bytearray(walking(tmp_path / "a.c3d", 10).read_bytes())
-    start = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
-
-    def dec(at: int, count: int = 1) -> None:
-        words = np.frombuffer(bytes(data[at : at + 4 * count]), "<f4") * np.float32(4) + np.float32(0)  # no −0
-        data[at : at + 4 * count] = words.view("<u2").reshape(-1, 2)[:, ::-1].tobytes()
-
-    for at in (12, 20, _value(bytes(data), b"SCALE"), _value(bytes(data), b"RATE")):
-        dec(at)
-    dec(start, 10 * len(LABELS) * 4)
-    data[515] = 85
-    (tmp_path / "b.c3d").write_bytes(data)
-    found, expected = parse_c3d(tmp_path / "b.c3d"), parse_c3d(tmp_path / "a.c3d")
-    assert (found.rate_hz, found.names) == (120.0, expected.names)
-    np.testing.assert_allclose(found.positions, expected.positions, rtol=1e-6)
+@pytest.mark.shared
+def test_real_files_are_read_as_ezc3d_and_py_c3d_read_them(shared: Path) -> None:
+    for path in sorted((shared / "data").glob("*/*.c3d")) + sorted((shared / "data" / "wild").glob("*/*.c3d")):
+        found = parse_c3d(path).positions
+        for other in (_ezc3d(path), _pyc3d(path)):
+            lost = np.isnan(other).any(axis=1) | (other == 0).all(axis=1)
+            np.testing.assert_array_equal(found, np.where(lost[:, None], np.nan, other), err_msg=path.name)
 
 
 def test_a_file_cut_off_keeps_the_frames_that_are_there_and_says_so(tmp_path: Path) -> None:
@@ -213,7 +253,7 @@ FAULTS = {
     "empty": (lambda data: b"", "is no C3D file"),
     "text": (lambda data: b"hello " * 500, "is no C3D file"),
     "parameters beyond the end": (lambda data: _patched(data, 0, "<B", 255), "is no C3D file"),
-    "numbers of MIPS": (lambda data: _patched(data, 512 + 3, "<B", 86), "in the order of MIPS machines"),
+    "numbers of no processor": (lambda data: _patched(data, 512 + 3, "<B", 87), "in the order of processor 87"),
     "cut in the parameters": (lambda data: data[:700], "parameter"),
     "cut in the header": (lambda data: data[:300], "is no C3D file"),
     "no frames": (lambda data: data[: (struct.unpack_from("<H", data, 16)[0] - 1) * 512 + 20], "holds no frames"),
