@@ -55,6 +55,11 @@ PARTS = {
         ("`Aside`", "kinedex.catalog.skeletons.mappings", "_Aside"),
         ("`Root`", "kinedex.catalog.skeletons.mappings", "_Root"),
     ),
+    "names": (
+        ("names of nodes", "kinedex.catalog.skeletons.recognition.names", "_VocabularyFile"),
+        ("labels of markers, of your own", "kinedex.catalog.skeletons.recognition.landmarks", "_OwnFile"),
+        ("`skin` and `centres`", "kinedex.catalog.skeletons.recognition.landmarks", "_Part"),
+    ),
     "features": (
         ("", "kinedex.catalog.features", "_FeatureFile"),
         ("a feature, by its number", "kinedex.catalog.features", "_FeatureEntry"),
@@ -75,7 +80,10 @@ PARTS = {
 """Kind of configuration file → its models: part of the file that each describes (empty: all of it), module, name."""
 
 WHERE = {
-    "skeletons": "`ingest.skeleton`. [How to read files with a skeleton of your own](howto/own-skeleton.md).",
+    "skeletons": "`ingest.skeletons`, `ingest.skeleton`, `kinedex mapping`. "
+    "[How to read files with a skeleton of your own](howto/own-skeleton.md).",
+    "names": "`ingest.skeletons`, `kinedex mapping add`. [Names that recognition does not know]"
+    "(howto/own-skeleton.md#names-that-recognition-does-not-know).",
     "features": "`ingest.features`. [Features of your own](howto/own-features.md).",
     "classes": "`annotate.classes`. [Classes of your own](howto/own-classes.md).",
     "queries": "`kinedex search`, `annotate.queries`, `rank.queries`. Every key is explained in "

@@ -88,8 +88,10 @@ def _of_nodes(fit: Fit, nodes: Mapping[str, int]) -> Fit:
             weights[seen(name)] = weights.get(seen(name), 0.0) + weight
         return replace(mix, weights=tuple(weights.items()))
 
-    joints = {joint: tuple(map(of_seen, mixes)) for joint, mixes in fit.mapping.joints.items()}
-    return replace(fit, mapping=replace(fit.mapping, joints=joints))
+    choices = {joint: tuple(map(of_seen, mixes)) for joint, mixes in fit.mapping.joints.items()}
+    joints = {joint: of_seen(mix) for joint, mix in fit.joints.items()}
+    places = {name: index for name, index in fit.places.items() if name in nodes}
+    return replace(fit, mapping=replace(fit.mapping, joints=choices), joints=joints, places=places)
 
 
 def _comment(file: Path, person: str, fault: SourceError | None) -> str:

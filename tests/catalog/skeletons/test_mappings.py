@@ -92,7 +92,7 @@ def test_a_skeleton_that_no_mapping_fits_is_told_the_nearest_and_what_it_lacks()
 
 def test_a_skeleton_of_strange_names_is_near_to_no_mapping() -> None:
     with pytest.raises(
-        SourceError, match=r"none is near: none knows any of its names; the skeleton has a, b; give one"
+        SourceError, match=r"none is near: none knows any of its names; the skeleton has a, b; write one"
     ):
         AUTO.detect("a.bvh", "bvh", {"a": 0, "b": 1})
     with pytest.raises(SourceError) as caught:
