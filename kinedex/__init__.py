@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from kinedex.catalog.features import FeatureSet, load_feature_set
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
+    from kinedex.pipelines.api.labels import Labels
     from kinedex.pipelines.api.picture import Picture
     from kinedex.pipelines.api.pipeline import ingest, run_pipeline
     from kinedex.pipelines.api.query import Query
@@ -42,6 +43,7 @@ __all__ = [
     "Evaluation",
     "FeatureSet",
     "KinedexError",
+    "Labels",
     "Outcome",
     "ParameterError",
     "Picture",
@@ -68,6 +70,7 @@ _HOMES = {
     "Evaluation": "pipelines.api.annotation",
     "FeatureSet": "catalog.features",
     "KinedexError": "ops.errors",
+    "Labels": "pipelines.api.labels",
     "Outcome": "pipelines.engine.runner",
     "ParameterError": "ops.errors",
     "Picture": "pipelines.api.picture",

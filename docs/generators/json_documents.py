@@ -51,6 +51,18 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "remarks": "templates that were excluded, or ranked in all frames for want of a query",
         "hits": "rows of the view `ranked_hits`",
     },
+    **{
+        f"labels {name}": {
+            **_STORE,
+            "counts": "number of new labels by origin (`imported`, `accepted`, `corrected`, `drawn`), or `rejected` or "
+            "`removed`",
+            "known": "number of decisions that the store had already",
+            "remarks": "what was excluded, and why",
+            "labels": "the new rows, with the columns of a label and without those that the view adds",
+        }
+        for name in ("import", "add", "remove", "accept", "reject")
+    },
+    "labels list": {**_STORE, "labels": "rows of the view `labels`, or of `label_history`"},
     "inspect": {
         "file": "path of the motion file",
         "facts": "what was found out, each with `name` and `value`",

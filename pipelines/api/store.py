@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from kinedex.catalog.queries.keyframe_query import KeyframeQuery
     from kinedex.ops.templates.templates import Kind
+    from kinedex.pipelines.api.labels import Labels
     from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.template import Template
     from kinedex.storage.duck import Connection
@@ -154,6 +155,24 @@ class Store:
         >>> store.close()
         """
         self.stored.close()
+
+    @property
+    def labels(self) -> Labels:
+        """Return the labels of people, which can be read and recorded.
+
+        Returns
+        -------
+        Labels
+            The labels; recording one changes no other result of this store.
+
+        Examples
+        --------
+        >>> store.labels.table().height == len(store.labels)
+        True
+        """
+        from kinedex.pipelines.api.labels import Labels
+
+        return Labels(self.stored)
 
     # ---- takes -------------------------------------------------------------------------------------------
 

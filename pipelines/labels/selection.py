@@ -51,7 +51,7 @@ class Selection:
         return not (self.takes or self.classes or edges or self.where or self.rows or self.every)
 
 
-def selected(table: pa.Table, selection: Selection, noun: str) -> pl.DataFrame:
+def selected(table: pa.Table, selection: Selection, noun: str, *, keep_order: bool = False) -> pl.DataFrame:
     """Return the rows that a selection means.
 
     Parameters
@@ -62,6 +62,8 @@ def selected(table: pa.Table, selection: Selection, noun: str) -> pl.DataFrame:
         The choice.
     noun : str
         The noun for a row, such as "annotation".
+    keep_order : bool, optional
+        Return the rows in the order of the table, not by take and start.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def selected(table: pa.Table, selection: Selection, noun: str) -> pl.DataFrame:
         found = found.filter(pl.col("start") < selection.stop)
     if selection.rows is not None:
         found = _of_file(found, selection.rows, noun)
-    return found.sort("take", "start", "stop", "class", maintain_order=True)
+    return found if keep_order else found.sort("take", "start", "stop", "class", maintain_order=True)
 
 
 def _of_file(found: pl.DataFrame, path: Path, noun: str) -> pl.DataFrame:

@@ -20,7 +20,7 @@ IGNORED = {
 """Checks that do not count, and why."""
 
 MADE_BY_KINEDEX = (
-    *("Difference", "Evaluation", "FeatureSet", "Outcome", "Picture", "Store", "Take", "Template"),
+    *("Difference", "Evaluation", "FeatureSet", "Labels", "Outcome", "Picture", "Store", "Take", "Template"),
     *("ConfigError", "ParameterError", "SourceError"),
 )
 """Classes whose constructor users do not call; its parameters are not documented (PR01)."""

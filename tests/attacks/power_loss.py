@@ -69,7 +69,31 @@ collect(sys.argv[2], keep=1)
 (Path(sys.argv[3]) / "1").write_text("done")
 """
 
-WORKS = {"ingest": ((), INGEST), "upgrade": ((INGEST, OLD_FORMAT), UPGRADE), "gc": ((INGEST,), COLLECT)}
+LABELS = """
+import sys
+from pathlib import Path
+
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.writer import StoreWriter
+from tests.attacks.works import decide
+
+store, acknowledged = Path(sys.argv[2]), Path(sys.argv[3])
+feature_set = open_store(store, at="newest").feature_set
+for number in range(1, 9):
+    decide(store, number)
+    (acknowledged / str(number)).write_text("done")
+    if number in (3, 6):
+        with StoreWriter.open(store, feature_set) as writer:
+            writer.commit()
+"""
+"""Decisions about labels; twice a writer publishes those before, which changes nothing that readers see."""
+
+WORKS = {
+    "ingest": ((), INGEST),
+    "upgrade": ((INGEST, OLD_FORMAT), UPGRADE),
+    "gc": ((INGEST,), COLLECT),
+    "labels": ((INGEST,), LABELS),
+}
 """The programs that make the store, and the program that is traced, of each work."""
 
 CALLS = (
@@ -284,10 +308,11 @@ def _written(content: bytes, steps: list[Step]) -> bytes:
 
 
 def contents(path: Path) -> tuple[tuple[str, str], ...]:
-    """Return the names of the takes of a store, each with its words."""
+    """Return the names of the takes of a store, each with its words, and the ids of its labels."""
     with open_store(path, at="newest") as store:
         rows = store.takes().select("name", "take_id").sort("name").rows()
-        return tuple((name, store.words([number]).take(0).tobytes().hex()) for name, number in rows)
+        labels = (("label", str(one)) for one in store.labels().column("id").to_pylist())
+        return (*((name, store.words([number]).take(0).tobytes().hex()) for name, number in rows), *labels)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import pyarrow as pa
 import yaml
 
 import kinedex
@@ -16,9 +17,11 @@ from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.keyframes import runs
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.storage.index.builder import build_index
+from kinedex.storage.store.decisions import record_labels
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.upgrade import upgrade
+from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.archives import write_archive
 from tests.storage.old_formats import as_format_3
 
@@ -167,6 +170,31 @@ def _repair(folder: Path, store: Path) -> None:
     repair_store(store, Terminal())
 
 
+def _decided(folder: Path) -> None:
+    """A store with decisions about labels in its journal, one of them in a line that was never finished."""
+    _no_index(folder)
+    for number in range(2):
+        decide(folder / "store", number)
+    (journal,) = (folder / "store" / "labels" / "journal").iterdir()
+    with journal.open("ab") as file:
+        file.write(b'{"xxh3":"0123')
+
+
+def decide(store: Path, number: int) -> None:
+    """Record a label whose id is this number."""
+    row = {"id": str(number), "take": "x_1", "class": "walk", "start": number, "stop": number + 5, "origin": "drawn"}
+    record_labels(store, pa.Table.from_pylist([row]))
+
+
+def _decide(folder: Path, store: Path) -> None:
+    decide(store, 2)
+    with StoreWriter.open(store, open_store(store, at="newest").feature_set) as writer:
+        decide(store, 3)
+        writer.commit()
+        decide(store, 4)
+        writer.commit()
+
+
 def _build(folder: Path, store: Path) -> None:
     build_index(open_store(store, at="newest"))
 
@@ -184,6 +212,7 @@ WORKS = {
         Work("first index", _no_index, _build),
         Work("later index", _old_index, _build),
         *(Work(stage, partial(_staged, number), partial(_stages, number + 1)) for number, stage in enumerate(STAGES)),
+        Work("labels", _decided, _decide),
         Work("gc", _garbage, _collect),
         Work("upgrade", _old_format, _upgrade),
         Work("repair frames", partial(_damaged, ("frames", "index/gen-*")), _repair, damaged=True),

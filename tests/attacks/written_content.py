@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import Store
 
 _PASSING = {"take_id", "run", "logged_at", "source_mtime_ns"}
@@ -20,7 +21,10 @@ _PASSING_TEXT = re.compile(
 
 
 def contents(store: Store) -> dict[str, str]:
-    """Return a digest of each take (its row, words and frames), of each kind of result, and of the stages done."""
+    """Return a digest of each take (its row, words and frames), of each kind of result, of labels, and of the stages.
+
+    The labels are those that the version itself holds, without the journal.
+    """
     found = {}
     for row in store.take_rows.to_pylist():
         frames = store.frames(row["name"]).drop_columns(["take_id"])
@@ -30,6 +34,9 @@ def contents(store: Store) -> dict[str, str]:
         rows = sorted(repr(_lasting(row)) for row in store.result(kind).to_pylist())
         if rows:
             found[f"results {kind}"] = _digest(rows)
+    labels = Snapshot.labels(store, history=True)
+    if labels.num_rows:
+        found["labels"] = _digest(sorted(repr(row) for row in labels.drop_columns(["created"]).to_pylist()))
     for name, record in store.manifest.stages.items():
         parts = record.summary.get("fingerprint_parts")
         found[f"stage {name}"] = _digest(record.summary.get("params"), parts and parts["code"])
