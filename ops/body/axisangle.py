@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.body import kinematics
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -28,6 +29,16 @@ def matrices(vectors: F64) -> F64:
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
     turned: F64 = np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
     return turned
+
+
+def vectors(turned: F64) -> F64:
+    """Return the rotation vectors (T, 3) in radians, up to half a turn, of matrices (T, 3, 3)."""
+    w, x, y, z = kinematics.quaternions(turned.reshape(-1, 9).T)
+    axis = np.stack([x, y, z], axis=1) * np.where(w < 0, -1.0, 1.0)[:, None]
+    sine = np.sqrt(np.einsum("ta,ta->t", axis, axis))
+    # θ / sin(θ/2) is 2 where θ is 0
+    ratio = np.where(sine > 1e-12, 2 * np.arctan2(sine, np.abs(w)) / np.maximum(sine, 1e-12), 2.0)
+    return axis * ratio[:, None]
 
 
 def forward(rest: F64, parents: Sequence[int], turns: F64, places: F64) -> tuple[F64, F64]:

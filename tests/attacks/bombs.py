@@ -156,6 +156,13 @@ def _deep_fbx(depth: int) -> bytes:
     return scene.binary()
 
 
+def _pickle_of(shape: int) -> bytes:
+    """Return a pickle of an array that claims 2^shape numbers and has one byte."""
+    head = b"\x80\x02}U\x05posescnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01"
+    size = b"\x8a\x09" + (1 << shape).to_bytes(9, "little")
+    return head + size + b"\x85cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R\x89U\x01xtbs."
+
+
 TEN_TO_12 = 10**12
 LONG_LINE = b"1 " * 40_000_000
 BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
@@ -179,6 +186,15 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "an NPZ header of 10^12 frames": ("npz", lambda: _npz((TEN_TO_12, 24, 3), 1 << 20)),
     "an NPZ of 2.4 GB in 2 MB": ("npz", lambda: _npz((4_096_000, 24, 3), 2250 << 20)),
     "an NPZ of 100,000 entries": ("npz", lambda: _entries(100_000)),
+    "a pickle of 2^60 numbers": ("pkl", lambda: _pickle_of(60)),
+    "a pickle with a place far out": ("pkl", lambda: b"\x80\x02}r\xff\xff\xff\x7f."),
+    "a pickle of tuples in tuples": ("pkl", lambda: b"\x80\x02})" + b"\x85" * 5_000_000 + b"K\x01s."),
+    "a pickle of 5 million lists": ("pkl", lambda: b"\x80\x02}U\x05poses(" + b"]" * 5_000_000 + b"ls."),
+    "levels of keypoints": ("motion.json", lambda: b'{"people":' + b"[" * 30_000_000),
+    "frames without points": ("motion.json", lambda: b'{"frames":[' + b"{}," * 10_000_000 + b"{}]}"),
+    "a JSON of 70 MB": ("motion.json", lambda: b'{"joints_3d":"' + b"x" * 70_000_000 + b'"}'),
+    "a header of 30 MB in CSV": ("motion.csv", lambda: b"Format Version,1.23\n," + b"Bone," * 6_000_000 + b"\n"),
+    "sections without end": ("motion.csv", lambda: b"Trajectories\n100\n\n" * 3_000_000),
     "C3D counts of 65,535": ("c3d", _c3d_counts),
     "a billion laughs in MVNX": ("mvnx", _mvnx_laughs),
     "levels of MVNX": ("mvnx", lambda: b"<mvnx>" + b"<a>" * 5_000_000),

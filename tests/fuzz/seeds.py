@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -255,6 +256,31 @@ def amass() -> dict[str, bytes]:
     new = {"root_orient": turns[:, :3], "pose_body": turns[:, 3:66], "pose_hand": turns[:, 66:], "trans": places}
     new |= {"mocap_frame_rate": rate, "gender": np.array(b"neutral")}
     return {"old": _zipped(old), "new": _zipped(new)}
+
+
+def angle_pickles() -> dict[str, bytes]:
+    """Angles as AIST++ and as estimators have them, of protocols that a mutation leaves whole now and then."""
+    turns = np.random.default_rng(0).normal(0, 0.2, (4, 72))
+    aist = {"smpl_poses": turns, "smpl_scaling": np.array([93.0]), "smpl_trans": np.zeros((4, 3))}
+    parts = {
+        "global_orient": turns[:, None, :3],
+        "body_pose": turns[:, 3:].reshape(4, 23, 3),
+        "transl": np.zeros((4, 3)),
+    }
+    return {f"aist-{p}": pickle.dumps(aist, p) for p in (0, 2)} | {"parts": pickle.dumps(parts | {"fps": 30.0}, 4)}
+
+
+def pickled_keypoints() -> dict[str, bytes]:
+    walk = point_files.keypoints_of(COCO_17, 4)
+    return {f"protocol-{p}": pickle.dumps({"keypoints3d": 100 * walk}, p) for p in (0, 2, 5)}
+
+
+def humanml() -> dict[str, bytes]:
+    """The places of 22 joints, and features of a body that stands still."""
+    rest = _figure(load_skeleton("smpl-24", known()[0].joints).order)[:, :22]
+    features = np.zeros((5, 263))
+    features[:, 3], features[:, 4:67] = rest[:, 0, 1], (rest - rest[:, :1] * [1, 0, 1])[:, 1:].reshape(5, -1)
+    return {"joints": _saved(rest), "features": _saved(features)}
 
 
 def body_model() -> bytes:

@@ -1,4 +1,4 @@
-"""The reader of AMASS files: the joint angles of SMPL bodies.
+"""The reader of the joint angles of SMPL bodies: AMASS, AIST++, and what estimators of body and shape write.
 
 The places of the joints at rest come from a body model, a file of the user's own.
 """
@@ -6,15 +6,19 @@ The places of the joints at rest come from a body model, a file of the user's ow
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.configs import config_path
+from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
+from kinedex.catalog.skeletons.skeleton_fit import axes_of_up
 from kinedex.ops.body import axisangle
+from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.body_models import (
     BODY,
@@ -26,6 +30,7 @@ from kinedex.storage.formats.motion.body_models import (
     model_digest,
 )
 from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
+from kinedex.storage.formats.motion.number_pickles import load_pickle
 from kinedex.storage.formats.motion.numpy_arrays import array_names, array_shapes, load_arrays
 from kinedex.storage.formats.motion.position_files import ARRAYS
 from kinedex.storage.formats.motion.reader import (
@@ -37,15 +42,45 @@ from kinedex.storage.formats.motion.reader import (
     Reader,
     ReadSettings,
     body_bytes,
+    file_size,
 )
 
 F64 = npt.NDArray[np.float64]
 
-RATES = ("mocap_framerate", "mocap_frame_rate")
-"""The keys of the rate: older files have the one, newer ones the other."""
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate")
+"""The keys of the rate: older files of AMASS have the first, newer ones the second."""
 
 PARTS = ("root_orient", "pose_body", "pose_hand", "pose_jaw", "pose_eye")
 """The keys of newer files, which hold the angles in parts."""
+
+_SYNONYMS = {
+    "poses": ("smpl_poses", "fullpose", "pose"),
+    "trans": ("smpl_trans", "transl", "smpl_transl", "translation"),
+    "root_orient": ("global_orient", "smpl_global_orient"),
+    "pose_body": ("body_pose", "smpl_body_pose"),
+    "pose_jaw": ("jaw_pose",),
+    "scaling": ("smpl_scaling",),
+}
+"""The usual keys → those of other sources."""
+
+_PAIRS = {"pose_hand": ("left_hand_pose", "right_hand_pose"), "pose_eye": ("leye_pose", "reye_pose")}
+_NESTED = ("smpl_params_global", "smpl_params", "smplx_params", "smpl")
+"""Dicts in pickles that hold the angles; the first one counts."""
+
+_READ = (
+    *("poses", "trans", "betas", "gender", "scaling", *PARTS, *RATES),
+    *(key for keys in (*_SYNONYMS.values(), *_PAIRS.values()) for key in keys),
+)
+_SURE = frozenset(
+    ("smpl_poses", "smpl_trans", "smpl_scaling", "global_orient", "body_pose", "root_orient", "pose_body", "fullpose")
+)
+_HEAD = 4096  # bytes of a pickle in which its first keys stand
+_NO_TAKE = (b"chumpy", b"J_regressor", b"v_template", b"shapedirs")
+SHIPPED = "smpl-amass"
+"""The mapping whose axes are those of AMASS; one of the user's own states its axes for all files."""
+
+AIST_HZ = 60.0
+"""The rate of the AIST Dance Video Database, which the files of AIST++ do not state."""
 
 _AT_ONCE = 4096  # frames; axisangle.forward computes so many at a time, too
 _POSED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
@@ -69,6 +104,10 @@ class Poses:
         "male", "female" or "neutral".
     rate_hz : float, optional
         Frames per second, if the file states them.
+    up : str, optional
+        The vertical axis, if the source fixes it.
+    known_hz : float, optional
+        Frames per second of all files of the source, which do not state them.
     """
 
     names: tuple[str, ...]
@@ -77,18 +116,22 @@ class Poses:
     shape: F64
     gender: str
     rate_hz: float | None
+    up: str | None = "z"
+    known_hz: float | None = None
 
 
 class AmassReader(Reader):
-    """Reads NPZ files that hold joint angles and no positions."""
+    """Reads NPZ files and pickles that hold joint angles and no positions."""
 
     format: ClassVar[Format] = "amass"
-    endings: ClassVar[tuple[str, ...]] = (".npz",)
+    endings: ClassVar[tuple[str, ...]] = (".npz", ".pkl")
 
     def sniff(self, path: Path) -> bool:
-        """Return whether an NPZ file holds joint angles and no positions."""
+        """Return whether a file holds joint angles and no positions; of a pickle its first keys count."""
+        if path.suffix.lower() == ".pkl":
+            return _is_pickle_of_angles(path)
         names = set(array_names(path))
-        return bool(names & {"poses", "pose_body"}) and not names & set(ARRAYS)
+        return bool(names & {"poses", *_SURE}) and not names & set(ARRAYS)
 
     def relevant_settings(self, settings: ReadSettings) -> object:
         """Return the rates, and the body model with size and time of its files."""
@@ -96,19 +139,22 @@ class AmassReader(Reader):
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
         """Read the headers of the arrays; the memory is that of all angles, and of the joints."""
+        if file.path.suffix.lower() == ".pkl":
+            return Extent(0, 8 * file_size(file.path), settings.override_rate_hz)
         shapes = array_shapes(file.path)
-        known = [shapes[key] for key in ("poses", "trans", "betas", "gender", *PARTS, *RATES) if key in shapes]
+        known = [shapes[key] for key in _READ if key in shapes]
         stored = sum(math.prod(shape) * kind.itemsize for shape, kind in known)
         # read, as doubles where it is stored otherwise, and put together where it comes in parts
         numbers = sum(math.prod(shape) * (0 if kind == np.float64 else 8) for shape, kind in known)
-        together = 0 if "poses" in shapes else 8 * sum(math.prod(shapes[key][0]) for key in PARTS if key in shapes)
+        parts = [shape for key, (shape, _) in shapes.items() if key in _READ and key != "poses"]
+        together = 0 if "poses" in shapes else 16 * sum(map(math.prod, parts))
         frames = max((shape[0] for shape, _ in known if shape), default=0)
         block = min(frames, _AT_ONCE) * (len(BODY) + len(HANDS) + len(FACE)) * 400
         need = stored + numbers + together + block + body_bytes(frames, joints)
         return Extent(frames, need, settings.override_rate_hz)
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
-        """Read an AMASS file with the body model of the settings.
+        """Read a file of angles with the body model of the settings.
 
         Raises
         ------
@@ -120,9 +166,9 @@ class AmassReader(Reader):
         if settings.body_model is None:
             raise SourceError(
                 path,
-                "holds the joint angles of a body (AMASS); the places of its joints at rest are in a body model, which "
-                "may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints at "
-                "rest; docs/formats.md explains it",
+                "holds the joint angles of a body (AMASS, SMPL); the places of its joints at rest are in a body model, "
+                "which may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints "
+                "at rest; docs/formats.md explains it",
             )
         model = load_body_model(settings.body_model, poses.gender)
         warnings: list[str] = []
@@ -130,13 +176,14 @@ class AmassReader(Reader):
         if poses.shape.any() and not model.shapes.shape[2]:
             warnings.append("the figure has the shape of the body model; that of the file (betas) is not used")
         fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
+        fit, reasons = _upright(poses, model, rest, fit, joints)
         positions, turned = _posed(poses, model, rest, fit, joints)
         unit_m = fit.mapping.unit_m or 1.0
         positions *= unit_m
         refuse_far(path, positions, joints, fit.unknown)
         if poses.rate_hz is not None:
             rate_hz = settings.rate_of(poses.rate_hz, warnings)
-        elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
+        elif (set_hz := settings.override_rate_hz or settings.rate_hz or poses.known_hz) is not None:
             rate_hz = set_hz
         else:
             raise SourceError(path, f"has none of {', '.join(RATES)}: give `rate_hz`, or --rate")
@@ -148,7 +195,34 @@ class AmassReader(Reader):
             skeleton=fit.mapping.name,
             unknown=fit.unknown,
             warnings=(*warnings, *virtual_joint_warnings(fit)),
+            evidence=reasons,
         )
+
+
+def _is_pickle_of_angles(path: Path) -> bool:
+    """Return whether the first keys of a pickle are those of angles; that of a body model is none of a take."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return False
+    return any(key.encode() in head for key in _SURE) and not any(word in head for word in _NO_TAKE)
+
+
+def _upright(
+    poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[str, ...]
+) -> tuple[Fit, tuple[str, ...]]:
+    """Return the fit with the axis along which the body stands, for files whose source does not fix it."""
+    if poses.up is not None or fit.mapping.path != config_path("skeletons", SHIPPED):
+        return fit, ()
+    sample = np.unique(np.linspace(0, len(poses.turns) - 1, min(len(poses.turns), SAMPLED_FRAMES)).astype(int))
+    plain = replace(fit, mapping=replace(fit.mapping, axes=np.eye(3)))
+    few = replace(poses, turns=poses.turns[sample], places=poses.places[sample])
+    positions = _posed(few, model, rest, plain, joints)[0]
+    found = up_axis({joint: positions[i] for i, joint in enumerate(joints) if joint not in fit.unknown})
+    up = found.axis or "y"
+    reason = f"up is {up} by posture (confidence {found.confidence:.2f})"
+    return replace(fit, mapping=replace(fit.mapping, axes=axes_of_up(up))), (reason, *found.reasons)
 
 
 def _posed(poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
@@ -180,7 +254,13 @@ def parse_amass(path: Path) -> Poses:
     SourceError
         An array is missing, has another shape, or holds something else than numbers.
     """
-    arrays, names = load_arrays(path, ("poses", "trans", "betas", "gender", *PARTS, *RATES))
+    if path.suffix.lower() == ".pkl":
+        arrays = _of_pickle(load_pickle(path))
+        names = list(arrays)
+    else:
+        arrays, names = load_arrays(path, _READ)
+    from_aist = "smpl_poses" in arrays
+    arrays = _usual(path, arrays)
     posed, turns = _turns(path, arrays)
     frames = len(turns)
     if "trans" not in arrays:
@@ -190,12 +270,60 @@ def parse_amass(path: Path) -> Poses:
         raise SourceError(
             path, f"`trans` must have {frames} frames of 3 numbers, as many as angles, got {places.shape}"
         )
-    shape = _numbers(path, arrays, "betas").ravel() if "betas" in arrays else np.zeros(0)
+    shape = _numbers(path, arrays, "betas") if "betas" in arrays else np.zeros(0)
+    shape = shape.mean(axis=0) if shape.ndim == 2 and len(shape) == frames else shape.ravel()
+    if "scaling" in arrays:
+        places = places / _scale(path, arrays)
     rate = next((_numbers(path, arrays, key) for key in RATES if key in arrays), None)
     if rate is not None and (rate.size != 1 or not SLOWEST_HZ <= float(rate.ravel()[0]) <= FASTEST_HZ):
         raise SourceError(path, f"the rate must be one number, {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate}")
     rate_hz = None if rate is None else float(rate.ravel()[0])
-    return Poses(posed, turns, places, shape, _gender(path, arrays), rate_hz)
+    from_amass = any(key in arrays for key in RATES[:2]) or (path.suffix.lower() == ".npz" and "gender" in arrays)
+    known_hz = AIST_HZ if from_aist else None
+    return Poses(posed, turns, places, shape, _gender(path, arrays), rate_hz, "z" if from_amass else None, known_hz)
+
+
+def _of_pickle(found: dict[str, Any]) -> dict[str, Any]:
+    """Return the arrays of a pickle, those of a dict in it that holds angles."""
+    inner = next((found[key] for key in _NESTED if isinstance(found.get(key), dict)), found)
+    return {key: value for key, value in inner.items() if not isinstance(value, dict) and key in _READ}
+
+
+def _usual(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
+    """Return the arrays under their usual keys, and rotation matrices as rotation vectors."""
+    usual = {key: value for key, value in arrays.items() if key in ("betas", "gender", "scaling", *PARTS, *RATES)}
+    for key, others in _SYNONYMS.items():
+        there = next((other for other in (key, *others) if other in arrays), None)
+        if there is not None:
+            usual.setdefault(key, arrays[there])
+    for key, pair in _PAIRS.items():
+        if key not in usual and all(other in arrays for other in pair):
+            halves = [_vectors(path, arrays, other) for other in pair]
+            if halves[0].shape == halves[1].shape and halves[0].shape[1:] in ((3,), (45,)):
+                usual[key] = np.concatenate(halves, axis=1)
+    for key in ("poses", *PARTS):
+        if key in usual:
+            usual[key] = _vectors(path, usual, key)
+    return usual
+
+
+def _vectors(path: Path, arrays: dict[str, Any], key: str) -> Any:
+    """Return angles (T, 3 J), of joints on an axis of their own and of rotation matrices (T, J, 3, 3), too."""
+    array = arrays[key]
+    if array.ndim == 4 and array.shape[2:] == (3, 3) and array.size:
+        matrices = _numbers(path, arrays, key)
+        array = axisangle.vectors(matrices.reshape(-1, 3, 3)).reshape(len(matrices), -1)
+    elif array.ndim == 3 and array.shape[2] == 3:
+        array = array.reshape(len(array), -1)
+    return array
+
+
+def _scale(path: Path, arrays: dict[str, Any]) -> float:
+    """Return the size of the figure in the unit of its places, by which AIST++ brings both to centimetres."""
+    scale = _numbers(path, arrays, "scaling")
+    if scale.size != 1 or not 1e-3 <= float(scale.ravel()[0]) <= 1e6:
+        raise SourceError(path, f"`scaling` must be one positive number, got {scale.ravel()[:3]}")
+    return float(scale.ravel()[0])
 
 
 def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
@@ -214,6 +342,8 @@ def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
                 raise SourceError(path, f"has no `{key}`, nor `poses`")
             continue
         part = _angles(path, arrays, key)
+        if key == "pose_body" and part.shape[1] == len(_POSED[24]) - 1:
+            joints = _POSED[24][1:]
         if part.shape[1] != len(joints) or (parts and len(part) != len(parts[0])):
             raise SourceError(
                 path,

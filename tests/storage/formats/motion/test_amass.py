@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,16 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.body import axisangle, kinematics
 from kinedex.ops.errors import ConfigError, SourceError
 from kinedex.storage.formats.motion.amass import parse_amass
 from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, load_body_model
+from kinedex.storage.formats.motion.keypoint_sets import COCO_17
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
-from kinedex.storage.formats.motion.reader_table import read_body, reader_of
+from kinedex.storage.formats.motion.reader_table import is_motion_file, read_body, reader_of
 from tests.bodies import STANDING
 from tests.oracles import axisangle as oracle
+from tests.point_files import keypoints_of
 
 JOINTS = load_feature_set().joints
 AUTO = load_mappings("auto", JOINTS)
@@ -194,7 +198,7 @@ def test_a_model_may_depend_on_the_figure_s_gender(tmp_path: Path) -> None:
 def test_without_a_body_model_the_error_says_what_to_give(tmp_path: Path) -> None:
     path = save(tmp_path / "a.npz", angles(2))
     with pytest.raises(
-        SourceError, match=r"joint angles of a body \(AMASS\).*give `body_model`, your model.npz of SMPL-H"
+        SourceError, match=r"joint angles of a body \(AMASS, SMPL\).*give `body_model`, your model.npz of SMPL-H"
     ):
         read(path, None)
 
@@ -218,7 +222,10 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "infinity": ({"trans": np.full((3, 3), np.inf)}, "`trans` has numbers that are none, infinite"),
     "text": ({"betas": np.array(["thin"])}, "`betas` must be numbers"),
     "a rate of zero": ({"mocap_framerate": np.array(0.0)}, "the rate must be one number"),
-    "no rate": ({"mocap_framerate": None}, "has none of mocap_framerate, mocap_frame_rate: give `rate_hz`, or --rate"),
+    "no rate": (
+        {"mocap_framerate": None},
+        "has none of mocap_framerate, mocap_frame_rate, fps, frame_rate: give `rate_hz`, or --rate",
+    ),
     "far away": ({"trans": np.full((3, 3), 1e9)}, "joint 'root' is more than 100 km away"),
     "an object": ({"gender": np.array([{}])}, "'gender' must hold 1 values of object"),
     "parts without a root": ({"poses": None, "pose_body": np.zeros((3, 63))}, "has no `root_orient`, nor `poses`"),
@@ -268,3 +275,124 @@ def test_what_is_wrong_with_a_model_is_said(tmp_path: Path, fault: str) -> None:
 def test_angles_are_read_as_they_are_written(tmp_path: Path) -> None:
     poses = parse_amass(save(tmp_path / "a.npz", GOOD))
     assert (poses.names, poses.gender, poses.turns.shape) == (SMPLH, "female", (3, 52, 3))
+
+
+def pickled(path: Path, arrays: dict[str, Any]) -> Path:
+    path.write_bytes(pickle.dumps(arrays, protocol=2))
+    return path
+
+
+def upright_angles(frames: int = 5) -> dict[str, Any]:
+    """Angles of a body that stands along Y, as estimators and AIST++ have it."""
+    arrays = angles(frames, 24)
+    turns = arrays["poses"].reshape(frames, -1, 3)
+    turns[:, 0] = 0.0
+    places = np.zeros((frames, 3))
+    places[:, 2] = 0.1 * np.arange(frames)
+    return {"poses": turns.reshape(frames, -1), "trans": places}
+
+
+def test_aist_is_in_centimetres_at_60_hz_and_stands_along_y(tmp_path: Path) -> None:
+    model = table(tmp_path / "model.csv", (*BODY, "left_hand", "right_hand"))
+    arrays = upright_angles()
+    aist = {"smpl_loss": 1.5, "smpl_poses": arrays["poses"], "smpl_scaling": np.array([93.0])}
+    path = pickled(tmp_path / "a.pkl", aist | {"smpl_trans": 93.0 * arrays["trans"]})
+    assert is_motion_file(path)
+    body = read(path, model)
+    assert (body.rate_hz, body.unit) == (60.0, "1 m")
+    assert any("up is y by posture" in reason for reason in body.evidence)
+    names = (*BODY, "left_hand", "right_hand")
+    for t in range(5):
+        expected = oracle.pose(rest(names), parents(names), arrays["poses"][t].reshape(-1, 3), arrays["trans"][t])
+        np.testing.assert_allclose(joint(body, "rwrist")[:, t], expected[names.index("right_wrist")], atol=1e-9)
+
+
+def test_angles_of_estimators_come_in_parts_as_matrices_and_nested(tmp_path: Path) -> None:
+    model = table(tmp_path / "model.csv", (*BODY, "left_hand", "right_hand"))
+    arrays = upright_angles()
+    turns = arrays["poses"].reshape(5, 24, 3)
+    whole = read(
+        save(tmp_path / "a.npz", {"fps": 30, "smpl_poses": arrays["poses"], "smpl_trans": arrays["trans"]}), model
+    )
+    parts = {
+        "global_orient": turns[:, 0],
+        "body_pose": turns[:, 1:],
+        "transl": arrays["trans"],
+        "betas": np.zeros((5, 10)),
+    }
+    matrices = {
+        "global_orient": axisangle.matrices(turns[:, 0]).reshape(5, 1, 3, 3),
+        "body_pose": axisangle.matrices(turns[:, 1:].reshape(-1, 3)).reshape(5, 23, 3, 3),
+        "transl": arrays["trans"],
+    }
+    for path in (
+        save(tmp_path / "b.npz", parts | {"fps": 30}),
+        pickled(tmp_path / "c.pkl", {"smpl_params_global": matrices | {"fps": 30.0}}),
+        pickled(tmp_path / "d.pkl", parts | {"mocap_frame_rate": 30.0}),
+    ):
+        assert is_motion_file(path)
+        body = read(path, model)
+        assert body.rate_hz == 30.0
+        if path.suffix == ".pkl" and path.stem == "d":
+            continue  # the rate's key is that of AMASS, whose files have Z up
+        np.testing.assert_allclose(body.positions, whole.positions, atol=1e-9)
+
+
+def test_pickles_of_body_models_and_of_other_things_are_no_takes(tmp_path: Path) -> None:
+    for name, content in {
+        "model": {"J_regressor": np.zeros((2, 2)), "poses": np.zeros(3), "v_template": np.zeros((2, 3))},
+        "other": {"weights": np.zeros(5)},
+        "list": [1, 2, 3],
+    }.items():
+        (tmp_path / f"{name}.pkl").write_bytes(pickle.dumps(content))
+        assert not is_motion_file(tmp_path / f"{name}.pkl")
+
+
+def test_keypoints_of_aist_are_coco_at_60_hz(tmp_path: Path) -> None:
+    walk = keypoints_of(COCO_17, 6)
+    raw = {"keypoints3d": 100 * walk + 500, "keypoints3d_optim": 100 * walk}
+    path = pickled(tmp_path / "a.pkl", raw)
+    assert is_motion_file(path)
+    body = read(path, None)
+    assert (body.rate_hz, body.unit) == (60.0, "0.01 m (guessed)")
+    np.testing.assert_allclose(joint(body, "lknee"), walk[:, COCO_17.index("left_knee")].T, atol=1e-4)
+    for changed, words in (
+        ({"keypoints3d": walk[:, :16]}, "must be numbers of shape"),
+        ({"keypoints3d": [{}]}, "has no array"),
+    ):
+        with pytest.raises(SourceError, match=words):
+            read(pickled(tmp_path / "b.pkl", changed), None)
+
+
+def features_of(joints: np.ndarray, facing: np.ndarray) -> np.ndarray:
+    """The features of HumanML3D of joints (T, 22, 3) and of the root's angles (T,), worked out forward."""
+    frames = len(joints)
+    features = np.zeros((frames, 263))
+    features[:-1, 0] = np.diff(facing) / 2
+    features[:, 3] = joints[:, 0, 1]
+    steps = np.diff(joints[:, 0], axis=0)
+    for t in range(frames):
+        # what the recovery turns back by the angle is turned by it here; the step into a frame is in that frame's axes
+        turned = kinematics.rotation(1, float(np.rad2deg(facing[t])))
+        if t:
+            features[t - 1, [1, 2]] = (turned @ steps[t - 1])[[0, 2]]
+        local = joints[t, 1:] - joints[t, 0] * [1, 0, 1]
+        features[t, 4:67] = (local @ turned.T).ravel()
+    return features
+
+
+def test_humanml_features_give_back_the_joints_that_they_describe(tmp_path: Path) -> None:
+    walk = np.repeat(rest(BODY)[None], 9, axis=0) + np.random.default_rng(0).normal(0, 0.005, (9, 22, 3))
+    walk[:, :, 2] += 0.05 * np.arange(9)[:, None]
+    walk -= walk[0, 0] * [1, 0, 1]
+    np.save(tmp_path / "a.npy", features_of(walk, 0.1 * np.arange(9)))
+    np.save(tmp_path / "b.npy", walk)
+    for name in ("a.npy", "b.npy"):
+        assert reader_of(tmp_path / name).__class__.__name__ == "HumanMlReader"
+        body = read(tmp_path / name, None)
+        assert body.rate_hz == 20.0
+        for ours, theirs in {"root": "pelvis", "lknee": "left_knee", "rwrist": "right_wrist", "neck": "neck"}.items():
+            np.testing.assert_allclose(joint(body, ours), walk[:, BODY.index(theirs)].T, atol=1e-4)
+        assert read(tmp_path / name, None, rate_hz=12.5).rate_hz == 12.5
+    np.save(tmp_path / "c.npy", np.zeros((9, 262)))
+    assert reader_of(tmp_path / "c.npy").__class__.__name__ == "PositionsReader"

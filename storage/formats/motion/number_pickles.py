@@ -1,0 +1,233 @@
+"""Pickles of numbers, read without trust: no code of the file's choice runs, and no size in it is believed.
+
+A pickle is a program. Here it can make numbers, texts, lists, tuples, dicts and NumPy arrays: functions that it names
+are replaced by those of this module, which note the parts of an array, and any other name refuses the file. The arrays
+are made from the noted parts afterwards, when shape, type and bytes have been found to agree.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import pickletools
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.reader import file_size
+
+MOST_BYTES = 512 << 20
+"""A larger pickle is none of a take."""
+
+MOST_TUPLES = 20_000
+"""More tuples could lie in each other so deep that Python fails on them."""
+
+_WAY_OUT = (
+    "a pickle can run any code, so only numbers, texts, lists, dicts and NumPy arrays are read; with a program that "
+    "you trust, save its arrays by `numpy.savez('take.npz', **arrays)`"
+)
+_OPCODES = frozenset(
+    "PROTO FRAME STOP MARK POP POP_MARK DUP NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 "
+    "LONG4 FLOAT BINFLOAT STRING BINSTRING SHORT_BINSTRING UNICODE SHORT_BINUNICODE BINUNICODE "
+    "BINUNICODE8 BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8 EMPTY_LIST APPEND APPENDS LIST EMPTY_TUPLE "
+    "TUPLE TUPLE1 TUPLE2 TUPLE3 EMPTY_DICT DICT SETITEM SETITEMS GET BINGET LONG_BINGET PUT BINPUT "
+    "LONG_BINPUT MEMOIZE GLOBAL STACK_GLOBAL REDUCE BUILD".split()
+)
+_DTYPE = re.compile(r"[<>=|]?([fiu][1248]|b1|[SU]\d{1,4})")
+_PACKED = {b"\x1f\x8b": "gzip", b"\x78\x01": "zlib", b"\x78\x5e": "zlib", b"\x78\x9c": "zlib", b"\x78\xda": "zlib"}
+
+
+class _Refused(Exception):
+    """The file names a function or an instruction that is not read."""
+
+
+class _Call:
+    """A function that a pickle may call; it has no attribute that a pickle could set."""
+
+    __slots__ = ("_make",)
+
+    def __init__(self, make: Callable[..., Any]) -> None:
+        self._make = make
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._make(*arguments)
+
+    def __setstate__(self, state: object) -> NoReturn:
+        raise _Refused("changes a function")
+
+
+class _Type:
+    """The parts of a NumPy type: its code, and its byte order."""
+
+    __slots__ = ("code", "order")
+
+    def __init__(self, code: object = "", *_: object) -> None:
+        self.code, self.order = code, "="
+
+    def __setstate__(self, state: Any) -> None:
+        self.order = (
+            state[1] if isinstance(state, tuple) and len(state) > 1 and state[1] in ("<", ">", "=", "|") else "="
+        )
+
+    def dtype(self) -> np.dtype[Any]:
+        """Return the type; an error reports one that is no number, truth value or text."""
+        if not isinstance(self.code, str) or not _DTYPE.fullmatch(self.code):
+            raise _Refused(f"holds an array of type {str(self.code)[:20]!r}")
+        return np.dtype(self.code).newbyteorder(self.order)  # type: ignore[arg-type]
+
+
+class _Array:
+    """The parts of an array: shape, type, order and bytes; an array of them is made only when it is asked for."""
+
+    __slots__ = ("_parts",)
+
+    def __init__(self, *parts: Any) -> None:
+        self._parts: tuple[Any, ...] = parts
+
+    def __setstate__(self, state: Any) -> None:
+        self._parts = state[1:] if isinstance(state, tuple) and len(state) == 5 else ()
+
+    def array(self) -> npt.NDArray[Any]:
+        """Return the array; an error reports parts that do not agree."""
+        if len(self._parts) != 4:
+            raise _Refused("holds an array without its numbers")
+        shape, kind, fortran, data = self._parts
+        whole = isinstance(shape, tuple) and all(isinstance(n, int) and 0 <= n < 1 << 40 for n in shape)
+        if not whole or len(shape) > 8 or not isinstance(kind, _Type):
+            raise _Refused("holds an array of a shape that makes no sense")
+        data = data.encode("latin-1") if isinstance(data, str) else data
+        dtype = kind.dtype()
+        if (
+            not isinstance(data, (bytes, bytearray))
+            or len(data) != math.prod(shape) * dtype.itemsize
+            or not dtype.itemsize
+        ):
+            raise _Refused("holds an array whose shape does not fit its bytes")
+        found: npt.NDArray[Any] = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
+        return found
+
+
+def _scalar(kind: object, data: object = b"") -> _Array:
+    return _Array((), kind, False, data)
+
+
+def _frombuffer(data: object, kind: object, shape: object, order: object) -> _Array:
+    return _Array(shape, kind, order == "F", data)
+
+
+def _encoded(text: object, encoding: object = "latin1") -> bytes:
+    if isinstance(text, str) and encoding in ("latin1", "latin-1"):
+        return text.encode("latin-1")
+    raise _Refused("encodes a text")
+
+
+def _no_bytes(*arguments: object) -> bytes:
+    """Return no bytes, as older protocols write them; a number of them is asked for by no honest file."""
+    if arguments:
+        raise _Refused("asks for bytes of its choice")
+    return b""
+
+
+_NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray", "numpy.core.numeric", "numpy._core.numeric", "numpy")
+_MADE: dict[str, Callable[..., Any]] = {
+    "_reconstruct": lambda *_: _Array(), "scalar": _scalar, "_frombuffer": _frombuffer, "dtype": _Type,
+    "ndarray": lambda *_: _Array(),
+}  # fmt: skip
+
+
+class _Unpickler(pickle.Unpickler):
+    """An unpickler that gives its own functions for those of NumPy, and none for any other name."""
+
+    def find_class(self, module: str, name: str) -> _Call:
+        """Return the function that stands for a name of the file."""
+        if module in _NUMPY and name in _MADE:
+            return _Call(_MADE[name])
+        if (module, name) == ("_codecs", "encode"):
+            return _Call(_encoded)
+        if name == "bytes" and module in ("builtins", "__builtin__"):
+            return _Call(_no_bytes)
+        if (module, name) == ("collections", "OrderedDict"):
+            return _Call(lambda *pairs: dict(*pairs))
+        raise _Refused(f"asks for {module[:60]}.{name[:60]}")
+
+
+def load_pickle(path: Path) -> dict[str, Any]:
+    """Return the arrays, numbers, texts and dicts of a pickle that holds a dict.
+
+    Parameters
+    ----------
+    path : Path
+        The file; those of Python 2 are read, too.
+
+    Returns
+    -------
+    dict of str to array or dict
+        Lists of numbers are arrays; what is no number and no text is not there.
+
+    Raises
+    ------
+    SourceError
+        The file is packed, damaged, or holds something else than numbers; the error tells the way out.
+    """
+    if file_size(path) > MOST_BYTES:
+        raise SourceError(path, f"has more than {MOST_BYTES >> 20} MB, which no pickle of a take has")
+    try:
+        data = path.read_bytes()
+        if data[:2] in _PACKED:
+            raise _Refused(f"is packed by {_PACKED[data[:2]]}, as joblib and others write it")
+        _check(data)
+        found = _Unpickler(io.BytesIO(data), encoding="latin1").load()
+        if not isinstance(found, dict):
+            raise _Refused("holds no dict of arrays by name")
+        return _plain(found, 3)
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    except _Refused as fault:
+        raise SourceError(path, f"{fault}; {_WAY_OUT}") from None
+    except Exception as fault:  # the unpickler has an error of its own for every broken byte
+        raise SourceError(path, f"is no pickle that can be read ({str(fault)[:200]}); {_WAY_OUT}") from None
+
+
+def _check(data: bytes) -> None:
+    """Refuse instructions that are not needed for numbers, and places in the memory far beyond those in use."""
+    tuples = 0
+    for count, (opcode, argument, _) in enumerate(pickletools.genops(data), 1):
+        if opcode.name not in _OPCODES:
+            raise _Refused(f"has the instruction {opcode.name}")
+        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and not 0 <= int(str(argument)) <= count + 1:
+            raise _Refused("numbers its parts beyond their count")
+        if opcode.name == "GLOBAL" and "joblib" in str(argument):
+            raise _Refused("was written by joblib, whose arrays lie beside the pickle")
+        tuples += opcode.name.startswith("TUPLE")
+        if tuples > MOST_TUPLES:
+            raise _Refused(f"has more than {MOST_TUPLES} tuples")
+
+
+def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:
+    """Return what can be an array as one, and dicts in dicts as such; the rest is left away."""
+    plain: dict[str, Any] = {}
+    for key, value in found.items():
+        if isinstance(value, dict) and depth:
+            plain[str(key)[:200]] = _plain(value, depth - 1)
+        elif isinstance(value, _Array):
+            try:
+                plain[str(key)[:200]] = value.array()
+            except _Refused:
+                continue  # a take may hold other things beside its numbers
+        elif isinstance(value, (bool, int, float, str)):
+            if _small(value):
+                plain[str(key)[:200]] = np.array(value)
+        elif isinstance(value, list) and value and all(isinstance(item, float) for item in value):
+            plain[str(key)[:200]] = np.array(value)
+    return plain
+
+
+def _small(value: object) -> bool:
+    """Return whether a number or text can be an array: Python's whole numbers have no end."""
+    return not isinstance(value, int) or abs(value) < 1 << 62

@@ -1,0 +1,57 @@
+"""The reader of the 3D keypoints of AIST++: pickles of the 17 joints of COCO at 60 Hz."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.amass import AIST_HZ
+from kinedex.storage.formats.motion.keypoint_sets import COCO_17
+from kinedex.storage.formats.motion.number_pickles import load_pickle
+from kinedex.storage.formats.motion.points import Points
+from kinedex.storage.formats.motion.points_reader import PointsReader
+from kinedex.storage.formats.motion.position_tables import whole_points
+from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings, file_size
+
+KEYS = ("keypoints3d_optim", "keypoints3d")
+"""The keys of the positions; those that were smoothed count first."""
+
+_HEAD = 4096
+
+
+class PickledKeypointsReader(PointsReader):
+    """Reads pickles with `keypoints3d`."""
+
+    endings: ClassVar[tuple[str, ...]] = (".pkl",)
+
+    def sniff(self, path: Path) -> bool:
+        """Return whether the first keys of a pickle are those of 3D keypoints."""
+        try:
+            with path.open("rb") as file:
+                return KEYS[1].encode() in file.read(_HEAD)
+        except OSError:
+            return False
+
+    def size(self, file: MotionFile) -> tuple[int, int, int]:
+        """Return the memory of the file's numbers; its frames are counted only when it is read."""
+        return 0, len(COCO_17), 20 * file_size(file.path)
+
+    def points(self, file: MotionFile, settings: ReadSettings) -> Points:
+        """Read the positions (T, 17, 3); their unit is that of the body's size."""
+        path = file.path
+        arrays = load_pickle(path)
+        key = next((key for key in KEYS if isinstance(arrays.get(key), np.ndarray)), None)
+        if key is None:
+            raise SourceError(path, f"has no array {' or '.join(KEYS)}; it has {', '.join(arrays)[:200] or 'none'}")
+        array = arrays[key]
+        if array.ndim != 3 or array.shape[1:] != (len(COCO_17), 3) or not len(array) or array.dtype.kind not in "fiu":
+            raise SourceError(
+                path, f"`{key}` must be numbers of shape (frames, 17, 3), got {array.shape} of {array.dtype}"
+            )
+        positions = np.ascontiguousarray(np.moveaxis(array.astype(np.float64), 0, 2))
+        positions[~(np.abs(positions) <= 1e9)] = np.nan
+        rate_hz = settings.override_rate_hz or settings.rate_hz or AIST_HZ
+        return Points(str(path), COCO_17, whole_points(positions), rate_hz)
