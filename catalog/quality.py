@@ -99,18 +99,18 @@ FIGURES = (
     ),
     Figure(
         "floor_m", "DOUBLE", "m", "median height of the lowest foot; null for a body whose root is fixed",
-        -0.4, 2.0, TRAINING, "the floor is not at y = 0: the unit of the root may be wrong",
+        -1.3, 2.0, TRAINING, "the floor is not at y = 0: the unit of the root may be wrong",
     ),
-    Figure("speed_m_s", "DOUBLE", "m/s", "mean speed of all joints", 0.0005, 7.0, TRAINING),
+    Figure("speed_m_s", "DOUBLE", "m/s", "mean speed of all joints", 0.0005, 9.0, TRAINING),
     Figure(
         "fast_m_s", "DOUBLE", "m/s", "99th percentile of the speeds of joints",
-        None, 18.0, TRAINING, f"unit or rate may be wrong, or joints jump; {_RATE}",
+        None, 25.0, TRAINING, f"unit or rate may be wrong, or joints jump; {_RATE}",
     ),
     Figure("fastest_m_s", "DOUBLE", "m/s", "largest speed of a joint between two source frames"),
     Figure("tempo_hz", "DOUBLE", "Hz", "frequency with which hands and feet turn round", 0.4, 7.0, TRAINING),
     Figure(
         "acceleration_m_s2", "DOUBLE", "m/s²", "90th percentile of the acceleration of hands and feet",
-        None, 120.0, TRAINING,
+        None, 200.0, TRAINING,
     ),
     Figure(
         "repeated_share", "DOUBLE", "", "share of source frames that are equal to the one before",
@@ -119,8 +119,11 @@ FIGURES = (
 )  # fmt: skip
 """The figures, in the order of their columns."""
 
-JERKY_M_S3 = 1800.0
-"""Above this, 2π · `tempo_hz` · `acceleration_m_s2` is too much for a person; the archives have up to 1,205."""
+POSE_S = 0.5
+"""Shorter files without motion hold a pose, and are not warned of."""
+
+JERKY_M_S3 = 2500.0
+"""Above this, 2π · `tempo_hz` · `acceleration_m_s2` is too much for a person; Bandai has 1,205, a sprint 1,995."""
 
 
 def quality_columns(figures: Plausibility) -> dict[str, Any]:
@@ -164,7 +167,8 @@ def _pace(figures: Plausibility, rate_hz: float) -> Iterator[str]:
     if limit["repeated_share"].off(figures.repeated_share):
         share = figures.repeated_share
         if share > 0.99:
-            yield "nothing moves: all frames are equal; the file may hold a pose, or its motion was lost in the export"
+            if figures.seconds >= POSE_S:
+                yield "nothing moves: all frames are equal; the file holds a pose, or its motion was lost in the export"
             return
         yield (
             f"{100 * share:.0f} % of its frames are equal to the one before: the motion was frozen where tracking was "

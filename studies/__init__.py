@@ -1,7 +1,7 @@
 """Studies of accuracy: programs `python -m studies.NAME`, which `python -m studies` lists.
 
 Speed and memory are the subject of `benchmarks/`. The tables that studies print stand in docs/studies.md,
-docs/accuracy.md, docs/keyframe-study.md and docs/thesis.md, under the command that printed them.
+docs/accuracy.md, docs/keyframe-study.md, docs/quality.md and docs/thesis.md, under the command that printed them.
 """
 
 from pathlib import Path

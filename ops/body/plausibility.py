@@ -73,6 +73,8 @@ class Plausibility:
         The tempo of hands and feet, and the 90th percentile of their acceleration.
     repeated_share : float
         The share of frames that are equal to the one before.
+    seconds : float
+        The time in which speeds are measured.
     fastest : (str, int) or None
         The fastest joint, and the frame before its fastest step.
     reasons : tuple of str
@@ -97,6 +99,7 @@ class Plausibility:
     tempo_hz: float = UNKNOWN
     acceleration_m_s2: float = UNKNOWN
     repeated_share: float = UNKNOWN
+    seconds: float = 0.0
     fastest: tuple[str, int] | None = None
     reasons: tuple[str, ...] = ()
 
@@ -222,6 +225,7 @@ def _motion(
         "fast_m_s": _BIN_M_S * float(np.searchsorted(np.cumsum(bins), 0.99 * counted) + 1),
         "fastest_m_s": fastest,
         "repeated_share": repeated / steps,
+        "seconds": steps / rate_hz,
         "fastest": (joints[joint], frame),
     }
     tracks = positions[[i for i, name in enumerate(joints) if name in _SWUNG]]
