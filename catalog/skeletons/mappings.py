@@ -144,6 +144,11 @@ class Mappings:
             return fits[0]
         return _best(source, fits)
 
+    def _only_names(self, mapping: SkeletonMapping) -> bool:
+        """Return whether a mapping is there to name the points of files without names; the body is recognised then."""
+        shipped = mapping.format not in self.forced and mapping not in self.own.get(mapping.format, ())
+        return shipped and bool(mapping.order)
+
     def _may_fit(self, mapping: SkeletonMapping, source: str | Path, nodes: Iterable[str]) -> bool:
         """Return whether a mapping is for this file, which matters unless the user chose it."""
         return mapping.format in self.forced or mapping.is_for(source, nodes)
@@ -185,7 +190,7 @@ class Mappings:
             If none fits (the message names the nearest and what it lacks), or two fit equally well.
         """
         fit = self.exact(source, form, nodes)
-        if fit is not None:
+        if fit is not None and (evidence is None or not self._only_names(fit.mapping)):
             return fit
         if evidence is not None:
             return self.recognised(source, form, evidence)
@@ -235,20 +240,20 @@ class Mappings:
         differ = f"names that differ by their prefix only, as {' and '.join(whole[:2])} ({name})"
         return f"; of {differ}, none is taken: write one figure a file"
 
-    def names_in_order(self, source: str | Path, count: int) -> tuple[str, ...]:
-        """Return names for the points of a file that has none: those of the mapping with as many in its `order`.
+    def names_in_order(self, source: str | Path, count: int) -> tuple[str, tuple[str, ...]]:
+        """Return the mapping with as many points in its `order` as a file without names, and the names in order.
 
         Raises
         ------
         SourceError
             If no mapping has as many, or several have and give them different names.
         """
-        orders = {mapping.order for mapping in self.of("positions") if mapping.order}
+        orders = {mapping.order: mapping.name for mapping in self.of("positions")[::-1] if mapping.order}
         own = {mapping.order for mapping in self.own.get("positions", ())}
         fitting = [order for order in orders if len(order) == count]
         fitting = [order for order in fitting if order in own] or fitting
         if len(fitting) == 1:
-            return fitting[0]
+            return orders[fitting[0]], fitting[0]
         known = ", ".join(str(number) for number in sorted({len(order) for order in orders})) or "none"
         raise SourceError(
             source,

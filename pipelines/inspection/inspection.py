@@ -220,7 +220,7 @@ def _raw(
         return _raw_points(found, file, "positions", points, points.places())
     if reader.format == "positions":
         points = parse_positions(file)
-        names = points.names or mappings.names_in_order(file, len(points.positions))
+        names = points.names or mappings.names_in_order(file, len(points.positions))[1]
         return _raw_points(found, file, "positions", points, points.places(names))
     if reader.format == "amass":
         return _raw_poses(found, file, given)

@@ -42,6 +42,9 @@ _SEGMENTS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Joint → landmarks that move with it."""
 
+_AMID = 0.1  # hip widths; a point of the pelvis that is nearer to the middle of the hips is computed from them
+_ROOT_UP = 0.12  # of the way from the middle of the hips to that of the shoulders; 0.06 to 0.20 in Acclaim bodies
+_ROOT_BACK = 0.4  # hip widths; 0.59 to 0.87 for HDM05's actors bd, bk and dg, 0.24 for CMU's 02
 _SURE_UP = 0.75  # a stated axis is doubted only above this
 
 
@@ -190,11 +193,12 @@ def _mean(labels: Sequence[str]) -> Mix | None:
 def _centres(draft: _Draft, reading: Reading) -> None:
     """Make root, neck, head, fingers and collar bones of a set of joint centres."""
     of = {name: labels[0] for name, labels in reading.labels.items() if name != "spine"}
-    if "pelvis" in of:
-        draft.joints["root"] = [_one(of["pelvis"])]
-    elif {"lhipjoint", "rhipjoint"} <= of.keys():
-        draft.joints["root"] = [Mix(((of["lhipjoint"], 0.5), (of["rhipjoint"], 0.5)))]
     shoulders = [of[f"{side}shoulderjoint"] for side in _SIDES if f"{side}shoulderjoint" in of]
+    hips = [of[f"{side}hipjoint"] for side in _SIDES if f"{side}hipjoint" in of]
+    if "pelvis" in of and not _amid(draft, of["pelvis"], hips):
+        draft.joints["root"] = [_one(of["pelvis"])]
+    elif len(hips) == 2:
+        _root_of_hips(draft, hips, shoulders)
     between = _mean(shoulders) if len(shoulders) == 2 else None
     neck = _one(of["neckjoint"]) if "neckjoint" in of else None
     thorax = _one(of["thorax"]) if "thorax" in of and _near(draft, of["thorax"], between) else None
@@ -209,6 +213,25 @@ def _centres(draft: _Draft, reading: Reading) -> None:
             draft.set(f"{side}clavicle", _one(of[f"{side}collar"]))
         knuckles = [of[f"{side}{finger}"] for finger in ("index", "pinky") if f"{side}{finger}" in of]
         draft.set(f"{side}fingers", _mean(knuckles))
+
+
+def _amid(draft: _Draft, label: str, hips: Sequence[str]) -> bool:
+    """Return whether a point of the pelvis is nothing but the middle of the hips."""
+    if len(hips) != 2:
+        return False
+    left, right = (draft.places[hip] for hip in hips)
+    return _length(draft.places[label] - (left + right) / 2) < _AMID * _length(left - right)
+
+
+def _root_of_hips(draft: _Draft, hips: Sequence[str], shoulders: Sequence[str]) -> None:
+    """Place the root above and behind the middle of the hips, where the skeletons of Acclaim files have it."""
+    middle = Mix(tuple((hip, 0.5) for hip in hips))
+    if len(shoulders) != 2:
+        draft.joints["root"] = [middle]
+        return
+    up = tuple((hip, 0.5 - _ROOT_UP / 2) for hip in hips) + tuple((label, _ROOT_UP / 2) for label in shoulders)
+    draft.joints["root"] = [Mix(up, plane=(hips[1], hips[0], shoulders[0]), out=-_ROOT_BACK), middle]
+    draft.estimated["root"] = "above and behind the middle of the hips"
 
 
 def _near(draft: _Draft, label: str, between: Mix | None) -> bool:

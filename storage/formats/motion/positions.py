@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -42,12 +43,11 @@ class PositionsReader(Reader):
             The file is damaged, no mapping fits, no frame is whole, or no rate is known.
         """
         points = parse_positions(file.path)
-        names = points.names or mappings.names_in_order(file.path, len(points.positions))
-        fit = mappings.detect(file.path, "positions", points.places(names), evidence_of(points))
         warnings = list(points.warnings)
         if not points.names:
-            warnings.append(
-                f"the file does not name its joints; they are read in the order of mapping '{fit.mapping.name}'"
-            )
+            name, names = mappings.names_in_order(file.path, len(points.positions))
+            points = replace(points, names=names)
+            warnings.append(f"the file does not name its joints; they are read in the order of mapping '{name}'")
+        fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points))
         warnings += virtual_joint_warnings(fit)
-        return body_of_points(points, names, fit, joints, settings, warnings)
+        return body_of_points(points, points.names, fit, joints, settings, warnings)
