@@ -245,7 +245,7 @@ def _raw_scene(found: Inspection, scene: SceneFigure, file: Path) -> _Skeleton:
     _add_nodes(found, scene.names)
     _add_time(found, scene.rate_hz, scene.frames)
     shown = _shown(scene.frames)
-    positions, _ = scene.poses.at(np.array(shown), 0)
+    positions, _ = scene.poses.at(np.array(shown), [])
     bones = [(i, parent, MIDDLE) for i, parent in enumerate(scene.parents) if parent >= 0]
     nodes = {name: i for i, name in enumerate(scene.names)}
     return _Skeleton("bvh", nodes, _raw_figure(file, positions, bones, _times(shown, scene.rate_hz)))

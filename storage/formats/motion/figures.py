@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Protocol
 
@@ -33,6 +33,8 @@ AT_ONCE = 1024
 MOST_FREE_FRAMES = 100_000
 """Frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
 
+_NO_LENGTH_M, _APART_M = 1e-5, 0.01
+
 _LEVEL, _UPRIGHT = 3.0, 35.0  # degrees by which hips and spine may be off in a pose of rest
 
 HEIGHTS_M = (0.4, 2.6)
@@ -40,10 +42,10 @@ HEIGHTS_M = (0.4, 2.6)
 
 
 class Poses(Protocol):
-    """The motion of a figure: places of its nodes and turns of one of them, in metres with Y up."""
+    """The motion of a figure: places of its nodes and turns of some of them, in metres with Y up."""
 
-    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
-        """Return the places (N, 3, K) in K frames, and the rotations (9, K) of a node from its rest pose."""
+    def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
+        """Return the places (N, 3, K) in K frames, and the rotations (M, 9, K) of M nodes from their rest pose."""
         ...
 
 
@@ -78,14 +80,21 @@ class ScenePoses:
     axes: F64
     rest: F64
 
-    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
-        """Return the places of the nodes, and the rotation of one from its rest pose."""
+    def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
+        """Return the places of the nodes, and the rotations of some from their rest pose."""
         with np.errstate(over="ignore", invalid="ignore"):  # such joints are refused as too far away
             whole, places = global_transforms(self.parents, *self.local(self.start + frames / self.rate_hz))
             shown = places[list(self.shown)] @ self.axes.T
-        turned = without_scale(whole[self.shown[oriented]]) @ self.rest[oriented].T
+        nodes = list(oriented)
+        turned = without_scale(whole[[self.shown[node] for node in nodes]])
+        turned = turned @ self.rest[nodes].transpose(0, 2, 1)[:, None]
         axes = self.axes / np.cbrt(abs(np.linalg.det(self.axes)))  # may be a mirror image
-        return np.ascontiguousarray(shown.transpose(0, 2, 1)), (axes @ turned @ axes.T).reshape(-1, 9).T
+        return np.ascontiguousarray(shown.transpose(0, 2, 1)), _rows(axes @ turned @ axes.T)
+
+
+def _rows(turns: F64) -> F64:
+    """Return matrices (M, K, 3, 3) row by row, (M, 9, K)."""
+    return turns.reshape(*turns.shape[:2], 9).transpose(0, 2, 1)
 
 
 @dataclass(frozen=True)
@@ -314,13 +323,20 @@ def body_of_figure(
         No mapping fits, the unit cannot be guessed, or a joint is absurdly far away.
     """
     sampled = np.unique(np.linspace(0, figure.frames - 1, SAMPLED_FRAMES).round().astype(np.int64))
-    above = np.array(figure.parents)
-    offsets = figure.rest - np.where(above[:, None] < 0, 0.0, figure.rest[above])
-    evidence = Evidence(figure.names, figure.poses.at(sampled, 0)[0], figure.parents, offsets, "y", 1.0)
+    places, _ = figure.poses.at(sampled, [])
+    evidence = _evidence(figure, places)
     fit = mappings.detect(path, "bvh", {name: i for i, name in enumerate(figure.names)}, evidence)
     warnings = list(figure.warnings)
     rate_hz = settings.rate_of(figure.rate_hz, warnings)
-    positions, turned = _posed(figure, fit, joints)
+    bones = _lost_bones(figure, fit, places)
+    if bones:
+        named = ", ".join(figure.names[bone.members[0]] for bone in bones)
+        warnings.append(f"bones {named} have no length in the file; mapping '{fit.mapping.name}' gives them one")
+        rest = figure.rest.copy()
+        for bone in bones:
+            rest[list(bone.members)] += bone.way
+        figure = replace(figure, rest=rest)
+    positions, turned = _posed(figure, fit, joints, bones)
     unit = _scale(path, positions, joints, warnings)
     refuse_far(path, positions, joints, fit.unknown)
     return Body(
@@ -337,13 +353,54 @@ def body_of_figure(
     )
 
 
-def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...]) -> tuple[F64, F64]:
+def _evidence(figure: Figure, places: F64) -> Evidence:
+    """Return the evidence of a figure; bones to which rounded numbers leave hardly any length have none."""
+    places, offsets = places.copy(), figure.rest.copy()
+    for node, above in enumerate(figure.parents):
+        if above >= 0:
+            offsets[node] -= figure.rest[above]
+            if np.abs(places[node] - places[above]).max() < _NO_LENGTH_M:
+                places[node], offsets[node] = places[above], 0.0
+    return Evidence(figure.names, places, figure.parents, offsets, "y", 1.0)
+
+
+@dataclass(frozen=True)
+class _Bone:
+    """A bone without length in the file: its node with all below it, its parent, and the way that it should have."""
+
+    members: tuple[int, ...]
+    parent: int
+    way: F64
+
+
+def _lost_bones(figure: Figure, fit: Fit, places: F64) -> list[_Bone]:
+    """Return the bones that have no length in sampled frames, and to which the mapping gives one."""
+    bones = []
+    for name, weights in fit.mapping.bones.items():
+        node = fit.places[name]
+        parent = figure.parents[node]
+        if parent < 0 or np.abs(places[node] - places[parent]).max() > _NO_LENGTH_M:
+            continue
+        others = [(weight, fit.places[other]) for other, weight in weights.items()]
+        way = sum(weight * (figure.rest[other] - figure.rest[figure.parents[other]]) for weight, other in others)
+        members = [node]
+        for i, above in enumerate(figure.parents):
+            if above in members:
+                members.append(i)
+        bones.append(_Bone(tuple(members), parent, np.asarray(way)))
+    return bones
+
+
+def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...], bones: Sequence[_Bone]) -> tuple[F64, F64]:
     """Return the joints (J, 3, T) and the root's rotation from its rest pose (9, T), computed in blocks of frames."""
     positions, turned = np.empty((len(joints), 3, figure.frames)), np.empty((9, figure.frames))
     step = _at_once(len(figure.names))
     for start in range(0, figure.frames, step):
         part = np.arange(start, min(start + step, figure.frames))
-        places, turned[:, part] = figure.poses.at(part, fit.root)
+        places, turns = figure.poses.at(part, [fit.root, *(bone.parent for bone in bones)])
+        turned[:, part] = turns[0]
+        for bone, turn in zip(bones, turns[1:], strict=True):
+            places[list(bone.members)] += np.einsum("abk,b->ak", turn.reshape(3, 3, -1), bone.way)
         positions[:, :, part] = fit.apply(places, joints)
     return positions, turned
 
@@ -371,12 +428,14 @@ def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: 
 
 
 def _spine_base(fit: Fit, figure: Figure) -> F64:
-    """Return the way from the root to the first node of the spine in the rest pose, in the file's axes."""
+    """Return the way from the root to the first node of the spine apart from it, at rest, in the file's axes."""
     mix = fit.joints.get("chest")
     node = fit.places[mix.names[0]] if mix is not None and not mix.of_joints else fit.root
-    while figure.parents[node] not in (fit.root, -1):
+    way: F64 = np.zeros(3)
+    while node not in (fit.root, -1):
+        further = figure.rest[node] - figure.rest[fit.root]
+        way = further if np.linalg.norm(further) > _APART_M else way
         node = figure.parents[node]
-    way: F64 = figure.rest[node] - figure.rest[fit.root]
     return way
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -173,7 +174,7 @@ class _Segments:
     positions: F64
     orientations: F64
 
-    def at(self, frames: I64, oriented: int) -> tuple[F64, F64]:
+    def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
         """Return places and turns, in metres with Y up."""
         turns = self.orientations[frames]
         all_places = self.positions[frames]
@@ -183,6 +184,7 @@ class _Segments:
             point = np.array(self.subject.points[name][TIPS[name]])
             places.append((all_places[:, place] + rotations(turns[:, place]) @ point)[:, None])
         found = np.concatenate(places, axis=1) @ _Y_UP.T
-        root = self.used[oriented] if oriented < len(self.used) else self.used[0]
-        turned: F64 = (_Y_UP @ rotations(turns[:, root]) @ _Y_UP.T).reshape(-1, 9).T
-        return np.ascontiguousarray(found.transpose(1, 2, 0)), turned
+        ends = [*self.used, *(self.subject.segments.index(name) for name in self.tips)]
+        turned = _Y_UP @ rotations(turns[:, [ends[node] for node in oriented]]) @ _Y_UP.T
+        rows = turned.transpose(1, 2, 3, 0).reshape(len(oriented), 9, len(frames))
+        return np.ascontiguousarray(found.transpose(1, 2, 0)), rows

@@ -264,7 +264,7 @@ def test_a_walk_of_others_is_that_of_its_bvh(shared: Path) -> None:
     assert (figure.rate_hz, figure.frames) == (60.0, 251)
     bvh = parse_bvh(folder / "walk01.bvh")
     expected, _ = kinematics.forward(bvh.nodes, bvh.channels)
-    places, _ = figure.poses.at(np.arange(0, 251, 5), 0)
+    places, _ = figure.poses.at(np.arange(0, 251, 5), [])
     named = {node.name: 0.01 * expected[i, :, ::2] for i, node in enumerate(bvh.nodes)}
     for name, place in zip(figure.names, places, strict=True):
         if name in named:
