@@ -45,6 +45,7 @@ _SEGMENTS: dict[str, tuple[str, ...]] = {
 _AMID = 0.1  # hip widths; a point of the pelvis that is nearer to the middle of the hips is computed from them
 _ROOT_UP = 0.12  # of the way from the middle of the hips to that of the shoulders; 0.06 to 0.20 in Acclaim bodies
 _ROOT_BACK = 0.4  # hip widths; 0.59 to 0.87 for HDM05's actors bd, bk and dg, 0.24 for CMU's 02
+_TINY = 1e-9  # of any unit: joints on each other, as no body has them, which the proportions show
 _SURE_UP = 0.75  # a stated axis is doubted only above this
 
 
@@ -394,8 +395,8 @@ def _median(values: F64) -> float:
 
 
 def _length(vectors: F64) -> float:
-    """Return the median length of vectors (3, K)."""
-    return _median(np.sqrt((vectors * vectors).sum(axis=0)))
+    """Return the median length of vectors (3, K), never so near to zero that nothing can be divided by it."""
+    return max(_median(np.sqrt((vectors * vectors).sum(axis=0))), _TINY)
 
 
 def _upright(places: Mapping[str, F64], evidence: Evidence) -> tuple[F64, list[str]]:
