@@ -75,6 +75,11 @@ class TakeWords:
         """The different masks of known features, the largest first; `ALL_KNOWN` alone where no take lacks any."""
         return [int(ALL_KNOWN)] if self.known is None else np.unique(self.known)[::-1].tolist()
 
+    @property
+    def best_known(self) -> U64:
+        """The words of the takes that know all features, or of all takes where none does."""
+        return self.knowing(int(ALL_KNOWN))[1].words if int(ALL_KNOWN) in self.masks else self.words
+
     def knowing(self, mask: int) -> tuple[I64, TakeWords]:
         """Return the takes whose known features are those of a mask, all of one kind, so that the mask goes.
 

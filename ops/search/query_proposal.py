@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import I64, NO_WORD, U64
+from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
 
 MOST_FEATURES_FIXED = 6
 """The most features that a proposed keyframe fixes; the others stay open, which makes it general."""
@@ -66,7 +66,7 @@ class Pose:
     share: float
 
 
-def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int) -> list[Pose]:
+def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int, known: int = int(ALL_KNOWN)) -> list[Pose]:
     """Choose the keyframes by which an example stands out from an archive.
 
     In every run of the example a pose is made: feature by feature, the one that leaves the fewest of the archive's
@@ -81,6 +81,8 @@ def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int) -> list[Pos
         The words of the archive, set by set.
     most : int
         The largest number of keyframes, at least 1.
+    known : int
+        The mask of the features that the example knows, with the bits of a word; no pose fixes another one.
 
     Returns
     -------
@@ -100,16 +102,16 @@ def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int) -> list[Pos
     changed = np.flatnonzero(clip[1:] != clip[:-1]) + 1
     edges = np.concatenate([[0], changed, [len(clip)]])
     middles = (edges[:-1] + edges[1:] - 1) // 2
-    poses = [_pose(clip, int(frame), counts) for frame in middles if valid[frame]]
+    poses = [_pose(clip, int(frame), counts, ~known) for frame in middles if valid[frame]]
     apart = max(len(clip) // (2 * most), 1)
     return _choose(poses, min(most, len(poses)), apart)
 
 
-def _pose(clip: U64, frame: int, counts: Sequence[SetCounts]) -> Pose:
+def _pose(clip: U64, frame: int, counts: Sequence[SetCounts], unknown: int) -> Pose:
     """Return the pose of one frame: its rarest steady features, chosen greedily."""
     around = clip[max(frame - _STEADY, 0) : frame + _STEADY + 1]
     around = around[around != NO_WORD]
-    changing = int(np.bitwise_or.reduce(around ^ clip[frame]))
+    changing = int(np.bitwise_or.reduce(around ^ clip[frame])) | unknown
     word = int(clip[frame])
     masks = [0] * len(counts)
     shares = [1.0] * len(counts)

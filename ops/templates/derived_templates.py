@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.known import is_applied
+from kinedex.ops.known import is_applied, known_bits
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
 from kinedex.ops.templates.warping import align
 
@@ -161,3 +161,20 @@ def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTem
     if not is_applied(template.mask.tolist(), known):
         return None
     return QuantisedTemplate(mask, template.value & np.uint64(known), template.feature_weights)
+
+
+def without_unknown(template: Template, known: int) -> Template:
+    """Return a template learned from clips that know some features only: the others have no weight, and wildcards.
+
+    Parameters
+    ----------
+    template : Template
+        The template as learned, in which unknown features have the 0 of the clips' words.
+    known : int
+        The mask of the known features, with the bits of a word.
+    """
+    bits = known_bits(known, template.values.shape[1])
+    weights = np.ones(len(bits)) if template.feature_weights is None else template.feature_weights
+    return replace(
+        template, values=np.where(bits, template.values, WILDCARD), feature_weights=np.where(bits, weights, 0.0)
+    )

@@ -58,16 +58,21 @@ def queries_of(store: Store, params: MethodParameters) -> list[KeyframeQuery]:
 
 
 def template_words(store: Store, templates: Sequence[SubclassTemplate]) -> list[U64]:
-    """Return the words of the clips that templates were learned from, or of all takes where they are of none."""
+    """Return the words of the clips that templates were learned from, or of all takes where they are of none.
+
+    Clips whose bodies lack joints are left out, unless all do.
+    """
     clips = {name for one in templates for name in one.clips}
     takes = store.takes().filter(pl.col("name").is_in(clips))
     parts = {name: interval_of(name, store.take_ids) for name in sorted(clips - set(takes["name"]))}
     cut = [
-        store.words([store.take_ids[take]]).words[frames] for take, frames in parts.values() if take in store.take_ids
+        store.words([store.take_ids[take]]).words[frames]
+        for take, frames in parts.values()
+        if take in store.take_ids and store.take_ids[take] not in store.known
     ]
     if cut and not takes.height:
         return cut
-    return [store.words(takes["take_id"].to_list() if takes.height else None).words, *cut]
+    return [store.words(takes["take_id"].to_list() if takes.height else None).best_known, *cut]
 
 
 def prepare_annotator(

@@ -154,7 +154,7 @@ class _LoadedWords:
 
     def every_word(self) -> list[Any]:
         """Return the words of all takes."""
-        return [take.words() for take in self.takes]
+        return [take.words() for take in self.takes if take.known == ALL_KNOWN] or [take.words() for take in self.takes]
 
 
 class _StoredWords:
@@ -186,7 +186,7 @@ class _StoredWords:
 
     def every_word(self) -> list[Any]:
         """Return the words of all takes of the store, annotated or not."""
-        return [self.store.stored.words().words]
+        return [self.store.stored.words().best_known]
 
 
 def _templates_of(takes: object, templates: Template | str | Iterable[Template | str]) -> list[Template]:

@@ -13,11 +13,11 @@ from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.template_files import NamedTemplate, read_templates
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import Contrast, contrast
-from kinedex.ops.templates.templates import Kind, Learned, learn
-from kinedex.ops.words import U64
+from kinedex.ops.templates.templates import Kind, Learned
+from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.api.arguments import checked_methods
 from kinedex.pipelines.api.take import ANALYSIS_RATE_HZ, FEATURES, Take
-from kinedex.pipelines.templates.learning import SubclassTemplate, learned_template, usable_clips
+from kinedex.pipelines.templates.learning import SubclassTemplate, learned_of, learned_template, usable_clips
 from kinedex.pipelines.templates.template_text import contrast_lines, heading
 
 if TYPE_CHECKING:
@@ -135,9 +135,10 @@ class Template:
         words = {label: take.words() for label, take in sorted((take.label, take) for take in every)}
         if len(words) < len(every):
             raise KinedexError("two of the clips have the same name and interval; each clip counts once")
-        training = usable_clips(called, words)
+        known = {take.label: take.known for take in every if take.known != ALL_KNOWN}
+        training = usable_clips(called, words, known)
         counts = feature_weights(weights or {}, features)
-        found = learned_template(training, kind, learn(kind, training.words, len(features.features), counts))
+        found = learned_template(training, kind, learned_of(training, kind, len(features.features), counts))
         return cls(found, features, every[0].rate_hz, lambda: words)
 
     @classmethod
@@ -175,7 +176,7 @@ class Template:
 
         first, last = frame_range(take.name, len(take), take.rate_hz, start, stop)
         features = len(take.feature_set.features)
-        made = template_of_frames(take.words(), take.name, first, last, features, name or take.name)
+        made = template_of_frames(take.words(), take.name, first, last, features, name or take.name, take.known)
         example = {take[first:last].label: take.words()[first:last]}
         return cls(_unlearned(made, made.description), take.feature_set, take.rate_hz, lambda: example)
 

@@ -70,25 +70,33 @@ def search(
     run = None if save is None else new_run_id()
     hits = search_store(opened, loaded, where) if run is None else search_store(opened, loaded, where, run)
     remarks = search_remarks(opened, loaded, where)
-    takes = len(set(hits.column("take_id").to_pylist()))
-    for remark in remarks if not as_json else ():
-        typer.echo(remark, err=True)
     if save is not None and run is not None:
         opened.close()
         hits = save_hits(opened, hits, save, run)
     if as_json:
+        takes = len(set(hits.column("take_id").to_pylist()))
         document = {"store": store, "query_file": queries, "takes": takes, "saved_as": save, "run": run}
-        if remarks:
-            document["remarks"] = remarks
+        document |= {"remarks": remarks} if remarks else {}
         print_json({**document, "hits": hits.drop_columns(["run", "saved_as"])})
-    elif not plain:
+        return
+    for remark in remarks:
+        typer.echo(remark, err=True)
+    if not plain:
         show_table(hits if save is not None else hits.drop_columns(["saved_as"]), form, output)
     elif save is not None:
         print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
     else:
-        show_table(hits.drop_columns(["run", "saved_as", "take_id"]), form, output)
-        hint = "" if hits.num_rows else "; --explain shows at which keyframe the search ends"
-        print_message(f"{counted(hits.num_rows, 'interval')} in {counted(takes, 'take')}{hint}")
+        _show_hits(hits)
+
+
+def _show_hits(hits: pa.Table) -> None:
+    """Show hits as a table with a line below it."""
+    from kinedex.pipelines.console.wording import counted
+
+    show_table(hits.drop_columns(["run", "saved_as", "take_id"]), "table", None)
+    takes = len(set(hits.column("take_id").to_pylist()))
+    hint = "" if hits.num_rows else "; --explain shows at which keyframe the search ends"
+    print_message(f"{counted(hits.num_rows, 'interval')} in {counted(takes, 'take')}{hint}")
 
 
 def _explanation(table: pa.Table) -> pa.Table:

@@ -90,7 +90,8 @@ def make_cell(context: StageContext, known: StudyMaterial, fold: Fold, method: M
     calibration = calibrated_thresholds(
         store, method, known.learned_with, known.classes, lambda: fold.clips, context.executor
     )
-    words = [words for one in fold.clips for words in one.words]
+    whole = [one for one in fold.clips if one.known == ALL_KNOWN] or fold.clips
+    words = [words for one in whole for words in one.words]
     annotator = prepare_annotator(store, method, templates, known.classes, lambda: words, calibration, queries)
     masks = dict(enumerate(mask for one in fold.test_takes if (mask := one.known(store.known)) != ALL_KNOWN))
     remarks = (*annotator.remarks, *calibration.remarks, *annotator.remarks_on(masks))

@@ -29,7 +29,7 @@ from kinedex.ops.keyframes.training_task import (
     steady_entries,
 )
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
-from kinedex.ops.words import U64
+from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.keyframes.margins import Margins, clips_hit, margins_of
 from kinedex.pipelines.templates.examples import Rejected
@@ -71,13 +71,17 @@ class TrainingSet:
     positives : tuple of uint64 arrays (L,)
         The words of its clips.
     negatives : tuple of uint64 arrays (L,)
-        The words of clips of other classes, and of intervals that a person has rejected.
+        The words of clips of other classes, as far as they know these features, and of intervals that a person has
+        rejected.
+    known : int
+        The mask of the features that the clips know, with the bits of a word; keyframes fix no others.
     """
 
     subclass: str
     names: tuple[str, ...]
     positives: tuple[U64, ...]
     negatives: tuple[U64, ...]
+    known: int = int(ALL_KNOWN)
 
     @property
     def subject(self) -> str:
@@ -95,7 +99,8 @@ class TrainingSet:
 
     def clips_key(self) -> str:
         """Return a hash of the subclass, its clips, those of other classes, and the code that learns from them."""
-        return _digest(repr((self.subclass, _code())), self.positives, self.negatives)
+        known = () if self.known == ALL_KNOWN else (self.known,)
+        return _digest(repr((self.subclass, _code(), *known)), self.positives, self.negatives)
 
 
 def _digest(text: str, *groups: Sequence[U64]) -> str:
@@ -188,6 +193,8 @@ def training_sets(
 ) -> list[TrainingSet]:
     """Make the training set of each subclass: clips of other classes are negative, other subclasses of its own are not.
 
+    Clips of other classes that lack a feature which the subclass knows are no negatives: of it they state nothing.
+
     Parameters
     ----------
     clips : sequence of TrainingClips
@@ -206,9 +213,19 @@ def training_sets(
             one.names,
             one.words,
             (
-                *(words for other in clips if label[other.subclass] != label[one.subclass] for words in other.words),
-                *(other.words for other in rejected if other.label in (one.subclass, label[one.subclass])),
+                *(
+                    words
+                    for other in clips
+                    if label[other.subclass] != label[one.subclass] and not one.known & ~other.known
+                    for words in other.words
+                ),
+                *(
+                    other.words
+                    for other in rejected
+                    if other.label in (one.subclass, label[one.subclass]) and not one.known & ~other.known
+                ),
             ),
+            one.known,
         )
         for one in clips
     ]
@@ -231,7 +248,7 @@ def strict_template(training: TrainingSet, setting: Setting) -> QuantisedTemplat
         The clips have no such entry in common.
     """
     plain = quantise(learn_soft(training.positives, setting.features).template, setting.delta)
-    allowed = np.uint64(setting.allowed)
+    allowed = np.uint64(setting.allowed & training.known)
     for steady in (setting.steady, 0):
         template = steady_entries(plain, steady)
         if (template.mask & allowed).any():
@@ -248,7 +265,8 @@ def training_task(training: TrainingSet, setting: Setting) -> TrainingTask:
     every = [*training.positives, *others]
     judged = [setting.steady] * len(training.positives) + [0] * len(others)
     frames = training_frames(every, setting.features, judged)
-    return make_training_task(frames, len(training.positives), strict_template(training, setting), setting.allowed)
+    allowed = setting.allowed & training.known
+    return make_training_task(frames, len(training.positives), strict_template(training, setting), allowed)
 
 
 def _joined(training: TrainingSet, setting: Setting) -> list[U64]:

@@ -11,7 +11,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.search.query_proposal import Pose, SetCounts, propose_poses
-from kinedex.ops.words import I64, TakeWords
+from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, TakeWords, cut
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.store.store import Store
@@ -53,7 +53,7 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
         )
     clip = words.take(0)[start:stop]
     try:
-        poses = propose_poses(clip, _counts(store), keyframes)
+        poses = propose_poses(clip, _counts(store, words.masks[0]), keyframes, words.masks[0])
     except KinedexError as fault:
         raise KinedexError(f"{take}, frames {start} to {stop}: {fault}") from None
     feature_set, rate_hz = store.feature_set, store.rate_hz
@@ -81,9 +81,15 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     return "\n".join([*head, *body]) + "\n"
 
 
-def _counts(store: Store) -> list[SetCounts]:
-    """Return the frames of each word of each feature set of a store."""
+def _counts(store: Store, known: int) -> list[SetCounts]:
+    """Return the frames of each word of each feature set, in the takes that know what an example knows."""
     counts = []
+    if known != ALL_KNOWN:
+        words = store.words([take for take in store.take_frames if not known & ~store.known.get(take, known)]).words
+        for one in store.feature_set.sets.values():
+            every, times = np.unique(cut(words[words != NO_WORD], one.first, one.count), return_counts=True)
+            counts.append(SetCounts(one.first, one.count, every, times))
+        return counts
     for word_set in store.feature_set.sets.values():
         table = store.sql("SELECT word, frames FROM vocabulary WHERE feature_set = ?", [word_set.name])
         frames: I64 = table.column("frames").to_numpy().astype(np.int64)

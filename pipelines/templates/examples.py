@@ -13,7 +13,7 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.labels.segments import placed_files
@@ -246,11 +246,14 @@ class Rejected:
         The take.
     words : uint64 array (L,)
         The words of the interval, without invalid frames.
+    known : int
+        The mask of the features that the take knows, with the bits of a word.
     """
 
     label: str
     take: str
     words: U64
+    known: int = int(ALL_KNOWN)
 
 
 def rejected_examples(store: Store, params: ExampleParameters) -> list[Rejected]:
@@ -260,7 +263,11 @@ def rejected_examples(store: Store, params: ExampleParameters) -> list[Rejected]
     labelled, _ = _labelled(store, store.takes(params.labels_where))
     words = example_words(store, [one for one in labelled if not one.positive])
     valid = ((one, own[own != NO_WORD]) for one, own in words.items())
-    return [Rejected(one.label, one.take, own) for one, own in valid if len(own)]
+    return [
+        Rejected(one.label, one.take, own, store.known.get(one.take_id, int(ALL_KNOWN)))
+        for one, own in valid
+        if len(own)
+    ]
 
 
 def examples_read(store: Store, params: ExampleParameters) -> Reading:
@@ -282,7 +289,8 @@ def examples_read(store: Store, params: ExampleParameters) -> Reading:
     hasher = hashlib.sha256(f"{store.feature_set.digest} {store.rate_hz!r}".encode())
     for one, words in example_words(store, found).items():
         own = np.ascontiguousarray(words)
-        hasher.update(repr((one.name, one.label, one.positive, len(own))).encode() + own.tobytes())
+        mask = (store.known[one.take_id],) if one.take_id in store.known else ()
+        hasher.update(repr((one.name, one.label, one.positive, len(own), *mask)).encode() + own.tobytes())
     clips = sum(one.source == "clip" for one in found)
     parts = [counted(clips, "clip")] if clips else []
     if len(found) > clips:

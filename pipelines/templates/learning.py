@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
@@ -15,9 +16,11 @@ import pyarrow as pa
 
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.known import known_bits
+from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import Kind as Kind
-from kinedex.ops.templates.templates import Learned, Template, learn
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.templates.templates import Learned, Spread, Template, learn
+from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.clip_checks import clip_remarks
@@ -57,6 +60,8 @@ class TrainingClips:
         Clips that were shortened or excluded.
     takes : tuple of str
         The take of each clip; the names are those of takes unless given.
+    known : int
+        The mask of the features that all clips know, with the bits of a word. The others are learned from nowhere.
     """
 
     subclass: str
@@ -66,6 +71,7 @@ class TrainingClips:
     source: str = ""
     remarks: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
+    known: int = int(ALL_KNOWN)
 
     @property
     def of_takes(self) -> tuple[str, ...]:
@@ -98,6 +104,7 @@ class TrainingClips:
             tuple(self.names[index] for index in chosen),
             tuple(self.words[index] for index in chosen),
             takes=tuple(self.of_takes[index] for index in chosen),
+            known=self.known,
         )
 
 
@@ -154,7 +161,8 @@ def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingCli
     clips = []
     for subclass, group in groupby(sorted(words, key=_order), key=lambda one: one.label):
         chosen = list(group)
-        usable = usable_clips(subclass, {one.name: words[one] for one in chosen})
+        known = {one.name: store.known[one.take_id] for one in chosen if one.take_id in store.known}
+        usable = usable_clips(subclass, {one.name: words[one] for one in chosen}, known)
         take = {one.name: one.take for one in chosen}
         clips.append(replace(usable, takes=tuple(take[name] for name in usable.names)))
     return clips
@@ -164,7 +172,7 @@ def _order(one: Example) -> tuple[str, str, int, int]:
     return one.label, one.take, one.start, one.stop
 
 
-def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
+def usable_clips(subclass: str, every: dict[str, U64], known: Mapping[str, int] | None = None) -> TrainingClips:
     """Return the clips of one subclass that can be learned from.
 
     Parameters
@@ -173,11 +181,14 @@ def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
         The name of the subclass.
     every : dict of str to uint64 array
         The words of each clip by its name.
+    known : mapping of str to int, optional
+        The masks of known features of the clips that lack some.
 
     Returns
     -------
     TrainingClips
-        The clips without invalid frames at their ends; clips with others, or without any valid frame, are excluded.
+        The clips without invalid frames at their ends; clips with others, or without any valid frame, are excluded, and
+        so are clips that lack a feature that the best known clip has.
 
     Raises
     ------
@@ -186,6 +197,7 @@ def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
     """
     kept: dict[str, U64] = {}
     shortened, excluded = [], []
+    masks = {name: (known or {}).get(name, int(ALL_KNOWN)) for name in every}
     for name, words in every.items():
         valid = np.flatnonzero(words != NO_WORD)
         inner = words[valid[0] : valid[-1] + 1] if len(valid) else words[:0]
@@ -205,7 +217,31 @@ def usable_clips(subclass: str, every: dict[str, U64]) -> TrainingClips:
         remarks.append(f"clips with invalid frames in the middle, excluded: {few(excluded)}")
     if shortened:
         remarks.append(f"clips with invalid frames at an end, which are cut off: {few(shortened)}")
-    return TrainingClips(subclass, tuple(kept), tuple(kept.values()), remarks=tuple(remarks))
+    # The mask of most features: of two with as many, that of most clips, then the greater one.
+    mask = max(Counter(masks[name] for name in kept).items(), key=lambda one: (one[0].bit_count(), one[1], one[0]))[0]
+    lacking = [name for name in kept if mask & ~masks[name]]
+    if lacking:
+        remarks.append(f"clips whose bodies lack joints that others have, excluded: {few(lacking)}")
+    if mask != ALL_KNOWN:
+        remarks.append(f"the bodies of all clips lack joints: {mask.bit_count()} features are learned")
+    used = {name: words for name, words in kept.items() if name not in lacking}
+    return TrainingClips(subclass, tuple(used), tuple(used.values()), remarks=tuple(remarks), known=mask)
+
+
+def learned_of(
+    clips: TrainingClips,
+    kind: Kind,
+    features: int,
+    feature_weights: F64 | None = None,
+    spread: Spread = map,
+    pieces: int = 1,
+) -> Learned:
+    """Learn a template from clips as `ops.templates.templates.learn` does; features that they lack have no weight."""
+    if clips.known == ALL_KNOWN:
+        return learn(kind, clips.words, features, feature_weights, spread, pieces)
+    weights = np.where(known_bits(clips.known, features), 1.0 if feature_weights is None else feature_weights, 0.0)
+    found = learn(kind, clips.words, features, weights, spread, pieces)
+    return replace(found, template=without_unknown(found.template, clips.known))
 
 
 def tasks(
@@ -226,7 +262,7 @@ def tasks(
 def learn_task(task: Task) -> list[SubclassTemplate]:
     """Learn the templates of a task, in a worker."""
     return [
-        learned_template(one, kind, learn(kind, one.words, task.features, task.feature_weights))
+        learned_template(one, kind, learned_of(one, kind, task.features, task.feature_weights))
         for one in task.clips
         for kind in task.kinds
     ]
@@ -268,7 +304,8 @@ def learn_templates(
     for one in split:
         for kind in kinds:
             pieces = 4 * executor.workers
-            yield [learned_template(one, kind, learn(kind, one.words, features, feature_weights, executor.map, pieces))]
+            found = learned_of(one, kind, features, feature_weights, executor.map, pieces)
+            yield [learned_template(one, kind, found)]
 
 
 def as_subclass_template(

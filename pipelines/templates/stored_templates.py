@@ -12,8 +12,9 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.template_files import NamedTemplate, read_templates
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import Kind, learn, quantise
-from kinedex.ops.words import NO_WORD, U64
+from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
 from kinedex.storage.store.store import Store
 
@@ -307,11 +308,14 @@ def template_from_clip(
         There is no such take, the range is not within it, or it has invalid frames in the middle.
     """
     first, last = clip_range(store, take, start, stop)
-    words = store.words([store.take_id(take)]).take(0)
-    return template_of_frames(words, take, first, last, len(store.feature_set.features), name or take)
+    words = store.words([store.take_id(take)])
+    features = len(store.feature_set.features)
+    return template_of_frames(words.take(0), take, first, last, features, name or take, words.masks[0])
 
 
-def template_of_frames(words: U64, take: str, first: int, last: int, features: int, name: str) -> NamedTemplate:
+def template_of_frames(
+    words: U64, take: str, first: int, last: int, features: int, name: str, known: int = int(ALL_KNOWN)
+) -> NamedTemplate:
     """Make a template from the frames [first, last) of a take; invalid frames at the ends are cut off.
 
     Parameters
@@ -326,6 +330,8 @@ def template_of_frames(words: U64, take: str, first: int, last: int, features: i
         The number of features.
     name : str
         The name of the template.
+    known : int
+        The mask of the features that the take knows; the others become wildcards.
 
     Returns
     -------
@@ -347,5 +353,7 @@ def template_of_frames(words: U64, take: str, first: int, last: int, features: i
             f"{take}: frame {hole} is invalid, in the middle of {first} to {last}; choose an interval beside it"
         )
     template = learn("soft", [clip], features).template
+    if known != ALL_KNOWN:
+        template = without_unknown(template, known)
     begin = first + int(valid[0])
     return NamedTemplate(name, template, f"frames {begin} to {begin + len(clip)} of {take}")

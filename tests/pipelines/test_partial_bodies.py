@@ -22,18 +22,23 @@ from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.derived_templates import restricted_template
-from kinedex.ops.templates.templates import learn_soft, quantise
+from kinedex.ops.templates.templates import Learned, learn_soft, quantise
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, ThesisMethod
+from kinedex.pipelines.keyframes.learning import training_sets, training_task
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
+from kinedex.pipelines.ranking.store_ranking import rank_store
 from kinedex.pipelines.search.bit_slices import sliced_words
 from kinedex.pipelines.search.not_applied import applicability, not_applied_table
+from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_remarks, search_store
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
-from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.learning import SubclassTemplate, learned_of, usable_clips
+from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
@@ -364,3 +369,73 @@ def test_stages_store_what_is_not_applied(tmp_path: Path) -> None:
     curves = {row["take"]: row["costs"] for row in store.result("distance_curves").to_pylist()}
     assert np.isinf(curves["few"]).all()
     assert verify(store) == []
+
+
+def test_a_template_learns_nothing_of_features_that_its_clips_lack() -> None:
+    every = {f"clip_{pace}": partial(motion("kick", pace), MOST) for pace in (4, 5, 6)}
+    clips = usable_clips("kick", every, dict.fromkeys(every, MOST))
+    assert (clips.known, clips.remarks) == (MOST, ("the bodies of all clips lack joints: 32 features are learned",))
+    learned = learned_of(clips, "soft", 40).template
+    assert np.flatnonzero(learned.unknown).tolist() == list(range(8))
+    quantised = quantise(learned, 0.05)
+    assert not int(np.bitwise_or.reduce(quantised.mask)) & ~MOST
+    assert quantised.feature_weights is None
+    whole = learned_of(usable_clips("kick", {name: motion("kick") for name in every}), "soft", 40).template
+    np.testing.assert_array_equal(learned.values[:, 8:] > 0.5, whole.values[:, 8:] > 0.5)
+
+
+def test_clips_that_lack_what_others_have_are_excluded() -> None:
+    every = {"whole_1": motion("kick"), "part": partial(motion("kick"), MOST), "whole_2": motion("kick", 4)}
+    clips = usable_clips("kick", every, {"part": MOST})
+    assert (clips.names, clips.known) == (("whole_1", "whole_2"), int(ALL_KNOWN))
+    assert clips.remarks == ("clips whose bodies lack joints that others have, excluded: part",)
+    some = usable_clips("kick", every, {"part": MOST, "whole_1": ARMS & MOST, "whole_2": ARMS & MOST})
+    assert (some.names, some.known) == (("part",), MOST)
+
+
+def test_the_usual_postures_stand_for_what_a_template_does_not_know() -> None:
+    """A template of partial clips labels whole bodies by what it knows, with method best as well."""
+    every = {f"{name}_{pace}": motion(name, pace) for name in ("kick", "walk") for pace in (4, 5)}
+    made = []
+    for name in ("kick", "walk"):
+        own = {key: partial(words, MOST) for key, words in every.items() if key.startswith(name)}
+        clips = usable_clips(name, own, dict.fromkeys(own, MOST))
+        made.append(
+            SubclassTemplate(name, "soft", Learned(learned_of(clips, "soft", 40).template, 1, (0.0,)), clips.names)
+        )
+    chosen = make_annotator(
+        BODY, made, load_classes("own", ("kick", "walk")), 0.05, 0.13, method=BestMethod, clips=lambda: [TAKE]
+    )
+    (found,) = annotate_words(chosen, TakeWords(np.arange(1), np.array([0, len(TAKE)]), TAKE))
+    labels = [chosen.classes[one.class_index] for one in found.segments]
+    assert labels == ["walk", "kick", "kick"]
+
+
+def test_keyframes_are_learned_of_known_features_alone(indexed: Store) -> None:
+    clips = [
+        usable_clips(name, {f"{name}_{pace}": partial(motion(name, pace), known) for pace in (4, 5, 6)}, masks)
+        for name, known, masks in (
+            ("kick", MOST, {f"kick_{pace}": MOST for pace in (4, 5, 6)}),
+            ("walk", EVERY, {}),
+            ("wave", 0b1111, {f"wave_{pace}": 0b1111 for pace in (4, 5, 6)}),
+        )
+    ]
+    kick, walk, _ = training_sets(clips, load_classes("own", ("kick", "walk", "wave")))
+    assert len(kick.negatives) == 3  # a wave of which four features are known is no evidence
+    assert walk.negatives == ()
+    task = training_task(kick, setting_of(KeyframeParameters(where="", sets=[]), indexed))
+    assert task.masks.any()
+    assert not int(np.bitwise_or.reduce(task.masks)) & ~MOST
+
+
+def test_a_query_proposed_from_a_partial_example_fixes_what_it_knows(indexed: Store) -> None:
+    text = propose_query(indexed, "take_0", 25, 55)
+    (query,) = parse_queries(text, BODY)
+    assert all(query_share(chain, BODY, MOST) == 1 for chain in query.chains)
+    assert {"take_0", "take_1"} <= set(search_store(indexed, [query]).column("take").to_pylist())
+
+
+def test_an_example_of_a_partial_body_finds_itself(indexed: Store) -> None:
+    example = template_from_clip(indexed, "take_0", "30", "55")
+    ranking = rank_store(indexed, [example]).rankings[0]
+    assert {(hit.take, hit.start) for hit in ranking.hits if hit.cost == 0} >= {("take_0", 30), ("take_1", 30)}
