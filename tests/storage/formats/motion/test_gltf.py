@@ -13,8 +13,10 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.ingestion.analysis import analyse
+from kinedex.storage.formats.motion.bvh_parser import Bvh, parse_bvh
 from kinedex.storage.formats.motion.figures import FigureReader
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import reader_of
@@ -145,10 +147,10 @@ def test_the_rest_pose_is_that_of_binding_where_the_scene_is_in_another(tmp_path
     assert_same(read(path), twin(tmp_path, mixamo()))
 
 
-def values_of(document: Builder, index: int) -> np.ndarray:
+def values_of(document: Builder, index: int, width: int = 4) -> np.ndarray:
     view = document.json["bufferViews"][document.json["accessors"][index]["bufferView"]]
     data = document.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    return np.frombuffer(data, "<f4").reshape(-1, 4).astype(float)
+    return np.frombuffer(data, "<f4").reshape(-1, width).astype(float)
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -349,6 +351,64 @@ def test_avatars_are_known_by_the_names_of_vrm(tmp_path: Path) -> None:
     for joint in ("root", "lknee", "rankle", "lelbow", "rwrist", "head"):
         at = JOINTS.index(joint)
         np.testing.assert_allclose(body.positions[at], expected.positions[at], atol=1e-5)
+
+
+def test_avatars_of_vrm_0_are_turned_to_face_ahead(tmp_path: Path) -> None:
+    """Their axes are those of glTF turned by half about Y."""
+    document = dancing_gltf(mixamo(), dance(mixamo(), 12))
+    for node in document.json["nodes"]:
+        x, y, z = node["translation"]
+        node["translation"] = [-x, y, -z]
+    clip = document.json["animations"][0]
+    for channel in clip["channels"]:
+        sampler = clip["samplers"][channel["sampler"]]
+        width = 3 if channel["target"]["path"] == "translation" else 4
+        values = values_of(document, sampler["output"], width)
+        sampler["output"] = document.accessor(values * ([-1, 1, -1] if width == 3 else [-1, 1, -1, 1]))
+    places = {node["name"].removeprefix("mixamorig:"): i for i, node in enumerate(document.json["nodes"])}
+    bones = [{"bone": "hips", "node": places["Hips"]}, *({"bone": name, "node": i} for name, i in places.items())]
+    document.json["extensions"] = {"VRM": {"humanoid": {"humanBones": bones[1:]}}}
+    (tmp_path / "a.vrm").write_bytes(document.glb())
+    assert_same(read(tmp_path / "a.vrm"), twin(tmp_path, mixamo()))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("pattern", "unit"), [("bandai/dataset-2/*.bvh", 0.01), ("cmu/same_take_amc_and_bvh/*.bvh", 0.0254 / 0.45)]
+)
+def test_takes_of_others_are_the_same_as_gltf(tmp_path: Path, shared: Path, pattern: str, unit: float) -> None:
+    source = min((shared / "data").glob(pattern))
+    (tmp_path / "take.glb").write_bytes(scene_of(parse_bvh(source), 240, unit).glb())
+    body, expected = read(tmp_path / "take.glb"), read(source)
+    assert body.skeleton == expected.skeleton
+    np.testing.assert_allclose(body.positions, expected.positions[..., :240], atol=1e-4)
+    np.testing.assert_allclose(body.orientation, expected.orientation[:, :240], atol=1e-4)
+    lost = [warning for warning in expected.warnings if "have no length in the file" in warning]
+    assert set(lost) <= set(body.warnings)
+
+
+def scene_of(bvh: Bvh, frames: int, unit: float) -> Builder:
+    """The nodes and the first frames of a BVH file as a scene."""
+    document = Builder()
+    clip: dict[str, Any] = {"name": "take", "channels": [], "samplers": []}
+    channels = bvh.channels[:frames]
+    times = document.accessor(np.arange(len(channels)) / bvh.rate_hz)
+    for i, node in enumerate(bvh.nodes):
+        turns, moved = np.tile(np.eye(3), (len(channels), 1, 1)), np.tile(node.before, (len(channels), 1))
+        for step in node.steps:
+            track = channels[:, step.column]
+            if step.kind >= kinematics.MOVE_X:
+                moved[:, step.kind - kinematics.MOVE_X] += track
+            else:
+                turns = turns @ np.array([kinematics.rotation(step.kind, degrees) for degrees in np.rad2deg(track)])
+        w, x, y, z = kinematics.quaternions(turns.reshape(-1, 9).T)
+        document.channel(clip, i, "rotation", times, document.accessor(np.stack([x, y, z, w], axis=1)))
+        document.channel(clip, i, "translation", times, document.accessor(unit * moved))
+        below = [k for k, other in enumerate(bvh.nodes) if other.parent == i]
+        entry = {"name": node.name, "translation": (unit * moved[0]).tolist()}
+        document.json["nodes"].append(entry | ({"children": below} if below else {}))
+    document.json["animations"] = [clip]
+    return document
 
 
 def test_memory_stays_below_its_bound(tmp_path: Path) -> None:
