@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -117,3 +118,12 @@ def dance(root: Joint, frames: int, seed: int = 0) -> list[dict[str, list[float]
                 if name not in POSITIONS:
                     frame[joint.name][i] = round(float(turns[i]), 4)
     return moving
+
+
+def write_duet(path: Path, frames: int) -> Path:
+    """Write a BVH file of two persons, Ann and Ben, who move alike."""
+    tree, motion = bvh_text(mixamo(fingers=False), dance(mixamo(fingers=False), frames)).split("MOTION\n")
+    count, rate, *rows = motion.splitlines()
+    trees = tree.replace("mixamorig:", "Ann:") + tree.removeprefix("HIERARCHY\n").replace("mixamorig:", "Ben:")
+    path.write_text("\n".join([f"{trees}MOTION", count, rate, *(f"{row} {row}" for row in rows), ""]))
+    return path

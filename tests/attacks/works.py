@@ -22,6 +22,7 @@ from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.upgrade import upgrade
 from kinedex.storage.store.writer import StoreWriter
+from tests.bvh_files import write_duet
 from tests.pipelines.archives import write_archive
 from tests.storage.old_formats import as_format_3
 
@@ -83,6 +84,7 @@ def _written(folder: Path, file: str, name: str, stages: dict[str, dict[str, obj
 
 def _new(folder: Path) -> None:
     write_archive(folder / "source", {f"x_{number}.amc": 20 + number for number in range(4)})
+    write_duet(folder / "source" / "duet.bvh", 30)
 
 
 def _changed(folder: Path) -> None:

@@ -28,7 +28,7 @@ from kinedex.storage.formats.motion import reader_table
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
-from tests.bvh_files import bvh_text, dance, mixamo
+from tests.bvh_files import write_duet
 from tests.pipelines.archives import context
 
 READ: list[tuple[str, str]] = []
@@ -269,20 +269,9 @@ def test_read_asks_for_a_person(source: Path) -> None:
         kinedex.read(source / "one.crowd", person="al")
 
 
-def two_rooted(path: Path) -> Path:
-    """Write a BVH file of two persons, who move alike."""
-    text = bvh_text(mixamo(fingers=False), dance(mixamo(fingers=False), 20))
-    tree, motion = text.split("MOTION\n")
-    head, rows = motion.split("\n", 2)[:2], motion.split("\n", 2)[2].splitlines()
-    other = tree.removeprefix("HIERARCHY\n")
-    trees = tree.replace("mixamorig:", "Ann:") + other.replace("mixamorig:", "Ben:")
-    path.write_text("\n".join([trees + "MOTION", *head, *(f"{row} {row}" for row in rows), ""]))
-    return path
-
-
 def test_a_bvh_file_of_two_roots_is_two_takes(tmp_path: Path) -> None:
     (tmp_path / "source").mkdir()
-    path = two_rooted(tmp_path / "source/duet.bvh")
+    path = write_duet(tmp_path / "source/duet.bvh", 20)
     bring_in(tmp_path / "store", tmp_path / "source")
     found = takes(tmp_path / "store")
     assert {name: found[name][:2] for name in found} == {"duet-Ann": ("Ann", 2), "duet-Ben": ("Ben", 2)}
