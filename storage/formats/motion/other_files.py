@@ -18,12 +18,13 @@ _ENDINGS = {
     "archives, which are not unpacked": ".zip .tar .tgz .gz .bz2 .xz .zst .7z .rar",
     "tables": ".csv .tsv .xls .xlsx .ods .parquet .db .sqlite",
     "data": ".json .jsonl .yaml .yml .xml .toml .ini .cfg .mat .h5 .hdf5 .npy .npz .pkl .pickle .pt .pth .bin .dat",
-    "files of capture software": ".x1d .x2d .x2e .xcp .mcp .mkr .vsk .vst .vpf .enf .system .history .cal .prj .qtm "
-    ".qca .mvn .mvna .mox .ttp .ttproj .motive",
-    "models or meshes": ".osim .obj .ply .stl .mtl .vtp .blend .max .ma .mb .skp .urdf",
+    "files of capture software": ".x1d .x2d .x2e .xcp .mcp .mkr .vsk .vst .vpf .enf .system .history .cal .prj "
+    ".qca .mvna .mox .ttp .ttproj .motive",
+    "models or meshes": ".osim .obj .ply .stl .mtl .vtp .skp .urdf",
     "programs": ".py .ipynb .m .r .c .h .cpp .cs .java .js .ts .sh .bat .exe .dll .so .pyc",
 }
 _KINDS = {ending: kind for kind, endings in _ENDINGS.items() for ending in endings.split()}
+_TEXT_NAMES = ("license", "licence", "copying", "notice", "readme", "authors", "contributors", "changelog", "makefile")
 _SYSTEM_NAMES = ("thumbs.db", "desktop.ini")
 
 
@@ -37,4 +38,4 @@ def kind_of(name: str) -> str:
     ending = os.path.splitext(name)[1].lower()
     if is_of_system(name) or name.startswith("."):
         return _SYSTEM
-    return _KINDS.get(ending, _OTHER)
+    return "texts" if name.lower() in _TEXT_NAMES else _KINDS.get(ending, _OTHER)

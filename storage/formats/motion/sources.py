@@ -20,6 +20,13 @@ from kinedex.storage.formats.motion.reader_table import is_motion_file, motion_e
 UNREAD = {
     ".htr": "export it as BVH",
     ".bip": "export it as BVH",
+    ".tak": "export it from Motive as CSV, BVH or C3D",
+    ".qtm": "export it from Qualisys Track Manager as TSV or C3D",
+    ".mvn": "export it from Xsens MVN as MVNX or BVH",
+    ".blend": "export it from Blender as BVH or FBX",
+    ".max": "export it from 3ds Max as BVH or FBX",
+    ".ma": "export it from Maya as FBX",
+    ".mb": "export it from Maya as FBX",
 }
 """Endings of motion files that kinedex does not read, and the way out."""
 

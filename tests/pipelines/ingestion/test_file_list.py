@@ -21,7 +21,7 @@ OTHERS = {
     "film/cover.png": "images or films", "labels/x_1.eaf": "labels", "labels/all.csv": "tables or data in which no "
     "reader finds motion", "old.zip": "archives, which are not unpacked", "._x_1.amc": "hidden files and files of the "
     "system", ".hidden": "hidden files and files of the system", "strange.xyz": "files of other kinds", "LICENSE":
-    "files of other kinds",
+    "texts",
 }  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def test_sums_of_the_list_add_up_and_sql_shows_it(source: Path, tmp_path: Path) 
     assert reasons["strange.xyz"] == "files of other kinds"
     assert "1 skeleton file\n" in output
     assert "passed over as images or films: 3 (.mp4 2, .png 1)\n" in output
-    assert "passed over as files of other kinds: 2 (without an ending 1, .xyz 1)\n" in output
+    assert "passed over as texts: 2 (without an ending 1, .txt 1)\n" in output
     assert "1 file of a format not read (.htr): export it as BVH\n" in output
     assert bring_in(tmp_path / "store", source)[0]["unchanged"] == 3
     assert {row["outcome"] for row in open_store(tmp_path / "store").result("source_files").to_pylist()} == set(counts)
