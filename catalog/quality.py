@@ -148,8 +148,8 @@ def quality_warnings(figures: Plausibility, rate_hz: float) -> list[str]:
 def _up(figures: Plausibility) -> Iterator[str]:
     if figures.up_axis not in ("", "y"):
         yield (
-            f"the body stands along {figures.up_axis}, not along y ({figures.reasons[0]}): the file's vertical axis is "
-            f"another one; state `up: {figures.up_axis}` in a skeleton mapping whose `up` is y"
+            f"the body stands along {figures.up_axis}, not along y (confidence {figures.up_confidence:.2f}): the file "
+            f"has another vertical axis; state `up: {figures.up_axis}` in a skeleton mapping whose `up` is y"
         )
 
 

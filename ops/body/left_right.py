@@ -70,7 +70,7 @@ def left_right(places: Mapping[str, F64]) -> LeftRight:
         np.array([places.get(f"l{name}", absent), places.get(f"r{name}", absent)], np.float64)
         for name in ("hip", "knee", "ankle", "toes", "shoulder")
     )
-    legs, shoulders, knees = _agreement(*pairs)
+    legs, shoulders, knees = side_agreement(*pairs)
     lines = {"shoulders": shoulders, "knees": knees}
     reasons = []
     if legs == legs:
@@ -86,7 +86,7 @@ def left_right(places: Mapping[str, F64]) -> LeftRight:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _agreement(hips: F64, knees: F64, ankles: F64, toes: F64, shoulders: F64) -> tuple[float, float, float]:
+def side_agreement(hips: F64, knees: F64, ankles: F64, toes: F64, shoulders: F64) -> tuple[float, float, float]:
     """Return the agreement of the legs, and the mean cosines of shoulders and knees with the line of the hips."""
     across = hips[0] - hips[1]
     total, weights = 0.0, 0.0

@@ -6,35 +6,60 @@ Geometry is measured in `SAMPLED` valid frames, spread evenly over the take; spe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from kinedex.ops.body.left_right import left_right
+from kinedex.ops.body.left_right import left_right, side_agreement
 from kinedex.ops.body.tempo import tempo
-from kinedex.ops.body.up_axis import up_axis
+from kinedex.ops.body.up_axis import (
+    AXES,
+    FEET,
+    GAIN,
+    HEADS,
+    HIPS,
+    SURE,
+    least_leads,
+    point_spreads,
+    posture_shares,
+    up_axis,
+)
 
 F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
 
 SAMPLED = 32
 """Frames in which geometry is measured."""
 
 UNKNOWN = float("nan")
 
-_LIMBS = {
-    "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "upper_arm": ("shoulder", "elbow"),
-    "forearm": ("elbow", "wrist"),
-}  # fmt: skip
-_TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
-_FEET = ("lankle", "rankle", "ltoes", "rtoes")
-_SWUNG = ("lankle", "rankle", "lwrist", "rwrist")
+_JOINTS = (
+    "root", "lhip", "rhip", "lknee", "rknee", "lankle", "rankle", "ltoes", "rtoes", "belly", "chest", "neck", "head",
+    "headtop", "lclavicle", "rclavicle", "lshoulder", "rshoulder", "lelbow", "relbow", "lwrist", "rwrist",
+)  # fmt: skip
+_ROOT, _NECK, _LSHOULDER, _LELBOW, _FIRST_FOOT = (
+    _JOINTS.index(j) for j in ("root", "neck", "lshoulder", "lelbow", "lankle")
+)
+
+
+def _indices(rows: Iterable[Sequence[str]]) -> npt.NDArray[np.int64]:
+    return np.array([[_JOINTS.index(joint) for joint in (row[0], row[-1])] for row in rows])
+
+
+_LIMBS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+_PAIRS = _indices((side + a, side + b) for a, b in _LIMBS for side in "lr")
+_HIP_CHOICES, _HEAD_CHOICES, _FOOT_CHOICES = _indices(HIPS), _indices(HEADS), _indices(FEET)
+_TRUNK = tuple(_JOINTS.index(joint) for joint in ("root", "belly", "chest", "neck", "head", "headtop"))
+_SIDES = tuple(_JOINTS.index("l" + name) for name in ("hip", "knee", "ankle", "toes", "shoulder"))
+_SWUNG = tuple(_JOINTS.index(joint) for joint in ("lankle", "rankle", "lwrist", "rwrist"))
 _UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
 _FIXED_M = 0.01  # a root that moves by less up and down is fixed, and its body has no ground
+_AT_ORIGIN_M = 0.05  # a fixed root so near to y = 0 has no floor under it
 _STILL_M = 0.1  # hands and feet that move within less show no tempo
 _BIN_M_S, _BINS = 0.25, 4000  # of the histogram of speeds
 
@@ -77,8 +102,6 @@ class Plausibility:
         The time in which speeds are measured.
     fastest : (str, int) or None
         The fastest joint, and the frame before its fastest step.
-    reasons : tuple of str
-        Phrases on up axis and sides, with their figures.
     """
 
     height_m: float = UNKNOWN
@@ -101,12 +124,9 @@ class Plausibility:
     repeated_share: float = UNKNOWN
     seconds: float = 0.0
     fastest: tuple[str, int] | None = None
-    reasons: tuple[str, ...] = ()
 
 
-def plausibility(
-    positions: F64, joints: tuple[str, ...], rate_hz: float, valid: npt.NDArray[np.bool_] | None = None
-) -> Plausibility:
+def plausibility(positions: F64, joints: tuple[str, ...], rate_hz: float, valid: Bool | None = None) -> Plausibility:
     """Measure the figures of a take.
 
     Parameters
@@ -125,49 +145,120 @@ def plausibility(
     Plausibility
         The figures.
     """
-    frames = np.arange(positions.shape[2]) if valid is None else np.flatnonzero(valid)
-    if not len(frames):
+    counted = np.ones(positions.shape[2], np.bool_) if valid is None else valid
+    if not counted.any():
         return Plausibility()
-    sampled = positions[:, :, frames[np.linspace(0, len(frames) - 1, min(SAMPLED, len(frames))).round().astype(int)]]
-    known = np.isfinite(sampled).reshape(len(joints), -1).sum(axis=1) == sampled[0].size
-    places = {joint: sampled[i] for i, joint in enumerate(joints) if known[i]}
-    up, sides = up_axis(places), left_right(places)
-    found = _body(places)
-    found |= {"up_axis": up.axis, "up_confidence": up.confidence}
-    crossed = sides.lines < 0  # false for NaN
-    found["left_right"] = float(np.fmin(sides.legs, sides.lines)) if crossed else sides.legs
-    found |= _motion(positions, joints, rate_hz, frames if valid is not None else None)
-    return Plausibility(**found, reasons=(*up.reasons, *sides.reasons))
+    positions = np.ascontiguousarray(positions, np.float64)
+    at = _places_of(tuple(joints))
+    limbs, leads, others = _geometry(sampled_frames(positions, counted), at)
+    lengths, variations = limbs[:, 0].tolist(), limbs[:, 1].tolist()
+    mean, asymmetry = [], []
+    for left in range(0, len(lengths), 2):
+        sides = [length for length in lengths[left : left + 2] if length == length]
+        mean.append(sum(sides) / len(sides) if sides else UNKNOWN)
+        if len(sides) == 2 and mean[-1] > 0:
+            asymmetry.append(abs(sides[0] - sides[1]) / mean[-1])
+    spine, neck, legs, shoulders, knees, floor = others.tolist()
+    height = _UPRIGHT * (mean[0] + mean[1] + spine)
+    thigh, shank, upper_arm, forearm = (length / height if height > 0 else UNKNOWN for length in mean)
+    best = int(np.argmax(leads))
+    confidence = 1.0 - math.exp(-GAIN * max(float(leads[best]), 0.0))
+    crossed = [line for line in (shoulders, knees) if line < 0]  # not for NaN
+    return Plausibility(
+        height_m=height,
+        thigh_share=thigh,
+        shank_share=shank,
+        upper_arm_share=upper_arm,
+        forearm_share=forearm,
+        neck_share=neck / height if height > 0 else UNKNOWN,
+        asymmetry=max(asymmetry, default=UNKNOWN),
+        bone_variation=max((variation for variation in variations if variation == variation), default=UNKNOWN),
+        up_axis=AXES[best] if confidence >= SURE else "",
+        up_confidence=confidence,
+        left_right=min((line for line in (legs, *crossed) if line == line), default=UNKNOWN),
+        floor_m=floor,
+        **_motion(positions, joints, rate_hz, counted, at),
+    )
 
 
-def _body(places: Mapping[str, F64]) -> dict[str, Any]:
-    """Return height, proportions, symmetry, bone lengths and ground."""
-    pairs = [(side + upper, side + lower) for upper, lower in _LIMBS.values() for side in "lr"]
-    pairs = [pair for pair in pairs if pair[0] in places and pair[1] in places]
-    trunk = list(pairwise(joint for joint in _TRUNK if joint in places))
-    lengths = {pair: _length(places[pair[0]], places[pair[1]]) for pair in (*pairs, *trunk)}
-    mean, asymmetry = {}, []
-    for limb, (upper, lower) in _LIMBS.items():
-        both = [(side + upper, side + lower) for side in "lr"]
-        sides = [lengths[pair][0] for pair in both if pair in lengths]
-        mean[limb] = sum(sides) / len(sides) if sides else UNKNOWN
-        if len(sides) == 2 and mean[limb] > 0:
-            asymmetry.append(abs(sides[0] - sides[1]) / mean[limb])
-    height = UNKNOWN
-    if {"root", "head"} <= places.keys():
-        height = _UPRIGHT * (mean["thigh"] + mean["shank"] + sum(lengths[pair][0] for pair in trunk))
-    found: dict[str, Any] = {f"{limb}_share": length / height for limb, length in mean.items() if height > 0}
-    neck = UNKNOWN
-    if height > 0 and {"neck", "lshoulder", "rshoulder"} <= places.keys():
-        ends = [places.get(joint, np.zeros((3, 0))) for joint in ("lelbow", "relbow")]
-        neck = _neck(places["neck"], places["root"], places["lshoulder"], places["rshoulder"], *ends) / height
-    return found | {
-        "height_m": height,
-        "neck_share": neck,
-        "asymmetry": max(asymmetry, default=UNKNOWN),
-        "bone_variation": max((lengths[pair][1] for pair in pairs), default=UNKNOWN),
-        "floor_m": _floor(places),
-    }
+def reasons(positions: F64, joints: tuple[str, ...], valid: Bool | None = None) -> tuple[str, ...]:
+    """Return phrases on up axis and sides of a take with their figures, from the arguments of `plausibility`."""
+    counted = np.ones(positions.shape[2], np.bool_) if valid is None else valid
+    if not counted.any():
+        return ()
+    sampled = sampled_frames(np.ascontiguousarray(positions, np.float64), counted)
+    places = {joint: sampled[i] for i, joint in enumerate(joints) if np.isfinite(sampled[i]).all()}
+    return (*up_axis(places).reasons, *left_right(places).reasons)
+
+
+@lru_cache(maxsize=16)
+def _places_of(joints: tuple[str, ...]) -> npt.NDArray[np.int64]:
+    """Return the index of each of `_JOINTS`, −1 for one that is not among the joints."""
+    return np.array([joints.index(joint) if joint in joints else -1 for joint in _JOINTS])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sampled_frames(positions: F64, counted: Bool) -> F64:
+    """Return the positions (J, 3, K) in at most `SAMPLED` of the frames that count, spread evenly."""
+    frames = np.flatnonzero(counted)
+    taken = min(len(frames), SAMPLED)
+    sampled = np.empty((positions.shape[0], 3, taken))
+    for i in range(taken):
+        t = frames[round(i * (len(frames) - 1) / max(taken - 1, 1))]
+        for j in range(positions.shape[0]):
+            for k in range(3):
+                sampled[j, k, i] = positions[j, k, t]
+    return sampled
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _geometry(sampled: F64, at: npt.NDArray[np.int64]) -> tuple[F64, F64, F64]:
+    """Return the figures that need no time: lengths of limbs (8, 2), leads of axes (6,), and six others."""
+    joints, _, frames = sampled.shape
+    seen = np.zeros(joints, np.bool_)
+    for j in range(joints):
+        seen[j] = np.isfinite(sampled[j]).all()
+    there = np.zeros(len(at), np.bool_)
+    for i in range(len(at)):
+        there[i] = at[i] >= 0 and seen[at[i]]
+    limbs = np.full((len(_PAIRS), 2), np.nan)
+    for i in range(len(_PAIRS)):
+        if there[_PAIRS[i, 0]] and there[_PAIRS[i, 1]]:
+            limbs[i, 0], limbs[i, 1] = _length(sampled[at[_PAIRS[i, 0]]], sampled[at[_PAIRS[i, 1]]])
+    hips, head, feet = (
+        _pair(sampled, at, there, _HIP_CHOICES), _pair(sampled, at, there, _HEAD_CHOICES),
+        _pair(sampled, at, there, _FOOT_CHOICES),
+    )  # fmt: skip
+    leads = np.zeros(6)
+    if len(hips) and (len(head) or len(feet)):
+        share, _, _ = posture_shares(hips, head, feet)
+        lowest, travel, grounded = np.zeros(6), np.zeros(3), False
+        if len(feet):
+            lowest, travel, grounded = point_spreads(sampled[seen], hips)
+        leads = least_leads(share, np.zeros(6), lowest, travel, grounded)
+    others = np.full(6, np.nan)
+    others[0] = _spine(sampled, at, there)
+    if there[_ROOT] and there[_NECK] and there[_LSHOULDER] and there[_LSHOULDER + 1]:
+        others[1] = _neck(sampled, at, there)
+    sides = np.full((5, 2, 3, frames), np.nan)
+    for i in range(5):
+        for side in range(2):
+            if there[_SIDES[i] + side]:
+                sides[i, side] = sampled[at[_SIDES[i] + side]]
+    others[2], others[3], others[4] = side_agreement(sides[0], sides[1], sides[2], sides[3], sides[4])
+    others[5] = _floor(sampled, at, there)
+    return limbs, leads, others
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pair(sampled: F64, at: npt.NDArray[np.int64], there: Bool, choices: npt.NDArray[np.int64]) -> F64:
+    """Return the places (2, 3, K) of the first choice of joints that are there, (0, 3, 0) where none is."""
+    for i in range(len(choices)):
+        if there[choices[i, 0]] and there[choices[i, 1]]:
+            pair = np.empty((2, 3, sampled.shape[2]))
+            pair[0], pair[1] = sampled[at[choices[i, 0]]], sampled[at[choices[i, 1]]]
+            return pair
+    return np.empty((0, 3, 0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -183,77 +274,101 @@ def _length(a: F64, b: F64) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _neck(neck: F64, root: F64, lshoulder: F64, rshoulder: F64, lelbow: F64, relbow: F64) -> float:
+def _spine(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
+    """Return the length of the trunk from the root to the top of the head, NaN without root or head."""
+    if not (there[_TRUNK[0]] and there[_TRUNK[4]]):
+        return np.nan
+    total, last = 0.0, _TRUNK[0]
+    for i in range(1, len(_TRUNK)):
+        if there[_TRUNK[i]]:
+            total += _length(sampled[at[last]], sampled[at[_TRUNK[i]]])[0]
+            last = _TRUNK[i]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _neck(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
     """Return how far the neck lies above the middle of the shoulders along the trunk, with hanging arms if they do."""
-    frames = neck.shape[1]
+    frames = sampled.shape[2]
     above, hanging = np.empty(frames), np.zeros(frames, np.bool_)
+    elbows = there[_LELBOW] and there[_LELBOW + 1]
     for t in range(frames):
-        trunk = neck[:, t] - root[:, t]
+        neck = sampled[at[_NECK], :, t]
+        trunk = neck - sampled[at[_ROOT], :, t]
         trunk /= math.sqrt((trunk * trunk).sum())
-        shoulders = 0.5 * (lshoulder[:, t] + rshoulder[:, t])
-        above[t] = ((neck[:, t] - shoulders) * trunk).sum()
-        if lelbow.shape[1] == frames and relbow.shape[1] == frames:
-            arms = shoulders - 0.5 * (lelbow[:, t] + relbow[:, t])
+        shoulders = 0.5 * (sampled[at[_LSHOULDER], :, t] + sampled[at[_LSHOULDER + 1], :, t])
+        above[t] = ((neck - shoulders) * trunk).sum()
+        if elbows:
+            arms = shoulders - 0.5 * (sampled[at[_LELBOW], :, t] + sampled[at[_LELBOW + 1], :, t])
             hanging[t] = (arms * trunk).sum() > 0.7 * math.sqrt((arms * arms).sum())
     return np.median(above[hanging]) if hanging.any() else np.median(above)
 
 
-def _floor(places: Mapping[str, F64]) -> float:
-    feet = [places[joint][1] for joint in _FEET if joint in places]
-    root = places.get("root")
-    if not feet or (root is not None and root.shape[1] > 1 and np.ptp(root[1]) < _FIXED_M and abs(root[1, 0]) < 0.05):
-        return UNKNOWN
-    lowest = np.sort(np.minimum.reduce(feet))
-    return float(lowest[len(lowest) // 2])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _floor(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
+    """Return the median height of the lowest foot; NaN without feet, and for a root that is fixed at the origin."""
+    frames = sampled.shape[2]
+    if there[_ROOT] and frames > 1:
+        root = sampled[at[_ROOT], 1]
+        if root.max() - root.min() < _FIXED_M and abs(root[0]) < _AT_ORIGIN_M:
+            return np.nan
+    lowest, known = np.full(frames, np.inf), False
+    for i in range(_FIRST_FOOT, _FIRST_FOOT + 4):
+        if there[i]:
+            known = True
+            for t in range(frames):
+                lowest[t] = min(lowest[t], sampled[at[i], 1, t])
+    return np.sort(lowest)[frames // 2] if known else np.nan
 
 
 def _motion(
-    positions: F64, joints: tuple[str, ...], rate_hz: float, frames: npt.NDArray[np.intp] | None
+    positions: F64, joints: tuple[str, ...], rate_hz: float, counted: Bool, at: npt.NDArray[np.int64]
 ) -> dict[str, Any]:
     """Return speeds, repeated frames and tempo."""
-    known = np.ones(positions.shape[2], np.bool_)
-    if frames is not None:
-        known[:] = False
-        known[frames] = True
-    total, counted, repeated, steps, fastest, joint, frame, bins = _speeds(
-        np.ascontiguousarray(positions), known, rate_hz
-    )
-    if not counted:
+    total, number, repeated, steps, fastest, joint, frame, fast = _speeds(positions, counted, rate_hz)
+    if not number:
         return {}
     found: dict[str, Any] = {
-        "speed_m_s": total / counted,
-        "fast_m_s": _BIN_M_S * float(np.searchsorted(np.cumsum(bins), 0.99 * counted) + 1),
+        "speed_m_s": total / number,
+        "fast_m_s": _BIN_M_S * fast,
         "fastest_m_s": fastest,
         "repeated_share": repeated / steps,
         "seconds": steps / rate_hz,
         "fastest": (joints[joint], frame),
     }
-    tracks = positions[[i for i, name in enumerate(joints) if name in _SWUNG]]
-    swing = _swing(tracks)
-    swung = tempo(tracks[swing > 0], rate_hz) if (swing > _STILL_M).any() else None
+    swung = tempo(_swung(positions, at), rate_hz)
     if swung is not None:
         found |= {"tempo_hz": swung.hz, "acceleration_m_s2": swung.acceleration}
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _swing(tracks: F64) -> F64:
-    """Return the largest range (N,) of the coordinates of each point; 0 for one that is never known."""
-    swing = np.zeros(len(tracks))
-    for j in range(len(tracks)):
+def _swung(positions: F64, at: npt.NDArray[np.int64]) -> F64:
+    """Return the tracks (N, 3, T) of wrists and ankles that are known, none where all of them stand still."""
+    tracks = np.empty((len(_SWUNG), 3, positions.shape[2]))
+    used, most = 0, 0.0
+    for joint in _SWUNG:
+        if at[joint] < 0:
+            continue
+        swing = 0.0
         for k in range(3):
             low, high = np.inf, -np.inf
-            for place in tracks[j, k]:
+            for place in positions[at[joint], k]:
                 low, high = min(low, place), max(high, place)  # a comparison with NaN is false
-            swing[j] = max(swing[j], high - low)
-    return swing
+            swing = max(swing, high - low)
+        if swing > 0.0:
+            tracks[used] = positions[at[joint]]
+            used += 1
+            most = max(most, swing)
+    return tracks[: used if most > _STILL_M else 0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _speeds(
-    positions: F64, known: npt.NDArray[np.bool_], rate_hz: float
-) -> tuple[float, int, int, int, float, int, int, npt.NDArray[np.int64]]:
-    """Return sum and number of speeds, repeated frames, steps, the largest speed, its joint and frame, a histogram."""
+def _speeds(positions: F64, known: Bool, rate_hz: float) -> tuple[float, int, int, int, float, int, int, int]:
+    """Return sum and number of speeds, repeated frames, steps, the largest speed with joint and frame, and a bin.
+
+    The bin of the histogram is that of the 99th percentile of speeds.
+    """
     joints, _, frames = positions.shape
     total, counted, fastest, joint, frame = 0.0, 0, 0.0, 0, 0
     bins = np.zeros(_BINS, np.int64)
@@ -277,4 +392,8 @@ def _speeds(
         if known[t] and known[t + 1]:
             steps += 1
             repeated += not moved[t]
-    return total, counted, repeated, max(steps, 1), fastest, joint, frame, bins
+    fast, below = 0, 0
+    while fast < _BINS and below < 0.99 * counted:
+        below += bins[fast]
+        fast += 1
+    return total, counted, repeated, max(steps, 1), fastest, joint, frame, fast

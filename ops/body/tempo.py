@@ -17,7 +17,7 @@ USUAL_HZ = tuple(map(float, (10, 15, 20, 25, 30, 50, 60, 75, 90, 100, 120, 150, 
 TYPICAL_HZ = 1.0
 """The median tempo of the takes of HDM05, CMU and Bandai."""
 
-_LAG_S = 1.0 / 30.0  # differences over so long a time are free of the noise between frames of fast cameras
+LAG_S = 1.0 / 30.0  # differences over so long a time are free of the noise between frames of fast cameras
 _TURNED = 0.4  # radians; the lag from which a likely rate is computed turns the motion by at least so much
 _MOST = 512  # frames in which differences are taken, spread over the take
 
@@ -53,8 +53,8 @@ def tempo(tracks: F64, rate_hz: float) -> Tempo | None:
     Tempo or None
         None where there are too few frames, or nothing moves.
     """
-    lag = max(1, round(rate_hz * _LAG_S))
-    turned, second = _differences(np.ascontiguousarray(tracks, np.float64), lag)
+    lag = max(1, round(rate_hz * LAG_S))
+    turned, second = turn_and_acceleration(np.ascontiguousarray(tracks, np.float64), lag)
     return Tempo(turned * rate_hz / lag / (2 * np.pi), second * (rate_hz / lag) ** 2) if turned == turned else None
 
 
@@ -76,7 +76,7 @@ def likely_rate(tracks: F64) -> float | None:
     """
     tracks = np.ascontiguousarray(tracks, np.float64)
     lag, rate = 1, None
-    while (turned := _differences(tracks, lag)[0]) == turned:  # not for NaN, where frames or motion end
+    while (turned := turn_and_acceleration(tracks, lag)[0]) == turned:  # not for NaN, where frames or motion end
         rate = lag * TYPICAL_HZ * 2 * np.pi / max(turned, 1e-9)
         if turned >= _TURNED:
             break
@@ -90,7 +90,7 @@ def usual_rate(rate_hz: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _differences(tracks: F64, lag: int) -> tuple[float, float]:
+def turn_and_acceleration(tracks: F64, lag: int) -> tuple[float, float]:
     """Return the median turn over a lag in radians, and the 90th percentile of second differences; NaN if still."""
     points, _, length = tracks.shape
     frames = max(length - 2 * lag, 0)

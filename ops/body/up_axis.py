@@ -32,9 +32,9 @@ SURE = 0.5
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 
-_HEADS = (("head",), ("headtop",), ("neck",), ("lshoulder", "rshoulder"), ("lclavicle", "rclavicle"), ("chest",))
-_HIPS = (("lhip", "rhip"), ("root",), ("belly",))
-_FEET = (("lankle", "rankle"), ("ltoes", "rtoes"), ("lknee", "rknee"))
+HEADS = (("head",), ("headtop",), ("neck",), ("lshoulder", "rshoulder"), ("lclavicle", "rclavicle"), ("chest",))
+HIPS = (("lhip", "rhip"), ("root",), ("belly",))
+FEET = (("lankle", "rankle"), ("ltoes", "rtoes"), ("lknee", "rknee"))
 _STRAIGHT, _LEANING, _BENT = 0.75, 0.85, 0.4
 """Cosines with the axis: trunk and legs of a standing body, trunk of a sitting body, and its legs."""
 
@@ -46,7 +46,7 @@ _LEVEL = 0.15  # body sizes; a lowest point that varies by more does not rest on
 _TRAVEL = 0.08  # body sizes; by so much more the hips travel where the ground is clear
 _ENDS = 2.0  # lead over the opposite axis of a body that never stands on its head
 _NO_BODY = ("no hips with head or feet",)
-_GAIN = 1.6  # confidence is 1 − exp(−_GAIN · lead)
+GAIN = 1.6  # confidence is 1 − exp(−GAIN · lead)
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,19 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
     UpAxis
         Axis, confidence and reasons. A body without hips and one end (head or feet) is undecided.
     """
-    hips, head, feet = (_pair(places, choices) for choices in (_HIPS, _HEADS, _FEET))
+    hips, head, feet = (_pair(places, choices) for choices in (HIPS, HEADS, FEET))
     if not len(hips) or not (len(head) or len(feet)):
         return UpAxis("", 0.0, _NO_BODY)
-    share, stood, frames = _posture(hips, head, feet)
+    share, stood, frames = posture_shares(hips, head, feet)
     if not frames:
         return UpAxis("", 0.0, _NO_BODY)
     standing = _standing({joint: np.reshape(place, (3, 1)) for joint, place in rest.items()}) if rest else np.zeros(6)
     lowest, travel, grounded = np.zeros(6), np.zeros(3), False
     if len(feet):
-        lowest, travel, grounded = _spreads(np.array(list(places.values()), np.float64), hips)
-    leads = _leads(share, standing, lowest, travel, grounded)
+        lowest, travel, grounded = point_spreads(np.array(list(places.values()), np.float64), hips)
+    leads = least_leads(share, standing, lowest, travel, grounded)
     best = int(np.argmax(leads))
-    confidence = 1.0 - math.exp(-_GAIN * max(float(leads[best]), 0.0))
+    confidence = 1.0 - math.exp(-GAIN * max(float(leads[best]), 0.0))
     parts = " and ".join(", ".join(["head"] * bool(len(head)) + ["hips"] + ["feet"] * bool(len(feet))).rsplit(", ", 1))
     reasons = [f"{parts} stand along {AXES[best]} in {100 * stood[best] / frames:.0f} % of {frames} frames"]
     other = max((axis for axis in range(6) if axis != best), key=lambda axis: stood[axis])
@@ -121,8 +121,8 @@ def _pair(places: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) -> F6
 
 def _standing(rest: Mapping[str, F64]) -> F64:
     """Return how upright the rest pose is along each axis, (6,)."""
-    hips, head, feet = (_pair(rest, choices) for choices in (_HIPS, _HEADS, _FEET))
-    return _posture(hips, head, feet)[0] if len(hips) and (len(head) or len(feet)) else np.zeros(6)
+    hips, head, feet = (_pair(rest, choices) for choices in (HIPS, HEADS, FEET))
+    return posture_shares(hips, head, feet)[0] if len(hips) and (len(head) or len(feet)) else np.zeros(6)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -133,7 +133,7 @@ def _middle(pair: F64, k: int, t: int) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _posture(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
+def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
     """Return the share of frames in which the body stands along each axis, the frames with any vote, and those seen."""
     share, stood = np.zeros(6), np.zeros(6)
     seen = 0
@@ -164,7 +164,7 @@ def _posture(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
+def point_spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
     """Return by how much the lowest point (6,) and the hips (3,) vary in body sizes, and whether frames suffice."""
     joints, _, frames = places.shape
     tracks = np.empty((9, frames))
@@ -203,7 +203,7 @@ def _spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _leads(share: F64, standing: F64, lowest: F64, travel: F64, grounded: bool) -> F64:
+def least_leads(share: F64, standing: F64, lowest: F64, travel: F64, grounded: bool) -> F64:
     """Return the least lead (6,) that each axis has over the axes of the other lines, and over its own other end."""
     stance = share + _REST * standing
     score = stance.copy()

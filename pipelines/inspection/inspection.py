@@ -18,7 +18,7 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import find_gaps
-from kinedex.ops.body.plausibility import Plausibility
+from kinedex.ops.body.plausibility import Plausibility, reasons
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.tables import Shown, pairs
 from kinedex.pipelines.ingestion.analysis import analyse, blind
@@ -361,7 +361,7 @@ def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Rea
     low = float(np.nanmin(body.positions[:, 1]))
     found.add("lowest point", f"{low:.2f} m")
     figures = figures_of(body, feature_set.joints)
-    _add_recognition(found, body, figures)
+    _add_recognition(found, body, figures, feature_set.joints)
     warnings = [*body.warnings, *blind(feature_set, body), *quality_warnings(figures, body.rate_hz)]
     found.add_all("warnings", warnings or ["none"])
     _, _, words = analyse(body, feature_set, _RATE_HZ)
@@ -376,14 +376,14 @@ def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Rea
         found.add("never on", " ".join(never))
 
 
-def _add_recognition(found: Inspection, body: Body, figures: Plausibility) -> None:
+def _add_recognition(found: Inspection, body: Body, figures: Plausibility, joints: tuple[str, ...]) -> None:
     """Add how surely and by what the body was recognised, the joints that are estimated, and the figures."""
     if body.evidence or body.confidence < 1:
         found.add("confidence", f"{body.confidence:.2f} of 1")
         found.add_all("evidence", body.evidence)
     if body.estimated:
         found.add("estimated joints", ", ".join(body.estimated))
-    found.add_all("up and sides", figures.reasons)
+    found.add_all("up and sides", reasons(body.positions, joints, body.valid))
     lines = []
     for figure in FIGURES:
         value = getattr(figures, figure.name)
