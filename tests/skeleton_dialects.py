@@ -26,7 +26,7 @@ PLACES = {
     "ring": (0.795, 1.38, -0.02), "little": (0.785, 1.375, -0.04), "tip": (0.90, 1.37, 0.0),
     "eye": (0.03, 1.62, 0.09), "floor": (0.0, 0.0, 0.0), "jaw": (0.0, 1.58, 0.06),
 }  # fmt: skip
-"""Where joints of the left and the middle are when the body stands, arms to the sides; metres, Y up, facing Z."""
+"""The places of joints of the left and the middle when the body stands, arms to the sides; metres, Y up, facing Z."""
 
 JOINT_OF = {
     "root": "root", "neck": "neck", "head": "head", "hip": "hip", "knee": "knee", "ankle": "ankle", "sho": "shoulder",

@@ -15,16 +15,16 @@ from kinedex.catalog.skeletons.recognition.tree import FINGERS, Tree
 from kinedex.catalog.skeletons.skeleton_fit import Mix
 
 SPINE_SHARES = {"belly": 1 / 3, "chest": 2 / 3}
-"""Where the joints of the spine are on the way from root to neck: Acclaim's three bones are equally long."""
+"""The shares of the way from root to neck at which joints of the spine lie: Acclaim's three bones are equally long."""
 
 NECK_SHARE = 0.7
-"""Where the neck is on the way from root to head (0.65 in skeletons of HDM05 and CMU, 0.75 and more in game rigs)."""
+"""The share of the way from root to head at which the neck lies: 0.65 in HDM05 and CMU, 0.75 and more in game rigs."""
 
 HEAD_M = 0.14
-"""How far the top of the head is past the head joint, as a share of thigh and calf, along the neck."""
+"""The distance from the head joint to the top of the head, along the neck, as a share of thigh and calf."""
 
 FINGERS_SHARE = 0.25
-"""How far the first knuckle is past the wrist, as a share of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
+"""The distance from wrist to first knuckle as a share of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
 
 _FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to the toes of a foot that the file lacks
 _PAST_BALL = 0.45  # of the way from ankle to ball: the toes lie as much farther

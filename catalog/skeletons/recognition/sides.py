@@ -19,7 +19,7 @@ _SURE = 0.3  # cosine with the left, averaged over frames
 
 @dataclass(frozen=True)
 class Sides:
-    """Which limbs are the left ones.
+    """The left and the right limbs of a body.
 
     Attributes
     ----------
