@@ -10,20 +10,19 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.configs import shipped_configs
 from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
-from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
-from kinedex.catalog.skeletons.skeleton_fit import axes_of_up
 from kinedex.ops.body import kinematics
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.figures import chosen_person
 from kinedex.storage.formats.motion.mapped_body import (
+    is_shipped,
     mapped_orientation,
     posed,
     posed_bytes,
     refuse_far,
     to_metres,
+    turned_upright,
     virtual_joint_warnings,
 )
 from kinedex.storage.formats.motion.points import root_orientation
@@ -105,7 +104,7 @@ class BvhReader(Reader):
             fit = mappings.recognised(file.path, "bvh", _evidence(bvh, person))
         nodes, restored = _restore(person, fit)
         positions, turned = posed(bvh, nodes, fit.root, fit, joints)
-        fit, turned_by = _turned_upright(fit, person, positions, joints)
+        fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
         warnings = [*bvh.file.warnings, *virtual_joint_warnings(fit)]
         rate_hz = corrected_rate(file.path, bvh.file.rate_hz, positions, joints, settings, warnings)
         if restored:
@@ -242,7 +241,7 @@ def _evidence(motion: _Motion, person: Person) -> Evidence:
 def _skips_spine(person: Person, fit: Fit) -> bool:
     """Return whether a shipped mapping leaves out bones between chest and neck, as Mixamo's does of longer spines."""
     chest, neck = fit.joints.get("chest"), fit.joints.get("neck")
-    if not _shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
+    if not is_shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
         return False
     above, node = fit.places[chest.node], person.nodes[fit.places[neck.node]].parent
     long = False
@@ -252,35 +251,12 @@ def _skips_spine(person: Person, fit: Fit) -> bool:
     return long and node == above
 
 
-def _shipped(fit: Fit) -> bool:
-    return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
-
-
-def _turned_upright(fit: Fit, person: Person, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
-    """Turn the joints in place where another axis than that of a shipped mapping is up; return its fit, and why.
-
-    A mapping of the user's own counts as it is.
-    """
-    if not _shipped(fit):
-        return fit, ()
-    frames = np.unique(np.linspace(0, positions.shape[2] - 1, SAMPLED_FRAMES).round().astype(np.int64))
-    known = {joint: positions[i][:, frames] for i, joint in enumerate(joints) if joint not in fit.unknown}
-    resting = None
-    if np.array_equal(fit.mapping.root_axes, fit.mapping.axes):  # else the bones lie along their own axes: no pose
-        rest = np.zeros((len(person.nodes), 3))
-        for i, node in enumerate(person.nodes):
-            rest[i] = person.offsets[i] + (rest[node.parent] if node.parent >= 0 else 0.0)
-        placed = fit.apply(rest[:, :, None], joints)
-        resting = {joint: placed[joints.index(joint)][:, 0] for joint in known}
-    judged = judged_up(known, resting)
-    if judged.axis in ("", "y"):
-        return fit, ()
-    turn = axes_of_up(judged.axis)
-    positions[:] = np.einsum("ab,jbt->jat", turn, positions)
-    up = "xyz"[int(np.argmax(np.abs(turn[1] @ fit.mapping.axes)))]
-    mapping = replace(fit.mapping, axes=turn @ fit.mapping.axes)
-    reason = f"{up} is up in this file, not the axis of mapping '{fit.mapping.name}': {'; '.join(judged.reasons)}"
-    return replace(fit, mapping=mapping), (reason,)
+def _resting(person: Person) -> F64:
+    """Return the places (N, 3) of the nodes when none is turned."""
+    rest = np.zeros((len(person.nodes), 3))
+    for i, node in enumerate(person.nodes):
+        rest[i] = person.offsets[i] + (rest[node.parent] if node.parent >= 0 else 0.0)
+    return rest
 
 
 def _orientation(fit: Fit, positions: F64, turned: F64, joints: tuple[str, ...], upturned: bool) -> F64:

@@ -16,11 +16,16 @@ import numpy.typing as npt
 
 from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
-from kinedex.catalog.skeletons.units import body_height, guess_unit
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
+from kinedex.storage.formats.motion.mapped_body import (
+    mapped_orientation,
+    refuse_far,
+    to_metres,
+    turned_upright,
+    virtual_joint_warnings,
+)
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings, body_bytes
 
@@ -36,9 +41,6 @@ MOST_FREE_FRAMES = 100_000
 _NO_LENGTH_M, _APART_M = 1e-5, 0.01
 
 _LEVEL, _UPRIGHT = 3.0, 35.0  # degrees by which hips and spine may be off in a pose of rest
-
-HEIGHTS_M = (0.4, 2.6)
-"""Heights of a body, along legs and trunk, for which the unit that a file states is believed."""
 
 
 class Poses(Protocol):
@@ -337,11 +339,12 @@ def body_of_figure(
             rest[list(bone.members)] += bone.way
         figure = replace(figure, rest=rest)
     positions, turned = _posed(figure, fit, joints, bones)
-    unit = _scale(path, positions, joints, warnings)
+    fit, upturned = (fit, ()) if figure.upright else turned_upright(fit, figure.rest, positions, joints)
+    unit = to_metres(path, positions, 1.0, joints, warnings, stated=True)
     refuse_far(path, positions, joints, fit.unknown)
     return Body(
         positions=positions,
-        orientation=_orientation(fit, figure, turned, positions, joints),
+        orientation=_orientation(fit, figure, turned, positions, joints, bool(upturned)),
         rate_hz=rate_hz,
         unit=unit,
         skeleton=fit.mapping.name,
@@ -349,7 +352,7 @@ def body_of_figure(
         warnings=(*warnings, *virtual_joint_warnings(fit)),
         estimated=tuple(fit.estimated),
         confidence=fit.confidence,
-        evidence=(*figure.evidence, *fit.reasons),
+        evidence=(*figure.evidence, *fit.reasons, *upturned),
     )
 
 
@@ -361,7 +364,7 @@ def _evidence(figure: Figure, places: F64) -> Evidence:
             offsets[node] -= figure.rest[above]
             if np.abs(places[node] - places[above]).max() < _NO_LENGTH_M:
                 places[node], offsets[node] = places[above], 0.0
-    return Evidence(figure.names, places, figure.parents, offsets, "y", 1.0)
+    return Evidence(figure.names, places, figure.parents, offsets, "y" if figure.upright else None, 1.0)
 
 
 @dataclass(frozen=True)
@@ -405,7 +408,7 @@ def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...], bones: Sequence[_B
     return positions, turned
 
 
-def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: tuple[str, ...]) -> F64:
+def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: tuple[str, ...], upturned: bool) -> F64:
     """Return the root's turn: from the file where the rest pose stands upright and faces ahead, else by the body.
 
     The pose that a file has as its rest may be any pose of a clip. Then the hips and the spine's base, which move with
@@ -415,7 +418,7 @@ def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: 
         return kinematics.quaternions(turned)
     if {"lhip", "rhip", "root"} & set(fit.unknown):
         return mapped_orientation(fit, turned)
-    if not fit.recognised:
+    if not fit.recognised and not upturned:
         rest = dict(zip(joints, fit.apply(figure.rest[:, :, None], joints), strict=True))
         across, up = rest["lhip"] - rest["rhip"], fit.mapping.axes @ _spine_base(fit, figure)[:, None]
         usual = fit.mapping.axes @ fit.mapping.root_axes.T
@@ -443,20 +446,6 @@ def _angle(a: F64, b: F64) -> float:
     """Return the angle between vectors in degrees; 180 where one has no length."""
     lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.degrees(np.arccos(np.clip(a @ b / lengths, -1.0, 1.0)))) if lengths else 180.0
-
-
-def _scale(path: Path, positions: F64, joints: tuple[str, ...], warnings: list[str]) -> str:
-    """Scale positions in place where the stated unit makes no human height, and return the unit in words."""
-    height = body_height(positions, joints)
-    if height is None or HEIGHTS_M[0] <= height <= HEIGHTS_M[1]:
-        return "1 m"
-    name, unit_m, guessed = guess_unit(path, positions, joints)
-    warnings.append(
-        f"by the unit that the file states, the body is {height:.4g} m high; its lengths are read as {name}, which "
-        f"make it {guessed:.2f} m high"
-    )
-    positions *= unit_m
-    return f"{unit_m:.6g} m (guessed)"
 
 
 def chosen_person(path: Path, person: str, persons: Sequence[str]) -> int:

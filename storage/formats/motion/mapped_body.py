@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.skeleton_fit import Fit
+from kinedex.catalog.configs import shipped_configs
+from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES
+from kinedex.catalog.skeletons.recognition.recognised_tree import judged_up
+from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.catalog.skeletons.units import contradicted_unit, guess_unit
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
@@ -176,6 +180,46 @@ def refuse_far(
         raise SourceError(
             path, f"joint '{joints[joint]}' is more than {FARTHEST_M / 1000:g} km away in source frame {frame}"
         )
+
+
+def is_shipped(fit: Fit) -> bool:
+    """Return whether a fit is of a mapping that comes with kinedex, neither recognised nor the user's."""
+    return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
+
+
+def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
+    """Turn the joints in place where another axis than that of a shipped mapping is up; return its fit, and why.
+
+    A mapping of the user's own counts as it is.
+
+    Parameters
+    ----------
+    fit : Fit
+        The skeleton mapping that fits the file.
+    rest : float64 array (N, 3)
+        The file's nodes in the rest pose.
+    positions : float64 array (J, 3, T)
+        The joints; they are turned in place.
+    joints : tuple of str
+        The names of the J joints.
+    """
+    if not is_shipped(fit):
+        return fit, ()
+    frames = np.unique(np.linspace(0, positions.shape[2] - 1, SAMPLED_FRAMES).round().astype(np.int64))
+    known = {joint: positions[i][:, frames] for i, joint in enumerate(joints) if joint not in fit.unknown}
+    resting = None
+    if np.array_equal(fit.mapping.root_axes, fit.mapping.axes):  # else the bones lie along their own axes: no pose
+        placed = fit.apply(rest[:, :, None], joints)
+        resting = {joint: placed[joints.index(joint)][:, 0] for joint in known}
+    judged = judged_up(known, resting)
+    if judged.axis in ("", "y"):
+        return fit, ()
+    turn = axes_of_up(judged.axis)
+    positions[:] = np.einsum("ab,jbt->jat", turn, positions)
+    up = "xyz"[int(np.argmax(np.abs(turn[1] @ fit.mapping.axes)))]
+    mapping = replace(fit.mapping, axes=turn @ fit.mapping.axes)
+    reason = f"{up} is up in this file, not the axis of mapping '{fit.mapping.name}': {'; '.join(judged.reasons)}"
+    return replace(fit, mapping=mapping), (reason,)
 
 
 def mapped_orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:

@@ -253,7 +253,7 @@ def test_a_file_in_centimetres_is_found_out(tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(document.glb())
     body = read(tmp_path / "a.glb")
     assert body.unit == "0.01 m (guessed)"
-    assert any("its lengths are read as cm" in warning for warning in body.warnings)
+    assert any("it is read in cm" in warning for warning in body.warnings)
     np.testing.assert_allclose(body.positions, twin(tmp_path, mixamo()).positions, atol=1e-5)
 
 
