@@ -45,6 +45,7 @@ class _LandmarkFile(BaseModel):
     suffixes: list[str] = Field(default_factory=list)
     skin: _Part
     centres: _Part
+    orders: dict[str, list[str]] = Field(default_factory=dict)
     points: dict[str, list[dict[str, float]]]
     joints: dict[str, list[dict[str, Any]]]
 
@@ -125,6 +126,8 @@ class Landmarks:
         The alternatives of each named joint that has a regression.
     points : dict of str to tuple of Choice
         The alternatives of each point that regressions use.
+    orders : dict of str to tuple of str
+        The labels of points that files without names hold, by the program that writes them so.
     """
 
     skin: Table
@@ -135,6 +138,7 @@ class Landmarks:
     suffixes: tuple[str, ...]
     joints: Mapping[str, tuple[Choice, ...]]
     points: Mapping[str, tuple[Choice, ...]]
+    orders: Mapping[str, tuple[str, ...]]
     _keys: dict[str, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
@@ -330,6 +334,7 @@ def _landmarks(located: Located, parsed: _LandmarkFile) -> Landmarks:
     order = [name for part in both for name in _names(part)]
     points = _mirrored({name: _choices(located, "points", name, ways) for name, ways in parsed.points.items()}, order)
     known = {*order, *points}
+    orders = {name: tuple(labels) for name, labels in parsed.orders.items()}
     left = {name: _choices(located, "joints", name, ways) for name, ways in parsed.joints.items()}
     joints = _mirrored(left, [*order, *points])
     for joint, choices in joints.items():
@@ -337,7 +342,9 @@ def _landmarks(located: Located, parsed: _LandmarkFile) -> Landmarks:
             for name in (*(name for name, _ in choice.weights), *choice.plane):
                 if name not in known:
                     raise located.error(f"no landmark is called '{name}'", "joints", joint)
-    return Landmarks(skin, centres, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points)
+    return Landmarks(
+        skin, centres, tuple(order), frozenset(many), sides, tuple(parsed.suffixes), joints, points, orders
+    )
 
 
 def _names(part: _Part) -> list[str]:

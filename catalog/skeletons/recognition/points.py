@@ -15,7 +15,7 @@ from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.proportions import Proportions, check_proportions
 from kinedex.catalog.skeletons.recognition.stand_ins import stand_ins
-from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping
+from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
 
@@ -46,7 +46,6 @@ _AMID = 0.1  # hip widths; a point of the pelvis that is nearer to the middle of
 _ROOT_UP = 0.12  # of the way from the middle of the hips to that of the shoulders; 0.06 to 0.20 in Acclaim bodies
 _ROOT_BACK = 0.4  # hip widths; 0.59 to 0.87 for HDM05's actors bd, bk and dg, 0.24 for CMU's 02
 _TINY = 1e-9  # of any unit: joints on each other, as no body has them, which the proportions show
-_SURE_UP = 0.75  # a stated axis is doubted only above this
 
 
 @dataclass
@@ -138,7 +137,7 @@ def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landm
     if not reading.skin:
         _centres(draft, reading)
     _trunk(draft, reading)
-    _ends(draft)
+    _ends(draft, reading)
     places = {joint: place for joint in joints if (place := draft.place(joint)) is not None}
     proportions = check_proportions(places)
     refusal = _refusal(draft, reading, proportions)
@@ -359,14 +358,31 @@ def _knee_between_clusters(draft: _Draft, reading: Reading, side: str) -> None:
     draft.set(f"{side}knee", mix, how="between the markers of thigh and shank")
 
 
-def _ends(draft: _Draft) -> None:
+def _ends(draft: _Draft, reading: Reading) -> None:
     """Estimate the ends of limbs: fingers past the wrist, toes in front of the ankle."""
     for side in _SIDES:
         wrist, elbow = f"{side}wrist", f"{side}elbow"
         if wrist in draft.joints and elbow in draft.joints:
             mix = Mix(((elbow, -0.25), (wrist, 1.25)), of_joints=True)
             draft.set(f"{side}fingers", mix, how="past the wrist, in line with the forearm")
+        if reading.skin:
+            _toes_of_markers(draft, reading, side)
         _toes(draft, side)
+
+
+def _toes_of_markers(draft: _Draft, reading: Reading, side: str) -> None:
+    """Estimate toes in front of a marker on the ankle, as the pelvis faces."""
+    parts = ("rasis", "lasis", "c7", "lacromion", f"{side}kneelat", f"{side}anklelat")
+    of = {name: reading.labels[name][0] for name in parts if name in reading.labels}
+    above = of.get("c7", of.get("lacromion"))
+    if above is None or not {"rasis", "lasis", f"{side}kneelat", f"{side}anklelat"} <= of.keys():
+        return
+    knee, ankle = of[f"{side}kneelat"], of[f"{side}anklelat"]
+    shank = _length(draft.places[ankle] - draft.places[knee])
+    width = _length(draft.places[of["lasis"]] - draft.places[of["rasis"]])
+    below = _blend(_one(knee), _one(ankle), 1.14)
+    mix = replace(below, plane=(of["rasis"], of["lasis"], above), out=round(0.36 * shank / width, 4))
+    draft.set(f"{side}toes", mix, how="in front of the ankle, as the pelvis faces")
 
 
 def _toes(draft: _Draft, side: str) -> None:
@@ -405,16 +421,9 @@ def _upright(places: Mapping[str, F64], evidence: Evidence) -> tuple[F64, list[s
     stated = evidence.up
     reasons = [f"up is {judged.axis or 'undecided'} by posture (confidence {judged.confidence:.2f})", *judged.reasons]
     if stated is None:
-        return axes_of(judged.axis or "y"), reasons
+        return axes_of_up(judged.axis or "y"), reasons
     reasons = [f"the file states that {stated} is up", *reasons]
-    return axes_of(stated), reasons
-
-
-def axes_of(up: str) -> F64:
-    """Return the rotation (3, 3) of right-handed axes that takes an axis, as "z" or "-z", to +Y."""
-    index = "xyz".index(up[-1])
-    axes = np.eye(3)[[(index + 2) % 3, index, (index + 1) % 3]]
-    return axes * np.array([[-1.0], [-1.0], [1.0]]) if up[0] == "-" else axes
+    return axes_of_up(stated), reasons
 
 
 def _mapping(draft: _Draft, reading: Reading, joints: Sequence[str], axes: F64, form: Format) -> SkeletonMapping:

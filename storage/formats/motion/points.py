@@ -17,7 +17,7 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import Gap, fill_gaps
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import refuse_far, to_metres
-from kinedex.storage.formats.motion.reader import Body, ReadSettings, body_bytes
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, ReadSettings, body_bytes
 
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -139,9 +139,10 @@ def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
         rate_hz = settings.rate_of(points.rate_hz, warnings)
     elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
         rate_hz = set_hz
+    elif points.clock_hz is not None and SLOWEST_HZ <= points.clock_hz <= FASTEST_HZ:
+        rate_hz = points.clock_hz
     else:
-        seen = f" (by its times, {points.clock_hz:.4g} Hz)" if points.clock_hz is not None else ""
-        raise SourceError(points.path, f"does not state its frames per second{seen}: give `rate_hz`, or --rate")
+        raise SourceError(points.path, "does not state its frames per second: give `rate_hz`, or --rate")
     if points.clock_hz is not None and abs(points.clock_hz - rate_hz) > 0.01 * rate_hz:
         warnings.append(f"it is read at {rate_hz:.6g} Hz, but by the times in the file it is {points.clock_hz:.6g} Hz")
     return rate_hz

@@ -5,15 +5,27 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Sequence
-from typing import ClassVar
+from dataclasses import replace
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
 from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
+from kinedex.catalog.skeletons.recognition.recognised_tree import joint_places
+from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
+from kinedex.ops.body.up_axis import up_axis
+from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
 from kinedex.storage.formats.motion.points import Points, body_of_points, points_bytes
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
+
+LEAST_LANDMARKS = 8
+"""A subject with fewer known labels is no person, either."""
+
+SURE_UP = 0.75
+"""The confidence above which a body is turned upright, or what a file states is doubted."""
 
 LEAST_POINTS = 10
 """A subject of fewer points is a thing that was recorded beside the person: a box, a racket, a wand."""
@@ -88,6 +100,70 @@ def evidence_of(points: Points, up: str | None = None) -> Evidence:
     frames = points.positions.shape[2]
     sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
     return Evidence(tuple(seen), points.positions[list(seen.values())][:, :, sample], up=up, unit_m=points.unit_m)
+
+
+def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
+    """Return the fit turned upright where nothing states what is up; warn where the body contradicts the file.
+
+    Parameters
+    ----------
+    fit : Fit
+        The mapping over the points.
+    evidence : Evidence
+        The points in some frames, and the axis that the file calls vertical.
+    warnings : list of str
+        A sentence is appended if the body stands along another axis than the file states.
+    """
+    if fit.mapping.unit_m is not None and evidence.up is None:
+        return fit  # the mapping of one archive knows its axes
+    judged = up_axis(joint_places(fit, evidence.places, None)[0])
+    index = int(np.argmax(np.abs(fit.mapping.axes[1])))
+    taken = ("-" if fit.mapping.axes[1, index] < 0 else "") + "xyz"[index]
+    if not judged.axis or judged.axis == taken or judged.confidence < SURE_UP:
+        return fit
+    if evidence.up is not None:
+        warnings.append(
+            f"the file states that {taken} is up, which counts, but its body stands along {judged.axis} "
+            f"({judged.reasons[0]}); if it lies on its side, give a mapping of your own with `up` and `screen: false`"
+        )
+        return fit
+    reasons = (*fit.reasons, f"{judged.axis} is up: " + "; ".join(judged.reasons))
+    return replace(fit, mapping=replace(fit.mapping, axes=axes_of_up(judged.axis)), reasons=reasons)
+
+
+def bodies_of(labels: Sequence[str]) -> list[str]:
+    """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body."""
+    landmarks, of = load_landmarks(), subjects(labels)
+    many = [
+        name for name in persons_of(labels) if landmarks.read([labels[i] for i in of[name]]).known >= LEAST_LANDMARKS
+    ]
+    return many if len(many) > 1 else []
+
+
+AnyPoints = TypeVar("AnyPoints", bound=Points)
+
+
+def points_of_person(points: AnyPoints, person: str) -> AnyPoints:
+    """Return the points of one subject of a file; all of them if no person is asked for.
+
+    Raises
+    ------
+    SourceError
+        There is no such subject, or there are several and none is asked for.
+    """
+    of = subjects(points.names)
+    if not person:
+        bodies = bodies_of(points.names)
+        if bodies:
+            raise SourceError(
+                points.path,
+                f"holds the markers of {len(bodies)} persons, {', '.join(bodies)}; ingest makes a take of each",
+            )
+        return points
+    if person not in of:
+        raise SourceError(points.path, f"has no subject '{person}'; its subjects are {', '.join(filter(None, of))}")
+    names = tuple(points.names[i] for i in of[person])
+    return replace(points, names=names, positions=points.positions[of[person]])
 
 
 def subjects(labels: Sequence[str]) -> dict[str, list[int]]:

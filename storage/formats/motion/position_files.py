@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array, load_arrays
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.position_tables import Lines, Table, cells_of, parse_number, whole_points
+from kinedex.storage.formats.motion.position_tables import Lines, Table, cells_of, whole_points
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ
 
 F64 = npt.NDArray[np.float64]
@@ -28,7 +29,11 @@ RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
 _READ = (*ARRAYS, *NAMES, *RATES)
 _AT_ONCE = 16_384  # frames that are converted at a time
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-_AXIS = re.compile(r"(.+)_([xyzXYZ])")
+_AXIS = re.compile(r"(.+?)\s*[_. :]\s*([xyzXYZ])")
+_LEAST_POINTS = 5  # points of a table whose columns are `LKNE.x` or `LKNE X`; three such columns are those of a sensor
+_LONGEST_HEAD = 1 << 20  # bytes of a TRC header
+_HEAD_LINES = 20
+_ROUNDED = 3e-4  # by so much a rate is off that follows from times of four digits; 59.94 Hz are not 60
 
 
 def parse_positions(path: Path) -> Points:
@@ -60,11 +65,12 @@ def is_positions_csv(path: Path) -> bool:
             header = file.readline(1 << 20)
     except OSError:
         return True
-    columns = [found for cell in cells_of(_text(header), ",") if (found := _AXIS.fullmatch(cell.strip()))]
+    cells = [cell.strip() for cell in cells_of(_text(header), ",")]
     axes: dict[str, set[str]] = {}
-    for found in columns:
+    for found in filter(None, map(_AXIS.fullmatch, cells)):
         axes.setdefault(found[1], set()).add(found[2].lower())
-    return any(len(found) == 3 for found in axes.values())
+    whole = [name for name, found in axes.items() if len(found) == 3]
+    return len(whole) >= _LEAST_POINTS or any(f"{name}_{axis}" in cells for name in whole for axis in "xX")
 
 
 def positions_extent(path: Path) -> tuple[int, int, int]:
@@ -77,8 +83,9 @@ def positions_extent(path: Path) -> tuple[int, int, int]:
     """
     ending = path.suffix.lower()
     if ending in (".csv", ".trc"):
-        table = Table(path, *((",", 1) if ending == ".csv" else ("\t", 5)))
-        columns = table.columns
+        head = None if ending == ".csv" else trc_head(path)
+        table = Table(path, ",", 1) if head is None else Table(path, head.separator, head.first)
+        columns = table.columns if head is None else max(table.columns, head.cells)
         return table.rows, -(-columns // 3), 24 * table.rows + table.bytes
     shapes = array_shapes(path)
     size = sum(math.prod(shape) * kind.itemsize for name, (shape, kind) in shapes.items() if name in ("", *_READ))
@@ -125,41 +132,144 @@ def parse_csv(path: Path) -> Points:
     return Points(str(path), tuple(columns), positions, clock_hz=clock, warnings=warnings)
 
 
-def parse_trc(path: Path) -> Points:
-    """Read a TRC file (OpenSim, Pose2Sim and others): five lines of header with rate and unit, then one row a frame.
+@dataclass(frozen=True)
+class TrcHead:
+    """The header of a TRC file.
 
-    An empty cell or `nan` is a gap; a point at 0, 0, 0 is one that stands there.
+    Attributes
+    ----------
+    separator : str
+        The character between cells: a tab, or a comma in files that a spreadsheet wrote.
+    values : dict of str to str
+        The numbers and words of the header, by name in lower case.
+    labels : tuple of str
+        The names of the markers.
+    line : int
+        The line of the labels, from 1.
+    first : int
+        The number of lines before the first frame.
+    cells : int
+        Cells of the first frame.
     """
-    table = Table(path, "\t", 5)
-    lines = table.head
-    if not lines[0].startswith("PathFileType") or len(lines) < 5:
-        raise SourceError(path, "expected a TRC header of five lines that begins with PathFileType", line=1)
-    header_values = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    rate_hz = _header_number(path, header_values, "DataRate")
-    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
-        raise SourceError(path, f"DataRate must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}", line=3)
-    unit = header_values.get("Units", "").lower()
-    if unit not in _UNITS_M:
-        raise SourceError(path, f"Units must be one of {', '.join(_UNITS_M)}, got {unit or 'nothing'!r}", line=3)
-    cells = [cell.strip() for cell in lines[3].split("\t")]
-    if [cell.lower() for cell in cells[:2]] != ["frame#", "time"]:
-        raise SourceError(path, "expected 'Frame#', 'Time' and the names of the markers, tab by tab", line=4)
-    names = [cell for cell in cells[2:] if cell]
-    _refuse_count(path, len(names), "names of markers after 'Frame#' and 'Time'", 4)
-    counts = Counter(names)
-    twice = next((name for name in names if counts[name] > 1), None)
-    if twice is not None:
-        raise SourceError(path, f"two markers are named '{twice}'", line=4)
-    header = ["Frame#", "Time", *(f"{name} {axis}" for name in names for axis in "XYZ")]
-    positions, (numbers, times), where = table.points(header, range(2, len(header)), (0, 1))
-    warnings = []
-    for key, what, is_there in (("NumFrames", "frames", table.rows), ("NumMarkers", "markers", len(names))):
-        claimed = _header_number(path, header_values, key)
-        if claimed != is_there:
-            warnings.append(f"the header states {claimed:g} {what}, the file holds {is_there}, which are kept")
+
+    separator: str
+    values: dict[str, str]
+    labels: tuple[str, ...]
+    line: int
+    first: int
+    cells: int
+
+
+def trc_head(path: Path) -> TrcHead:
+    """Read the header of a TRC file, in which lines may be blank or missing.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or has no line that begins with Frame# and names the markers.
+    """
+    try:
+        with path.open("rb") as file:
+            lines = _text(file.read(_LONGEST_HEAD)).splitlines()
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from None
+    at = next((i for i, line in enumerate(lines[:_HEAD_LINES]) if line.strip().lower().startswith("frame")), None)
+    if at is None:
+        raise SourceError(
+            path,
+            "expected a TRC header: a line PathFileType, one of names (DataRate, NumFrames, Units, …), one of their "
+            "values, and one that begins with Frame#, Time and the names of the markers; write these above the numbers",
+            line=1,
+        )
+    separator = "\t" if "\t" in lines[at] else ","
+    cells = [cell.strip() for cell in lines[at].split(separator)]
+    keys = next((i for i in range(at) if "datarate" in lines[i].lower()), None)
+    values: dict[str, str] = {}
+    if keys is not None:
+        words = [[word for word in re.split(r"[\s,]+", line) if word] for line in lines[keys:at] if line.strip(" \t,")]
+        values = dict(zip((word.lower() for word in words[0]), words[1] if len(words) > 1 else (), strict=False))
+    labels = tuple(cell for cell in cells[2:] if cell)
+    rows = [i for i in range(at + 1, len(lines)) if lines[i].strip(" \t,")]
+    axes = bool(rows) and re.search(r"(?i)\bX\d*\b", lines[rows[0]]) is not None
+    first = rows[axes] if len(rows) > axes else len(lines)
+    numbers = lines[first].rstrip(" \t,") if first < len(lines) else ""
+    return TrcHead(separator, values, labels, at + 1, first, len(cells_of(numbers, separator)))
+
+
+def parse_trc(path: Path) -> Points:
+    """Read a TRC file (OpenSim, Pose2Sim and others): a header with rate, unit and labels, then one row a frame.
+
+    An empty cell or `nan` is a gap; a point at 0, 0, 0 is one that stands there. Markers without a label are dropped,
+    and those that share one.
+    """
+    head = trc_head(path)
+    table = Table(path, head.separator, head.first)
+    names = list(head.labels)
+    _refuse_count(path, len(names), "names of markers after 'Frame#' and 'Time'", head.line)
+    warnings: list[str] = []
+    there = max(0, head.cells - 2) // 3
+    if there > len(names):
+        warnings.append(f"its rows have {there} markers, its header names {len(names)}; the others are dropped")
+    count = max(there, len(names))
+    called = [names[i] if i < len(names) else f"marker {i + 1}" for i in range(count)]
+    header = ["Frame#", "Time", *(f"{name} {axis}" for name in called for axis in "XYZ")]
+    positions, (numbers, times), where = table.points(header, range(2, 2 + 3 * len(names)), (0, 1))
     _check_frames(path, numbers, where)
     clock = _clock(path, times, where)
-    return Points(str(path), tuple(names), positions, rate_hz, clock, _UNITS_M[unit], warnings)
+    warnings += _wrong_counts(head, table.rows, len(names))
+    rate_hz, unit_m = _trc_rate(head, clock, warnings), _trc_unit(head, warnings)
+    return Points(str(path), _unique(names, warnings), positions, rate_hz, clock, unit_m, warnings)
+
+
+def _wrong_counts(head: TrcHead, frames: int, markers: int) -> list[str]:
+    """Return warnings on counts of the header that are not those of the file."""
+    found = []
+    for key, what, there in (("numframes", "frames", frames), ("nummarkers", "markers", markers)):
+        claimed = _number(head.values.get(key, ""))
+        if claimed is not None and claimed != there:
+            found.append(f"the header states {claimed:g} {what}, the file holds {there}, which are kept")
+    return found
+
+
+def _trc_rate(head: TrcHead, clock_hz: float | None, warnings: list[str]) -> float | None:
+    """Return the stated rate if it is one, else that of the times."""
+    stated = _number(head.values.get("datarate", ""))
+    if stated is not None and SLOWEST_HZ <= stated <= FASTEST_HZ:
+        return stated
+    if clock_hz is None or not SLOWEST_HZ <= clock_hz <= FASTEST_HZ:
+        return None
+    called = "no DataRate" if stated is None else f"a DataRate of {stated:g}"
+    warnings.append(f"the header has {called}; by its times it is {clock_hz:.6g} Hz, which counts")
+    return clock_hz
+
+
+def _trc_unit(head: TrcHead, warnings: list[str]) -> float | None:
+    """Return the metres of the stated unit; None where it states none that is known."""
+    unit = head.values.get("units", "").lower()
+    if unit not in _UNITS_M:
+        warnings.append(f"its header has no unit of {', '.join(_UNITS_M)}" + (f", but {unit!r}" if unit else ""))
+    return _UNITS_M.get(unit)
+
+
+def _unique(names: Sequence[str], warnings: list[str]) -> tuple[str, ...]:
+    """Return the names with those numbered that several markers have, so that none is mistaken."""
+    counts, counted = Counter(names), Counter[str]()
+    twice = [name for name, count in counts.items() if count > 1]
+    if twice:
+        warnings.append(f"several markers are called {', '.join(twice[:6])}; none of them is used")
+    unique = []
+    for name in names:
+        counted[name] += 1
+        unique.append(f"{name} ({counted[name]})" if counts[name] > 1 else name)
+    return tuple(unique)
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
 
 
 def parse_arrays(path: Path) -> Points:
@@ -233,15 +343,6 @@ def _text(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def _header_number(path: Path, values: dict[str, str], key: str) -> float:
-    if key not in values:
-        raise SourceError(path, f"the header has no {key}{did_you_mean(key, values)}", line=2)
-    value = parse_number(path, values[key], key, 3)
-    if not np.isfinite(value):
-        raise SourceError(path, f"{key} must be a number, got {values[key]!r}", line=3)
-    return value
-
-
 def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
     """Refuse frame numbers that do not ascend by one: after a jump, all motion would come too early."""
     wrong = np.flatnonzero(~(np.diff(numbers) == 1.0))
@@ -255,13 +356,16 @@ def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
 
 
 def _clock(path: Path, times: F64, where: Lines) -> float | None:
-    """Return the frames per second of a column of times; None for a single frame."""
+    """Return the frames per second of a column of times, whole where rounding allows it; None for a single frame."""
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
     if len(wrong):
         raise SourceError(
             path, f"time {times[wrong[0] + 1]:g} does not come after the last", line=int(where[wrong[0] + 1])
         )
-    return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else None
+    if len(times) < 2:
+        return None
+    rate_hz = float((len(times) - 1) / (times[-1] - times[0]))
+    return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < _ROUNDED * rate_hz else rate_hz
 
 
 def _first(mask: npt.NDArray[np.bool_], axis: int) -> int:

@@ -187,6 +187,8 @@ def cells_of(line: str, separator: str) -> list[str]:
 def parse_number(path: Path, cell: str, column: str, line: int) -> float:
     """Parse a cell, NaN if it is empty; a SourceError names the column of one that is no number."""
     text = cell.strip()
+    if text.lstrip("+-").startswith("1.#"):  # as Microsoft's C writes numbers that are none
+        return float("nan")
     try:
         if "_" in text:  # Python's own notation, no one else's
             raise ValueError

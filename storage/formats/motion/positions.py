@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
+from kinedex.catalog.skeletons.recognition.points import recognise_points
+from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
-from kinedex.storage.formats.motion.points import body_of_points, points_bytes
-from kinedex.storage.formats.motion.points_reader import evidence_of
-from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions, positions_extent
+from kinedex.storage.formats.motion.points import Points, body_of_points, points_bytes
+from kinedex.storage.formats.motion.points_reader import bodies_of, evidence_of, points_of_person, upright
+from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions, positions_extent, trc_head
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
 
@@ -42,12 +45,39 @@ class PositionsReader(Reader):
         SourceError
             The file is damaged, no mapping fits, no frame is whole, or no rate is known.
         """
-        points = parse_positions(file.path)
+        points = points_of_person(parse_positions(file.path), file.person)
         warnings = list(points.warnings)
         if not points.names:
-            name, names = mappings.names_in_order(file.path, len(points.positions))
+            called, names = _names_in_order(points, mappings)
             points = replace(points, names=names)
-            warnings.append(f"the file does not name its joints; they are read in the order of mapping '{name}'")
-        fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points))
+            warnings.append(f"the file does not name its joints; they are read in the order of {called}")
+        evidence = evidence_of(points)
+        fit = mappings.detect(file.path, "positions", points.places(), evidence)
         warnings += virtual_joint_warnings(fit)
+        if "positions" not in mappings.forced:
+            fit = upright(fit, evidence, warnings)
         return body_of_points(points, points.names, fit, joints, settings, warnings)
+
+    def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
+        """Return the subjects of the labels of a TRC file that have the landmarks of a body, if they are several."""
+        return tuple(bodies_of(trc_head(file.path).labels)) if file.path.suffix.lower() == ".trc" else ()
+
+
+def _names_in_order(points: Points, mappings: Mappings) -> tuple[str, tuple[str, ...]]:
+    """Return names for points without any, and whose they are: of orders of as many points the surest body counts."""
+    count = len(points.positions)
+    orders = {f"mapping '{each.name}'": each.order for each in mappings.of("positions") if len(each.order) == count}
+    if "positions" not in mappings.forced:
+        orders |= {name: order for name, order in load_landmarks().orders.items() if len(order) == count}
+    if len(orders) < 2:
+        name, names = next(iter(orders.items()), None) or mappings.names_in_order(points.path, count)
+        return name, names
+    return max(orders.items(), key=lambda item: _likeness(points, item[1], mappings.joints))
+
+
+def _likeness(points: Points, order: tuple[str, ...], joints: tuple[str, ...]) -> float:
+    """Return how surely points in an order are a body, from 0 to 1."""
+    try:
+        return recognise_points(points.path, evidence_of(replace(points, names=order)), joints).confidence
+    except SourceError:
+        return 0.0

@@ -11,6 +11,7 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
+from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import numpy_arrays as stored
@@ -167,15 +168,91 @@ def test_rates_that_contradict_each_other_are_said_and_missing_ones_asked_for(tm
         read(write(tmp_path / "a.csv", csv_text(walk, COCO)), ReadSettings())
 
 
+QUIRKS = {
+    "commas": (lambda text: text.replace("\t", ","), ()),
+    "commas to the end of every line": (lambda text: text.replace("\t", ",").replace("\n", ",,,\n"), ()),
+    "blank lines in the header": (
+        lambda text: "\n".join(f"{line}\n" for line in text.split("\n")[:5]) + text[_rows(text) :], (),
+    ),
+    "no PathFileType": (lambda text: text.split("\n", 1)[1], ()),
+    "no line of axes": (lambda text: "\n".join(line for line in text.split("\n") if "X1" not in line), ()),
+    "a rate of 0": (lambda text: text.replace("60.00", "0", 1), ("by its times it is 60 Hz",)),
+    "no rate": (lambda text: text.replace("DataRate", "Rate", 1), ("by its times it is 60 Hz",)),
+    "no unit": (
+        lambda text: text.replace("Units\t", "").replace("\tmm\t", "\t"),
+        ("no unit of m, cm, mm, in", "is guessed: mm"),
+    ),
+    "an unknown unit": (lambda text: text.replace("\tmm\t", "\tft\t"), ("but 'ft'", "is guessed: mm")),
+    "counts that lie": (
+        lambda text: text.replace("\t20\t17\t", "\t7\t99\t"), ("states 7 frames", "states 99 markers"),
+    ),
+    "more columns than labels": (
+        lambda text: "".join(f"{line}\t1\t2\t3\n" if line[:1].isdigit() and "mm" not in line else f"{line}\n"
+                             for line in text.split("\n")), ("its rows have 18 markers, its header names 17",),
+    ),
+    "two markers of one name": (lambda text: text.replace("left_eye", "nose"), ("several markers are called nose",)),
+    "numbers that are none": (lambda text: text.replace("\n1\t0.0000\t0\t", "\n1\t0.0000\t1.#QNAN\t"), ()),
+    "a subject's name": (lambda text: text.replace("left_", "Ann:left_").replace("right_", "Ann:right_"), ()),
+}  # fmt: skip
+
+
+def _rows(text: str) -> int:
+    return text.index("\n1\t0.0000") + 1
+
+
+@pytest.mark.parametrize("quirk", QUIRKS)
+def test_trc_files_come_in_as_programs_write_them(tmp_path: Path, quirk: str) -> None:
+    text = trc(1000 * keypoints(COCO, 20), COCO)
+    change, warnings = QUIRKS[quirk]
+    assert change(text) != text
+    expected = read(write(tmp_path / "a.trc", text), ReadSettings())
+    body = read(write(tmp_path / "b.trc", change(text)), ReadSettings())
+    assert body.rate_hz == pytest.approx(60.0, abs=0.1)
+    for joint in ("lwrist", "root", "rknee", "lankle"):
+        np.testing.assert_allclose(body.positions[index(joint)], expected.positions[index(joint)], atol=1e-9)
+    for warning in warnings:
+        assert any(warning in found for found in body.warnings), body.warnings
+
+
+@pytest.mark.parametrize("axis", ["z", "-y", "x"])
+def test_a_body_of_keypoints_is_turned_upright(tmp_path: Path, axis: str) -> None:
+    walk = keypoints(COCO, 12)
+    x, y, z = np.moveaxis(walk, 2, 0)
+    turned_walk = np.stack({"z": (x, -z, y), "-y": (x, -y, -z), "x": (y, z, x)}[axis], axis=2)
+    expected = read(write(tmp_path / "a.csv", csv_text(walk, COCO)))
+    body = read(write(tmp_path / "b.csv", csv_text(turned_walk, COCO)))
+    np.testing.assert_allclose(body.positions[:, 1], expected.positions[:, 1], atol=1e-9)
+    assert any(f"up is {axis} by posture" in sentence for sentence in body.evidence)
+    named = np.einsum("jat->tja", standing(4))[:, :, [0, 2, 1]] * [1, -1, 1]
+    assert (
+        read(write(tmp_path / "c.csv", csv_text(named, JOINTS))).evidence == ()
+    )  # what kinedex exports is never turned
+
+
+@pytest.mark.parametrize(("count", "name"), [(17, "left_wrist"), (22, "left wrist"), (33, "left wrist")])
+def test_points_without_names_are_known_by_their_number(tmp_path: Path, count: int, name: str) -> None:
+    orders = {17: COCO, **{len(order): order for order in load_landmarks().orders.values() if len(order) != 17}}
+    order = orders[count]
+    walk = np.stack([LIKE.get(label.replace(" ", "_"), STANDING["head"]) for label in order])[None].repeat(9, axis=0)
+    np.save(tmp_path / "a.npy", walk)
+    body = read(tmp_path / "a.npy")
+    np.testing.assert_allclose(body.positions[index("lwrist"), :, 0], walk[0, order.index(name)])
+    assert set(body.unknown) <= {"ltoes", "rtoes"}
+
+
+PARTS = {"hip": "hip", "knee": "knee", "ankle": "ankle", "foot": "toes", "foot_index": "toes", "heel": "ankle",
+         "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist", "index": "fingers", "pinky": "fingers",
+         "collar": "clavicle", "thumb": "wrist"}  # fmt: skip
+LIKE = {f"{word}_{part}": STANDING[side + joint] for word, side in (("left", "l"), ("right", "r")) for part, joint in
+        PARTS.items()} | {"pelvis": STANDING["root"], "spine1": STANDING["belly"], "spine2": STANDING["chest"],
+                          "spine3": (0, 1.35, 0), "neck": STANDING["neck"]}  # fmt: skip
+
 TRC = trc(1000 * keypoints(COCO, 3), COCO)
 CSV = csv_text(keypoints(COCO, 3), COCO)
 
 FAULTS = {
-    "not TRC": ("a.trc", "hello\n", 1, "PathFileType"),
-    "no rate": ("a.trc", TRC.replace("DataRate", "Datarate", 1), 2, "the header has no DataRate; did you mean"),
-    "a rate of zero": ("a.trc", TRC.replace("60.00", "0", 1), 3, "DataRate must be 1 to 10000 Hz"),
-    "an unknown unit": ("a.trc", TRC.replace("\tmm\t", "\tft\t"), 3, "Units must be one of m, cm, mm, in"),
-    "two markers of one name": ("a.trc", TRC.replace("left_eye", "nose"), 4, "two markers are named 'nose'"),
+    "not TRC": ("a.trc", "hello\n", 1, "expected a TRC header"),
+    "numbers without a header": ("a.trc", TRC.split("\n", 6)[6], 1, "expected a TRC header: a line PathFileType"),
     "no number": ("a.trc", TRC.replace("\n2\t0.0167\t0\t", "\n2\t0.0167\tx\t"), 8, "column 'nose X': not a number"),
     "a row cut off": ("a.trc", TRC[:-12], 9, "cells, the header has 53 columns"),
     "a frame left out": ("a.trc", TRC.replace("\n2\t", "\n3\t"), 8, "expected the next frame's number after frame 1"),
