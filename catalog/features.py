@@ -229,6 +229,8 @@ class FeatureSet:
             Unknown features, and those that are known without the joints.
         """
         names = {joint for joint in joints if joint in self.joints}
+        if not names:
+            return AffectedFeatures((), (), ())
         lost = {self.joints.index(joint) for joint in names}
         standing = bool(self.ground) and all(set(group) - names for group in self.ground)
         unknown, narrowed, scaled = [], [], []
