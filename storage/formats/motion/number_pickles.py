@@ -28,6 +28,9 @@ MOST_BYTES = 512 << 20
 MOST_TUPLES = 20_000
 """More tuples could lie in each other so deep that Python fails on them."""
 
+MOST_LISTS = 200_000
+"""Lists and dicts of a file; each takes far more memory than the byte that makes it."""
+
 _WAY_OUT = (
     "a pickle can run any code, so only numbers, texts, lists, dicts and NumPy arrays are read; with a program that "
     "you trust, save its arrays by `numpy.savez('take.npz', **arrays)`"
@@ -196,7 +199,7 @@ def load_pickle(path: Path) -> dict[str, Any]:
 
 def _check(data: bytes) -> None:
     """Refuse instructions that are not needed for numbers, and places in the memory far beyond those in use."""
-    tuples = 0
+    tuples = others = 0
     for count, (opcode, argument, _) in enumerate(pickletools.genops(data), 1):
         if opcode.name not in _OPCODES:
             raise _Refused(f"has the instruction {opcode.name}")
@@ -205,8 +208,9 @@ def _check(data: bytes) -> None:
         if opcode.name == "GLOBAL" and "joblib" in str(argument):
             raise _Refused("was written by joblib, whose arrays lie beside the pickle")
         tuples += opcode.name.startswith("TUPLE")
-        if tuples > MOST_TUPLES:
-            raise _Refused(f"has more than {MOST_TUPLES} tuples")
+        others += opcode.name in ("EMPTY_LIST", "EMPTY_DICT", "LIST", "DICT")
+        if tuples > MOST_TUPLES or others > MOST_LISTS:
+            raise _Refused(f"has more than {MOST_TUPLES} tuples, or more than {MOST_LISTS} lists")
 
 
 def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:

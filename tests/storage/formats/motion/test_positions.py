@@ -281,7 +281,7 @@ def test_a_fault_is_named_with_its_line_and_column(tmp_path: Path, fault: str) -
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"poses": np.zeros((3, 156)), "trans": np.zeros((3, 3))}, "holds the joint angles of a body (AMASS)"),
+        ({"poses": np.zeros((3, 156)), "trans": np.zeros((3, 3))}, "holds the joint angles of a body (AMASS, SMPL)"),
         ({"position": np.zeros((3, 17, 3))}, "did you mean 'position'?"),
         ({"positions": np.zeros((3, 17, 4))}, "must be numbers of shape (frames, joints, 3), got (3, 17, 4)"),
         ({"positions": np.zeros((3, 18, 3))}, "does not name its 18 joints"),
