@@ -28,6 +28,8 @@ RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
 
 _READ = (*ARRAYS, *NAMES, *RATES)
 _AT_ONCE = 16_384  # frames that are converted at a time
+_TIMES = ("time", "times", "time (s)", "time(s)", "time_s", "time (seconds)")
+_SHOWN = 12  # columns that a warning names
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _AXIS = re.compile(r"(.+?)\s*[_. :]\s*([xyzXYZ])")
 _LEAST_POINTS = 5  # points of a table whose columns are `LKNE.x` or `LKNE X`; three such columns are those of a sensor
@@ -113,7 +115,7 @@ def parse_csv(path: Path) -> Points:
         seen.add(name)
         if found:
             columns.setdefault(found[1], {})[found[2].lower()] = i
-        elif name.lower() not in ("frame", "time"):
+        elif name.lstrip("# ").lower() not in ("frame", *_TIMES):
             unused.append(name or f"number {i + 1}")
     for joint, axes in columns.items():
         for axis in "xyz":
@@ -121,14 +123,15 @@ def parse_csv(path: Path) -> Points:
                 raise SourceError(path, f"column '{joint}_{axis}' is missing in the header", line=1)
     _refuse_count(path, len(columns), "'<joint>_x', '<joint>_y' and '<joint>_z' for every joint", 1)
     order = [columns[joint][axis] for joint in columns for axis in "xyz"]
-    lower = [name.lower() for name in header]
+    lower = ["time" if (bare := name.lstrip("# ").lower()) in _TIMES else bare for name in header]
     others = [name for name in ("frame", "time") if name in lower]
     positions, found_others, where = table.points(header, order, [lower.index(name) for name in others])
     numbers = dict(zip(others, found_others, strict=True))
     if "frame" in numbers:
         _check_frames(path, numbers["frame"], where)
     clock = _clock(path, numbers["time"], where) if "time" in numbers else None
-    warnings = [f"columns {', '.join(unused)} are not used"] if unused else []
+    more = f" and {len(unused) - _SHOWN} more" if len(unused) > _SHOWN else ""
+    warnings = [f"columns {', '.join(unused[:_SHOWN])}{more} are not used"] if unused else []
     return Points(str(path), tuple(columns), positions, clock_hz=clock, warnings=warnings)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import zipfile
 from pathlib import Path
 
@@ -350,3 +351,35 @@ def test_only_tables_of_positions_are_motion_files(tmp_path: Path) -> None:
     assert is_positions_csv(write(tmp_path / "a.csv", "\ufeff" + CSV.replace("_x", "_X")))
     for header in ("take,class,start,stop\n", "", "a_x,b_y,c_z\n"):
         assert not is_positions_csv(write(tmp_path / "b.csv", header))
+
+
+def test_tables_of_bvh_toolbox_and_pose2sim_blender_come_in_by_their_times(tmp_path: Path) -> None:
+    walk = keypoints(COCO, 8)
+    header, *rows = csv_text(walk, COCO).splitlines()
+    times = [f"{t / 24:.5f}" for t in range(8)]
+    cells = [",".join([time, *row.split(",")[1:]]) for time, row in zip(times, rows, strict=True)]
+    dotted = re.sub(r"_([xyz])(?=,|$)", r".\1", header.replace("frame", "time"))
+    first = write(tmp_path / "a.csv", "\n".join([dotted, *cells, ""]))
+    turned = header.replace("frame", "# times").replace("nose_x", "nose_x, nose_rotx").replace(",", ", ")
+    wide = [",".join([*row.split(",")[:2], "0.5", *row.split(",")[2:]]) for row in cells]
+    second = write(tmp_path / "b.csv", "\n".join([turned, *wide, ""]))
+    plain = read(write(tmp_path / "c.csv", csv_text(walk, COCO)))
+    for path in (first, second):
+        assert is_positions_csv(path)
+        body = read(path, ReadSettings())
+        assert body.rate_hz == pytest.approx(24.0, rel=1e-3)
+        np.testing.assert_allclose(body.positions, plain.positions, atol=1e-4)
+        assert read(path, ReadSettings(rate_hz=30.0)).rate_hz == 30.0
+
+
+def test_tables_of_programs_in_the_wild_come_in(shared: Path) -> None:
+    folder = shared / "data" / "wild"
+    for name, rate_hz in (
+        ("bvh-toolbox/walk01_pos.csv", 24.0),
+        ("Pose2Sim_Blender/Pose2Sim_motion.csv", 60.0),
+        ("Pose2Sim_Blender/Moco_motion.csv", 30.2308),
+    ):
+        body = read(folder / name, ReadSettings())
+        assert body.rate_hz == pytest.approx(rate_hz, rel=1e-3)
+        head, feet = (body.positions[index(joint), 1].mean() for joint in ("head", "lankle"))
+        assert 1.2 < head - feet < 1.8
