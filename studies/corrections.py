@@ -1,0 +1,281 @@
+"""`python -m studies.corrections STORE`: what a person gains who corrects annotations, simulated with ground truth.
+
+The store is that of `kinedex run annotate` with ground truth. One actor at a time is left out: the takes of that actor
+are annotated and judged, and nothing else is done with them. The templates begin with one clip of each class, of other
+actors. The takes of the other actors are annotated, and a simulated person looks at a few segments in each round: what
+agrees with ground truth becomes an example with the true edges, what is another class an example of that one, and the
+rest is rejected. Then everything is learned and annotated again. The orders in which segments are looked at are
+compared: by confidence, by disagreement of `best` and `thesis`, at random. Where no take of another actor has ground
+truth, the clips of each other actor are laid end to end.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from kinedex.catalog.classes import OWN, Classes, load_classes
+from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.words import U64, TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.methods import annotation_method
+from kinedex.pipelines.annotation.threshold_calibration import calibrate
+from kinedex.pipelines.engine.executors import Executor, make_executor
+from kinedex.pipelines.templates.examples import Rejected
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
+from kinedex.storage.store.store import Store, open_store
+from studies.few_clips import draw, truth_of
+
+DELTA, TAU = 0.05, 0.13
+AGREES = 0.5
+"""A segment agrees with a manual one if they share this part of their union."""
+
+ORDERS = ("least confident", "methods disagree", "random", "most confident")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A long take with its actor, its words and its manual segments (class, start, stop)."""
+
+    name: str
+    actor: str
+    words: U64
+    truth: tuple[tuple[str, int, int], ...]
+
+
+@dataclass
+class Person:
+    """The examples that a simulated person has made so far, and the segments that were looked at."""
+
+    examples: dict[tuple[str, str], U64]
+    actors: dict[str, str]
+    rejected: list[Rejected] = field(default_factory=list)
+    seen: dict[str, list[tuple[int, int]]] = field(default_factory=lambda: defaultdict(list))
+
+    def has_seen(self, motion: Motion, segment: Segment) -> bool:
+        """Return whether a segment was looked at before, as it is or nearly so."""
+        return any(_shared(segment.start, segment.stop, *one) >= AGREES for one in self.seen[motion.name])
+
+    def look(self, motion: Motion, label: str, segment: Segment) -> None:
+        """Accept, correct or reject a segment."""
+        self.seen[motion.name].append((segment.start, segment.stop))
+        fitting = [one for one in motion.truth if _shared(segment.start, segment.stop, *one[1:]) >= AGREES]
+        if not any(one[0] == label for one in fitting):
+            self.rejected.append(Rejected(label, motion.name, motion.words[segment.start : segment.stop]))
+        for name, start, stop in fitting:
+            self.examples[name, f"{motion.name}[{start}:{stop}]"] = motion.words[start:stop]
+
+    def clips(self) -> list[TrainingClips]:
+        """Return the examples by class."""
+        found: dict[str, list[str]] = defaultdict(list)
+        for label, name in sorted(self.examples):
+            found[label].append(name)
+        return [
+            TrainingClips(
+                label,
+                tuple(names),
+                tuple(self.examples[label, name] for name in names),
+                takes=tuple(name.rpartition("[")[0] or name for name in names),
+            )
+            for label, names in found.items()
+        ]
+
+
+def _shared(start: int, stop: int, first: int, last: int) -> float:
+    return max(0, min(stop, last) - max(start, first)) / (max(stop, last) - min(start, first))
+
+
+def motions_of(store: Store, classes: Classes) -> tuple[list[Motion], list[Motion]]:
+    """Return the takes with ground truth, and the clips of each actor laid end to end."""
+    rows = {row["take_id"]: row for row in store.takes().iter_rows(named=True)}
+    segments: dict[int, list[tuple[str, int, int]]] = defaultdict(list)
+    for (take_id, label), ranges in truth_of(store).items():
+        segments[take_id] += [(label, *one) for one in ranges]
+    takes = [
+        Motion(rows[one]["name"], rows[one]["actor"], store.words([one]).take(0), tuple(own))
+        for one, own in segments.items()
+    ]
+    of = classes.of_subclass()
+    laid = []
+    for (actor,), group in (
+        store.takes("class IS NOT NULL").sort("actor", "name").group_by("actor", maintain_order=True)
+    ):
+        words, truth, at = [], [], 0
+        for take_id, subclass in (
+            group.sample(fraction=1.0, shuffle=True, seed=1).select("take_id", "class").iter_rows()
+        ):
+            words.append(store.words([take_id]).take(0))
+            truth.append((of.get(subclass, subclass), at, at + len(words[-1])))
+            at += len(words[-1])
+        laid.append(Motion(f"{actor} laid", str(actor), np.concatenate(words), tuple(truth)))
+    return takes, laid
+
+
+def annotator(
+    store: Store, templates: Sequence[SubclassTemplate], person: Person, method: str, tau: object
+) -> Annotator:
+    """Return an annotator of one method with templates of a person's examples."""
+    known = load_classes(OWN, {one.subclass for one in templates})
+    thresholds = tau if isinstance(tau, dict) else dict.fromkeys(known.names, TAU)
+    return make_annotator(
+        store.feature_set, templates, known, DELTA, thresholds, method=annotation_method(method),
+        clips=lambda: list(person.examples.values()),
+    )  # fmt: skip
+
+
+def segments_of(made: Annotator, motions: Sequence[Motion]) -> list[tuple[Motion, str, Segment]]:
+    """Annotate motions, and return each segment with its motion and class."""
+    offsets = np.cumsum([0, *(len(one.words) for one in motions)]).astype(np.int64)
+    words = TakeWords(np.arange(len(motions)), offsets, np.concatenate([one.words for one in motions]))
+    return [
+        (motion, made.classes[segment.class_index], segment)
+        for motion, one in zip(motions, annotate_words(made, words), strict=True)
+        for segment in one.segments
+    ]
+
+
+def judged(found: Sequence[tuple[Motion, str, Segment]], motions: Sequence[Motion]) -> Counts:
+    """Count the agreement of segments and ground truth over all motions and classes."""
+    automatic, manual = defaultdict(list), defaultdict(list)
+    for motion, label, segment in found:
+        automatic[motion.name, label].append((segment.start, segment.stop))
+    for motion in motions:
+        for label, start, stop in motion.truth:
+            manual[motion.name, label].append((start, stop))
+    return pooled(compare(automatic[key], manual[key]) for key in sorted({*automatic, *manual}))
+
+
+def ordered(
+    order: str,
+    best: Sequence[tuple[Motion, str, Segment]],
+    thesis: Sequence[tuple[Motion, str, Segment]],
+    random: np.random.Generator,
+) -> list[tuple[Motion, str, Segment]]:
+    """Return segments of `best` in the order in which a person looks at them."""
+    others: Mapping[tuple[str, str], list[Segment]] = defaultdict(list)
+    for motion, label, segment in thesis:
+        others[motion.name, label].append(segment)
+
+    def agreement(one: tuple[Motion, str, Segment]) -> float:
+        motion, label, segment = one
+        shares = [_shared(segment.start, segment.stop, own.start, own.stop) for own in others[motion.name, label]]
+        return max(shares, default=0.0)
+
+    keys: dict[str, Callable[[tuple[Motion, str, Segment]], float]] = {
+        "least confident": lambda one: one[2].confidence,
+        "most confident": lambda one: -one[2].confidence,
+        "methods disagree": agreement,
+        "random": lambda one: float(random.random()),
+    }
+    shuffled = [best[index] for index in random.permutation(len(best))]  # segments that are alike in no set order
+    return sorted(shuffled, key=keys[order])
+
+
+def learned(store: Store, clips: Sequence[TrainingClips], executor: Executor) -> list[SubclassTemplate]:
+    """Return soft templates of examples."""
+    features = len(store.feature_set.features)
+    return [one for task in learn_templates(clips, ["soft"], features, executor) for one in task]
+
+
+def calibrated(store: Store, person: Person, executor: Executor, *, negatives: bool) -> dict[str, float]:
+    """Return calibrated thresholds of a person's examples, with or without what was rejected."""
+    clips = person.clips()
+    classes = load_classes(OWN, {one.subclass for one in clips})
+    rejected = person.rejected if negatives else ()
+    try:
+        found = calibrate(
+            clips, person.actors, classes, DELTA, lambda some: learned(store, some, executor), executor, rejected
+        ).taus
+    except KinedexError:  # the examples of each class are of one actor
+        found = {}
+    return {name: found.get(name, TAU) for name in classes.names}
+
+
+def simulate(
+    store: Store,
+    seeds: Person,
+    pool: Sequence[Motion],
+    test: Sequence[Motion],
+    order: str,
+    given: argparse.Namespace,
+    seed: int,
+) -> tuple[list[Counts], dict[str, Counts]]:
+    """Return the agreement on unseen takes after each round, and that of `thesis` with thresholds of the last round."""
+    executor = make_executor("serial", None)
+    random = np.random.default_rng(seed)
+    person = Person(dict(seeds.examples), seeds.actors)
+    curve: list[Counts] = []
+    templates = learned(store, person.clips(), executor)
+    for number in range(given.rounds + 1):
+        best = annotator(store, templates, person, "best", TAU)
+        curve.append(judged(segments_of(best, test), test))
+        if number == given.rounds:
+            break
+        of_best = [one for one in segments_of(best, pool) if not person.has_seen(one[0], one[2])]
+        thesis = annotator(store, templates, person, "thesis", TAU) if order == "methods disagree" else None
+        of_thesis = segments_of(thesis, pool) if thesis is not None else []
+        for motion, label, segment in ordered(order, of_best, of_thesis, random)[: given.each]:
+            person.look(motion, label, segment)
+        templates = learned(store, person.clips(), executor)
+    ends = {}
+    for name, negatives in (("without", False), ("with", True)):
+        taus = calibrated(store, person, executor, negatives=negatives)
+        ends[name] = judged(segments_of(annotator(store, templates, person, "thesis", taus), test), test)
+    return curve, ends
+
+
+def main() -> None:
+    """Simulate all orders and print the tables as Markdown."""
+    parser = argparse.ArgumentParser(prog="python -m studies.corrections", description=__doc__)
+    parser.add_argument("store", type=Path, help="store of `kinedex run annotate` with ground truth")
+    parser.add_argument("--classes", default=OWN, help="the classes that the ground truth speaks of")
+    parser.add_argument("--rounds", type=int, default=6, help="rounds")
+    parser.add_argument("--each", type=int, default=10, help="segments that the person looks at in a round")
+    parser.add_argument("--actors", type=int, default=3, help="actors to leave out, at most")
+    parser.add_argument("--draws", type=int, default=1, help="draws of the first clips for each actor")
+    given = parser.parse_args()
+    store = open_store(given.store)
+    clips = store.takes("class IS NOT NULL")
+    classes = load_classes(given.classes, set(clips["class"]))
+    takes, laid = motions_of(store, classes)
+    curves, ends = defaultdict(list), defaultdict(list)
+    left_out = sorted({one.actor for one in takes})[: given.actors]
+    for actor in left_out:
+        test = [one for one in takes if one.actor == actor]
+        pool = [one for one in takes if one.actor != actor] or [one for one in laid if one.actor != actor]
+        for seed in range(given.draws):
+            others = clips.filter(pl.col("actor") != actor)
+            of = classes.of_subclass()
+            others = others.with_columns(pl.col("class").replace(of))
+            first = others.filter(pl.col("name").is_in(draw(others, 1, seed)))
+            words = {row["name"]: store.words([row["take_id"]]).take(0) for row in first.iter_rows(named=True)}
+            people = {one.name: one.actor for one in (*takes, *laid)} | dict(first.select("name", "actor").iter_rows())
+            seeds = Person(
+                {(row["class"], row["name"]): words[row["name"]] for row in first.iter_rows(named=True)}, people
+            )
+            for order in ORDERS:
+                curve, end = simulate(store, seeds, pool, test, order, given, seed)
+                curves[order].append([one.f1 for one in curve])
+                ends[order].append([value for name in ("without", "with") for value in (end[name].f1, end[name].f2)])
+    print(f"{len(left_out)} actors left out, {given.draws} draws; at first one clip of {len(seeds.examples)} classes\n")
+    print(f"| looked at | {' | '.join(str(given.each * number) for number in range(given.rounds + 1))} |")
+    print(f"|---|{'--:|' * (given.rounds + 1)}")
+    for order, rows in curves.items():
+        print(f"| {order} | {' | '.join(f'{value:.2f}' for value in np.mean(rows, axis=0))} |")
+    print("\n| calibrated thresholds, last round | F (frames) | F (segments) | with rejections | F (segments) |")
+    print("|---|--:|--:|--:|--:|")
+    for order, rows in ends.items():
+        print(f"| {order} | {' | '.join(f'{value:.2f}' for value in np.mean(rows, axis=0))} |")
+
+
+if __name__ == "__main__":
+    main()
