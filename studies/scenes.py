@@ -56,9 +56,11 @@ def _read(path: Path) -> Body:
 
 
 def _compared(body: Body, expected: Body) -> str:
-    """Return the frames of both, the mapping, the largest distance of a joint, and the share of equal words."""
+    """Return frames, mapping, the largest distance of a joint that neither file lacks, and the share of equal words."""
     frames = min(body.frames, expected.frames)
     apart = np.linalg.norm(body.positions[..., :frames] - expected.positions[..., :frames], axis=1)
+    for name in {*body.estimated, *expected.estimated}:
+        apart[FEATURES.joints.index(name)] = np.nan
     joint = int(np.argmax(np.nan_to_num(apart).max(axis=1)))
     words = [_words(one, frames) for one in (body, expected)]
     equal = 100.0 * float(np.mean(words[0] == words[1]))
