@@ -10,7 +10,7 @@ from typing import ClassVar
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
+from kinedex.storage.formats.motion.points_reader import PointsReader, bodies_of, labels_of_person
 from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
@@ -46,7 +46,7 @@ class MotiveReader(PointsReader):
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the names of the skeletons, if there are several."""
-        return persons_of(_layout(file.path).labels)
+        return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
         """Count the rows; the columns are those of the points."""
@@ -63,7 +63,7 @@ class MotiveReader(PointsReader):
                 path, f"positions are in the space {stated['Coordinate Space']!r}, in which bones lie on each other: "
                 "export it again with Coordinate Space: Global", line=1,
             )  # fmt: skip
-        places, names = labels_of_person(layout.labels, file.person, warnings)
+        places, names = labels_of_person(path, layout.labels, file.person, warnings)
         order = [column for i in places for column in layout.columns[i]]
         table = _table(path, layout)
         positions, (numbers,), where = table.points(layout.header, order, (0,))

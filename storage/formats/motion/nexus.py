@@ -12,7 +12,7 @@ from typing import ClassVar
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
+from kinedex.storage.formats.motion.points_reader import PointsReader, bodies_of, labels_of_person
 from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.table_sections import Section, beginning, refuse_jumps, text_of
@@ -56,7 +56,7 @@ class NexusReader(PointsReader):
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the names of the subjects, if several have enough points for a person."""
-        return persons_of(_layout(file.path).labels)
+        return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
         """Count the rows of the section; the columns are those of the points."""
@@ -70,7 +70,7 @@ class NexusReader(PointsReader):
         warnings: list[str] = []
         if layout.title != "trajectories":
             warnings.append(f"it has no section Trajectories; the body is that of {layout.title.title()}")
-        places, names = labels_of_person(layout.labels, file.person, warnings)
+        places, names = labels_of_person(path, layout.labels, file.person, warnings)
         order = [column for i in places for column in layout.columns[i]]
         positions, (numbers,), where = _table(path, layout).points(layout.cells, order, (0,))
         refuse_jumps(path, numbers, where)

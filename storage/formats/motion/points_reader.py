@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -81,8 +82,11 @@ class PointsReader(Reader):
             The file is damaged, the body is not recognised, no frame is whole, or no rate is known.
         """
         points = self.points(file, settings)
-        fit = mappings.detect(file.path, "positions", points.places(), evidence_of(points, self.up))
+        evidence = evidence_of(points, self.up)
+        fit = mappings.detect(file.path, "positions", points.places(), evidence)
         warnings = [*points.warnings, *virtual_joint_warnings(fit)]
+        if "positions" not in mappings.forced:
+            fit = upright(fit, evidence, warnings)
         return body_of_points(points, points.names, fit, joints, settings, warnings)
 
 
@@ -180,11 +184,15 @@ def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
     return tuple(found) if len(found) > 1 else ()
 
 
-def labels_of_person(labels: Sequence[str], person: str, warnings: list[str]) -> tuple[list[int], tuple[str, ...]]:
-    """Choose the labels of one person: those of the subject asked for, else of the only one with enough points.
+def labels_of_person(
+    path: Path, labels: Sequence[str], person: str, warnings: list[str]
+) -> tuple[list[int], tuple[str, ...]]:
+    """Choose the labels of one person: those of the subject asked for, else of the only one that may be a person.
 
     Parameters
     ----------
+    path : Path
+        The file, for errors.
     labels : sequence of str
         All labels of a file.
     person : str
@@ -198,15 +206,26 @@ def labels_of_person(labels: Sequence[str], person: str, warnings: list[str]) ->
         Indices of the labels that are used.
     names : tuple of str
         Their names without the subject.
+
+    Raises
+    ------
+    SourceError
+        There are several persons, and none of them is asked for.
     """
     of = subjects(labels)
+    bodies = bodies_of(labels)
+    if bodies and person not in of:
+        raise SourceError(path, f"holds {len(bodies)} persons, {', '.join(bodies)}; ingest makes a take of each")
     whole = [name for name, places in of.items() if name and len(places) >= LEAST_POINTS]
+    if len(whole) > 1:
+        known = load_landmarks()
+        whole = [name for name in whole if known.read([labels[i] for i in of[name]]).known >= LEAST_LANDMARKS] or whole
     chosen = person if person in of else whole[0] if len(whole) == 1 else None
     places = list(range(len(labels))) if chosen is None else of[chosen]
     short = [labels[i] if chosen is None else labels[i].rpartition(":")[2] for i in places]
-    others = [name for name in of if name and name not in (chosen, *whole)]
+    others = [name for name in of if name and name != chosen and name not in bodies]
     if chosen is not None and others:
-        warnings.append(f"points of {', '.join(others[:6])} are not used: too few for a person")
+        warnings.append(f"points of {', '.join(others[:6])} are not used: they are none of a person's")
     twice = sorted(name for name, count in Counter(short).items() if count > 1)
     if twice:
         warnings.append(f"{', '.join(twice[:6])} stand for several points each, and are not used")

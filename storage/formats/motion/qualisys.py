@@ -13,7 +13,7 @@ import numpy as np
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader, labels_of_person, persons_of
+from kinedex.storage.formats.motion.points_reader import PointsReader, bodies_of, labels_of_person
 from kinedex.storage.formats.motion.position_tables import parse_number
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
@@ -47,7 +47,7 @@ class QualisysReader(PointsReader):
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the names of the subjects, if several have enough points for a person."""
-        return persons_of(_layout(file.path).labels)
+        return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
         """Count the rows; the columns are those of the markers."""
@@ -62,7 +62,7 @@ class QualisysReader(PointsReader):
         rate_hz = _number(path, layout, "FREQUENCY")
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise SourceError(path, f"FREQUENCY must be {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz, got {rate_hz:g}")
-        places, names = labels_of_person(layout.labels, file.person, warnings)
+        places, names = labels_of_person(path, layout.labels, file.person, warnings)
         order = [layout.leading + 3 * i + axis for i in places for axis in range(3)]
         table = _table(path, layout)
         others = (0,) if layout.leading else ()

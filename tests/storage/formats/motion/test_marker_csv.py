@@ -109,10 +109,15 @@ def test_things_beside_a_person_are_not_used_and_are_named(tmp_path: Path) -> No
     body = read(path)
     assert any("points of box are not used" in warning for warning in body.warnings)
     np.testing.assert_allclose(body.positions, EXPECTED, atol=1e-4)
+    wand = (*SKELETON, *(f"wand:{i}" for i in range(12)))
+    write(path, nexus_csv(1000 * np.concatenate([WALK, WALK[:, :12]], axis=1), wand))
+    assert reader_of(path).persons(MotionFile(path), AUTO) == ()
+    np.testing.assert_allclose(read(path).positions, EXPECTED, atol=1e-4)
     both = (*SKELETON, *(f"Bob:{joint}" for joint in JOINTS))
     write(path, nexus_csv(1000 * np.concatenate([WALK, WALK], axis=1), both))
     assert reader_of(path).persons(MotionFile(path), AUTO) == ("Ann", "Bob")
     np.testing.assert_allclose(read(path, "Bob").positions, EXPECTED, atol=1e-4)
+    refused(path, "holds 2 persons, Ann, Bob")
 
 
 def test_faults_of_nexus_are_refused_with_their_line(tmp_path: Path) -> None:
