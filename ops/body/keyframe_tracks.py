@@ -26,8 +26,8 @@ def sample_track(times: F64, values: F64, at: F64, interpolation: str, turns: bo
     times : float64 array (K,)
         Seconds of the keys, ascending.
     values : float64 array (K, C) or (3 K, C)
-        Values of the keys; for "CUBICSPLINE" incoming tangent, value and outgoing tangent of each (glTF 2.0,
-        Section 3.11).
+        Values of the keys; for "CUBICSPLINE" incoming tangent, value and outgoing tangent of each,
+        as glTF has them.
     at : float64 array (T,)
         Seconds of the samples.
     interpolation : str
