@@ -43,9 +43,9 @@ class HelpPage(TyperGroup):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the commands, then the options in one paragraph: the page is one screen."""
         self.format_commands(ctx, formatter)
-        options = ", ".join(one.opts[0] for one in self.get_params(ctx))
+        options = ", ".join(one.opts[0] for one in self.get_params(ctx) if one.opts[0] != "--help")
         formatter.write_paragraph()
-        formatter.write_text(f"Options: {options}. Options of a command: {ctx.command_path} COMMAND --help")
+        formatter.write_text(f"Options: {options}{', ' * bool(options)}COMMAND --help")
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section of commands for each subject; a group within a group has one section."""
@@ -96,8 +96,8 @@ app = typer.Typer(
     name="kinedex",
     cls=HelpPage,
     help="A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out.",
-    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some source files, 124 a time limit ended it, "
-    "130 Ctrl-C did.",
+    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were excluded, "
+    "124 a time limit ended it, 130 Ctrl-C did.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs

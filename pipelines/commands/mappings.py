@@ -100,7 +100,10 @@ def remove(
     name: Annotated[str, typer.Argument(help="Name of the mapping, as `kinedex mapping list STORE` prints it.")],
     wait: WaitOption = None,
 ) -> None:
-    """Remove a mapping from a store; takes that were read with it stay as they are until the next ingest."""
+    """Remove a mapping from a store.
+
+    Takes that were read with it stay as they are until the next ingest.
+    """
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.writer import StoreWriter
 
