@@ -150,7 +150,9 @@ def takes(
         return
     show_table(table.select(wanted), form, output)
     if form == "table" and output is None:
-        print_message(f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes")
+        partial = table.num_rows - table.column("known").null_count
+        lacking = f"; {counted(partial, 'body', 'bodies')} without some joints (column known)" if partial else ""
+        print_message(f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes{lacking}")
 
 
 @command(ASK)

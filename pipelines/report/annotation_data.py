@@ -38,6 +38,7 @@ ROLES = {
     "templates": "templates",
     "annotations": "annotations",
     "annotated_takes": "annotations",
+    "not_applied": "annotations",
     "hits": "annotations",
     "ground_truth": "evaluation",
     "metrics": "evaluation",
@@ -133,10 +134,18 @@ def read_report_data(
         hits=_hits(reader),
         failures=_failures(store),
         warnings=_warnings(takes),
+        not_applied=_not_applied(reader),
         stages=records,
         versions=(("Python", platform.python_version()), *((name, _version(name)) for name in PACKAGES)),
         commands=(command(pipeline, store.path.resolve(), records),),
     )
+
+
+def _not_applied(reader: Reader) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return the templates and queries that were not applied to some takes, with these."""
+    table = reader.frame("not_applied").select("kind", "name", "take").unique().sort("kind", "name", "take")
+    grouped = table.group_by("kind", "name", maintain_order=True).agg("take")
+    return tuple((f"{kind} {name}", tuple(takes)) for kind, name, takes in grouped.iter_rows())
 
 
 class Reader:

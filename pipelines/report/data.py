@@ -147,7 +147,8 @@ class ReportData:
     `evaluation` and `held_out` name the evaluations of `scores` that are the main one and leave one actor out (or one
     of another column of takes, `held_out_column`); `learned_from` holds that column's values among the example clips.
     `subclasses` maps a class to the subclasses that were searched for it; empty where that is not stored.
-    `curves` belong to the take `curves_take`.
+    `curves` belong to the take `curves_take`. `not_applied` has each template and query with the takes that it was not
+    applied to.
     """
 
     title: str
@@ -180,6 +181,7 @@ class ReportData:
     hits: tuple[HitCount, ...] = ()
     failures: tuple[Failure, ...] = ()
     warnings: tuple[tuple[str, str], ...] = ()
+    not_applied: tuple[tuple[str, tuple[str, ...]], ...] = ()
     stages: tuple[StageRow, ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
     commands: tuple[str, ...] = ()
