@@ -194,7 +194,7 @@ MACROS = (
     t.known IS NULL OR ((t.known >> CAST(f.number - 1 AS UBIGINT)) & 1) = 1 AS known
 FROM features AS f JOIN takes AS t ON t.take_id = {_take("take")}
 ORDER BY f.number""",
-        "SELECT name FROM known_features((SELECT min(name) FROM takes)) WHERE NOT known",
+        "SELECT known, count(*) AS features FROM known_features((SELECT min(name) FROM takes)) GROUP BY known",
     ),
     Macro(
         "features_of",

@@ -48,7 +48,6 @@ def search(
 
     The result is a table of the intervals that hold hits.
     """
-    from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.engine.runner import new_run_id
     from kinedex.pipelines.search.explanation import explain_search
     from kinedex.pipelines.search.search import load_query_file, save_hits, search_remarks, search_store
@@ -81,18 +80,19 @@ def search(
         return
     for remark in remarks:
         typer.echo(remark, err=True)
-    if not plain:
-        show_table(hits if save is not None else hits.drop_columns(["saved_as"]), form, output)
-    elif save is not None:
-        print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
+    if plain:
+        _show_hits(hits, save, run)
     else:
-        _show_hits(hits)
+        show_table(hits if save is not None else hits.drop_columns(["saved_as"]), form, output)
 
 
-def _show_hits(hits: pa.Table) -> None:
-    """Show hits as a table with a line below it."""
+def _show_hits(hits: pa.Table, save: str | None, run: str | None) -> None:
+    """Show hits as a table with a line below it, or the line alone where they were saved."""
     from kinedex.pipelines.console.wording import counted
 
+    if save is not None:
+        print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
+        return
     show_table(hits.drop_columns(["run", "saved_as", "take_id"]), "table", None)
     takes = len(set(hits.column("take_id").to_pylist()))
     hint = "" if hits.num_rows else "; --explain shows at which keyframe the search ends"

@@ -95,8 +95,7 @@ def read_report_data(
     annotations = reader.frame("annotations")
     annotate = reader.record("annotations")
     subclasses = _subclasses(pairs, annotations)
-    annotated = reader.frame("annotated_takes")["take"].unique().to_list()
-    rows = _takes(takes.filter(pl.col("name").is_in(annotated)))
+    rows = _takes(takes.filter(pl.col("name").is_in(reader.frame("annotated_takes")["take"].unique().to_list())))
     chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
     records = tuple(record for record in reader.records() if record.stage != own_stage)
     kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"

@@ -31,13 +31,14 @@ from kinedex.pipelines.annotation.preparation import (
 )
 from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
+from kinedex.pipelines.annotation.threshold_calibration import Calibration
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.search.not_applied import known_of, not_applied_table
 from kinedex.pipelines.templates.examples import rejected_examples
-from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.learning import SubclassTemplate, read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
@@ -71,37 +72,13 @@ class Annotate(Stage[AnnotationParameters]):
             classes = annotation_classes(store, params.classes, templates)
             queries, keyframes = queries_of(store, params), context.inputs.get("keyframes")
             learned = learned_queries(store, context.key(keyframes)) if keyframes is not None else []
-            made_with = context.params_of("templates", TemplateParameters)
-            calibration = calibrated_thresholds(
-                store,
-                params,
-                made_with,
-                classes,
-                lambda: training_material(store, made_with).clips,
-                context.executor,
-                lambda: rejected_examples(store, made_with),
-            )
-            annotator = prepare_annotator(
-                store,
-                params,
-                templates,
-                classes,
-                lambda: template_words(store, templates),
-                calibration,
-                queries,
-                learned,
-            )
+            annotator, calibration = _prepared(context, store, params, templates, classes, queries, learned)
             known = known_of(store.known, takes["take_id"].to_list())
-            remarks = [
-                *annotator.remarks, *calibration.remarks, *params.without_effect(), *annotator.remarks_on(known)
-            ]  # fmt: skip
+            remarks = [*annotator.remarks, *calibration.remarks, *params.without_effect(), *annotator.remarks_on(known)]
             for remark in remarks:
                 context.say(remark)
             _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)
-            names = dict(takes.select("take_id", "name").iter_rows())
-            refused = not_applied_table(annotator.partly_known(known), known, names, context.run)
-            writer.put_results("not_applied", refused, stage=context.key(), run=context.run)
             writer.commit()
         share = _share_searched(done.searched, takes)
         context.say(
@@ -128,6 +105,30 @@ class Annotate(Stage[AnnotationParameters]):
             "calibration_f": _rounded(calibration.scores),
             "remarks": remarks,
         }
+
+
+def _prepared(
+    context: StageContext,
+    store: Store,
+    params: AnnotationParameters,
+    templates: Sequence[SubclassTemplate],
+    classes: Classes,
+    queries: Sequence[KeyframeQuery],
+    learned: Sequence[KeyframeQuery],
+) -> tuple[Annotator, Calibration]:
+    """Return the annotator, and the thresholds that were calibrated for it."""
+    made_with = context.params_of("templates", TemplateParameters)
+    calibration = calibrated_thresholds(
+        store,
+        params,
+        made_with,
+        classes,
+        lambda: training_material(store, made_with).clips,
+        context.executor,
+        lambda: rejected_examples(store, made_with),
+    )
+    clips = partial(template_words, store, templates)
+    return prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned), calibration
 
 
 def _rounded(values: Mapping[str, float]) -> dict[str, float]:
@@ -184,6 +185,8 @@ def _annotate(
     table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: within a take they are in order
     put("annotations", table)
     put("annotated_takes", takes_table(takes, context.run, searched, prints))
+    lacking = known_of(writer.store.known, names)
+    put("not_applied", not_applied_table(annotator.partly_known(lacking), lacking, names, context.run))
     return Done(table.num_rows, len(kept.searched), searched)
 
 
