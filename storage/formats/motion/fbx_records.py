@@ -87,11 +87,6 @@ class Record:
         return np.array([value for value in self.values if isinstance(value, int) and abs(value) < 1 << 62], np.int64)
 
 
-def is_binary(data: bytes) -> bool:
-    """Return whether an FBX file is binary."""
-    return data.startswith(MAGIC[:18])
-
-
 def read_records(path: Path, data: bytes) -> tuple[Record, int]:
     """Parse the records of an FBX file that describe nodes and their motion.
 
@@ -112,7 +107,7 @@ def read_records(path: Path, data: bytes) -> tuple[Record, int]:
     SourceError
         The file is damaged, no FBX, or of a version that is not read.
     """
-    return _Binary(path, data).top() if is_binary(data) else _Text(path, data).top()
+    return _Binary(path, data).top() if data.startswith(MAGIC[:18]) else _Text(path, data).top()
 
 
 def check_version(path: Path, version: int) -> None:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from kinedex.ops.body.curves import Curve
 from kinedex.ops.body.kinematics import euler
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.fbx_records import Record, Value, is_binary, read_records
+from kinedex.storage.formats.motion.fbx_records import Record, Value, read_records
 from kinedex.storage.formats.motion.reader import MOST_POINTS, source_bytes
 
 F64 = npt.NDArray[np.float64]
@@ -147,7 +147,7 @@ class Scene:
     def __init__(self, path: Path, data: bytes | None = None) -> None:
         self.path = path
         content = source_bytes(path, data)
-        self.size, self.binary = len(content), is_binary(content)
+        self.size = len(content)
         top, self.version = read_records(path, content)
         self.settings = _properties(top.first("GlobalSettings"))
         self.nodes: list[SceneNode] = []

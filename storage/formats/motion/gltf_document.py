@@ -136,7 +136,6 @@ class _Buffer(_Part):
 
 class _Asset(_Part):
     version: str = ""
-    generator: str = ""
 
 
 class Content(_Part):
