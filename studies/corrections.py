@@ -30,8 +30,10 @@ from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.threshold_calibration import calibrate
 from kinedex.pipelines.engine.executors import Executor, make_executor
+from kinedex.pipelines.labels.segments import placed_files
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 from studies.few_clips import draw, truth_of
 
@@ -94,15 +96,20 @@ def _shared(start: int, stop: int, first: int, last: int) -> float:
     return max(0, min(stop, last) - max(start, first)) / (max(stop, last) - min(start, first))
 
 
-def motions_of(store: Store, classes: Classes) -> tuple[list[Motion], list[Motion]]:
-    """Return the takes with ground truth, and the clips of each actor laid end to end."""
-    rows = {row["take_id"]: row for row in store.takes().iter_rows(named=True)}
-    segments: dict[int, list[tuple[str, int, int]]] = defaultdict(list)
-    for (take_id, label), ranges in truth_of(store).items():
-        segments[take_id] += [(label, *one) for one in ranges]
+def motions_of(store: Store, classes: Classes, truth_file: Path | None) -> tuple[list[Motion], list[Motion]]:
+    """Return the takes with ground truth, of the store or of a file, and the clips of each actor laid end to end."""
+    rows = {row["name"]: row for row in store.takes().iter_rows(named=True)}
+    names = {row["take_id"]: name for name, row in rows.items()}
+    segments: dict[str, list[tuple[str, int, int]]] = defaultdict(list)
+    if truth_file is not None:
+        for one in placed_files(store, [read_labels(truth_file)]).segments:
+            segments[one.take].append((one.label, int(one.start), int(one.stop)))
+    else:
+        for (take_id, label), ranges in truth_of(store).items():
+            segments[names[take_id]] += [(label, *one) for one in ranges]
     takes = [
-        Motion(rows[one]["name"], rows[one]["actor"], store.words([one]).take(0), tuple(own))
-        for one, own in segments.items()
+        Motion(name, rows[name]["actor"], store.words([rows[name]["take_id"]]).take(0), tuple(own))
+        for name, own in segments.items()
     ]
     of = classes.of_subclass()
     laid = []
@@ -238,6 +245,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m studies.corrections", description=__doc__)
     parser.add_argument("store", type=Path, help="store of `kinedex run annotate` with ground truth")
     parser.add_argument("--classes", default=OWN, help="the classes that the ground truth speaks of")
+    parser.add_argument("--truth", type=Path, help="label file with ground truth; that of the store unless given")
     parser.add_argument("--rounds", type=int, default=6, help="rounds")
     parser.add_argument("--each", type=int, default=10, help="segments that the person looks at in a round")
     parser.add_argument("--actors", type=int, default=3, help="actors to leave out, at most")
@@ -246,7 +254,7 @@ def main() -> None:
     store = open_store(given.store)
     clips = store.takes("class IS NOT NULL")
     classes = load_classes(given.classes, set(clips["class"]))
-    takes, laid = motions_of(store, classes)
+    takes, laid = motions_of(store, classes, given.truth)
     curves, ends = defaultdict(list), defaultdict(list)
     left_out = sorted({one.actor for one in takes})[: given.actors]
     for actor in left_out:

@@ -275,8 +275,7 @@ class Labels:
 
         Examples
         --------
-        >>> import tempfile
-        >>> file = Path(tempfile.mkdtemp()) / "mine.csv"
+        >>> file = folder / "mine.csv"
         >>> _ = file.write_text(f"take,class,start_seconds,stop_seconds\\n{take.name},nod,0.1,0.5\\n")
         >>> made = store.labels.read(file)
         >>> made["origin"].to_list()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
@@ -17,7 +18,7 @@ from kinedex.catalog.queries.query_writer import write_queries
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.genetic_algorithm import BETA
 from kinedex.ops.keyframes.training_task import OFFSPRING, PARENTS
-from kinedex.ops.words import NO_WORD
+from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.keyframes import learning
@@ -32,6 +33,7 @@ from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.learning import training_clips
+from kinedex.storage.store.decisions import record_labels
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
 
@@ -370,3 +372,20 @@ def test_runs_of_other_code_do_not_count(store: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(learning, "_code", lambda: "other")
     line.run(LearnKeyframes, **QUICK)
     assert "known" not in line.printed.getvalue()
+
+
+def test_a_rejected_interval_teaches_the_query_of_its_class_and_no_other(store: Path) -> None:
+    line = Learning(store)
+    line.run(LearnKeyframes, **QUICK, examples=["clips", "labels"])
+    before = {(one.subclass, one.number): one.key for one in line.runs()}
+    row = {"take": "long", "class": "walk", "start": 20, "stop": 45, "verdict": "negative", "origin": "accepted"}
+    record_labels(store, pa.Table.from_pylist([row]))
+    summary = line.run(LearnKeyframes, **QUICK, examples=["clips", "labels"])
+    assert (summary["clips"], summary["precision"], summary["recall"]) == (12, 1.0, 1.0)
+    assert "12 clips and 1 rejected interval" in line.printed.getvalue()
+    after = {(one.subclass, one.number): one.key for one in line.runs()}
+    changed = {subclass for (subclass, number), key in after.items() if before.get((subclass, number)) != key}
+    assert changed == {"walk"}
+    words = open_store(store).words([open_store(store).take_id("long")]).take(0)[20:45]
+    (query,) = (one for one in every_query(line.outcomes(), BODY) if one.target == "walk")
+    assert not preselect(TakeWords(np.array([0]), np.array([0, len(words)]), words), BODY, [query])[query].offsets[-1]
