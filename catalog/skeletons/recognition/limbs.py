@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, combinations
 
+import numpy as np
+
 from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
 
 _LEAST = 0.12  # a limb is at least this share of the way across the whole tree
 _OF_LIMBS = frozenset({*LEG, *ARM, "clavicle", "pelvis side"})
 _NAME_WEIGHT = 4.0  # a named part outweighs a length that is a third off
+_WORST = -10.0  # no lengths count more against a limb
+_PASSED, _BENT, _SKIPPED = 0.4, 1.2, 1.5  # costs of a node within a bone: without a name, bent, with a joint's name
+_JOINTS = frozenset({*LEG, *ARM})
 _LONGEST = 14  # nodes of a limb that are looked at
 
 
@@ -139,6 +144,7 @@ class _Branch:
         self.path, self.arm = path, tuple(kind) == ARM
         self.far = list(accumulate(tree.lengths[node] for node in path))
         self.named = [[_named(tree, path, at, part, kind) for at in range(len(path))] for part in kind]
+        self.joints = list(accumulate(_joint(tree, path, at) for at in range(len(path))))
 
     def bones(self, cut: tuple[int, int, int]) -> tuple[float, float, float, float]:
         """Return the lengths before, between and past the three nodes of a cut."""
@@ -151,18 +157,42 @@ class _Branch:
 
     def score(self, cut: tuple[int, int, int]) -> float:
         """Return the score of the limb of a cut."""
-        return _NAME_WEIGHT * self.names(cut) + _shape(*self.bones(cut), self.arm)
+        return _NAME_WEIGHT * self.names(cut) + self.shape(cut)
+
+    def shape(self, cut: tuple[int, int, int]) -> float:
+        """Return how well lengths fit, and how little the nodes between the three bend."""
+        near, middle, last = cut
+        between = self.joints[middle - 1] - self.joints[near] + self.joints[last - 1] - self.joints[middle]
+        return max(_shape(*self.bones(cut), self.arm) - between, _WORST)
 
     def limb(self, cut: tuple[int, int, int]) -> Limb:
         """Return the limb of a cut."""
         bones = self.bones(cut)
         nodes = (self.path[cut[0]], self.path[cut[1]], self.path[cut[2]])
-        return Limb(self.path, nodes, bones, self.names(cut), _shape(*bones, self.arm))
+        return Limb(self.path, nodes, bones, self.names(cut), self.shape(cut))
+
+
+def _joint(tree: Tree, path: Sequence[int], at: int) -> float:
+    """Return the cost of a node within a bone: of one without a name, more if it bends, and of one named as a joint."""
+    if not 0 < at < len(path) - 1:
+        return 0.0
+    parts = set(tree.parts[path[at]])
+    if parts:
+        first = not any(parts & set(tree.parts[node]) for node in path[:at])
+        return _SKIPPED if first and parts & _JOINTS else 0.0
+    before, after = tree.lengths[path[at]], tree.lengths[path[at + 1]]
+    if min(before, after) < 0.02 * (before + after):
+        return 0.0
+    straight = tree.places[path[at + 1]] - tree.places[path[at - 1]]
+    bend = 1.0 - float(np.sqrt((straight * straight).sum(axis=0).min())) / (before + after)
+    return _PASSED + (_BENT if bend > 0.02 else 0.0)
 
 
 def _named(tree: Tree, path: Sequence[int], at: int, part: str, kind: Sequence[str]) -> float:
     """Return how well the name of one node fits a part: up to 1, and below 0 if it names another one."""
     name, parts = tree.names[path[at]], tree.parts[path[at]]
+    if name.end and any(part in tree.parts[node] and not tree.names[node].end for node in path):
+        return -1.0
     if part in parts:
         sure = _only(parts)
         before = any(part in tree.parts[node] and _only(tree.parts[node]) >= sure for node in path[:at])
@@ -184,10 +214,10 @@ def _only(parts: tuple[str, ...]) -> bool:
 def _shape(before: float, upper: float, lower: float, rest: float, arm: bool) -> float:
     """Return how well the lengths of a limb fit a human's; 0 is perfect, and less is worse."""
     if min(upper, lower) <= 0:
-        return -20.0
+        return 2 * _WORST
     whole = upper + lower
     score = -((math.log(upper / lower) / 0.25) ** 2) / 2
     score -= (max(before / whole - (0.75 if arm else 0.4), 0.0) / 0.12) ** 2 / 2
     score -= (max(rest / whole - 0.5, 0.0) / 0.1) ** 2 / 2
     score -= 0.3 if not arm and rest < 0.02 * whole else 0.0
-    return max(score, -10.0)
+    return max(score, _WORST)

@@ -22,6 +22,7 @@ LONGEST_PREFIX = 100
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _CAMEL = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^A-Z]+|[A-Z]+")
 _SECOND = re.compile(r"#\d+$")  # the mark that readers give to the second node of one name
+_LONGEST = 100  # characters of a name that are looked at, its last ones
 _VERTEBRA = re.compile(r"(?:^|[^A-Za-z])([LTCltc]\d{1,2})$")
 
 
@@ -209,7 +210,7 @@ def split_name(text: str, vocabulary: Vocabulary) -> NodeName:
 
 
 def _split(text: str, vocabulary: Vocabulary) -> NodeName:
-    short = re.split(r"[:|]", _SECOND.sub("", text).rstrip(":|"))[-1]
+    short = re.split(r"[:|]", _SECOND.sub("", text[-_LONGEST:]).rstrip(":|"))[-1]
     tokens = [part for word in _WORD.findall(short) for part in ([word] if word.isdigit() else _CAMEL.findall(word))]
     vertebra = _VERTEBRA.search(short)
     if vertebra and vertebra[1].lower() in vocabulary.by_key:

@@ -40,6 +40,7 @@ _NO_UP = 0.6  # times the confidence where no axis is clearly up
 _AT_ZERO = 0.03  # of the body's height
 _UNNAMED = 0.6  # the confidence of a body of perfect proportions without any name
 _LEAD = 1.0  # the score by which a nameless body must surpass the next one
+_FULL_NAMES = 0.9  # the share of named parts above which odd lengths are a doubt, but no reason to refuse
 _WHOLE_NAMES = 0.6  # the share of named parts above which names leave no choice
 
 
@@ -265,7 +266,7 @@ def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float) -> str:
     if body.names < _WHOLE_NAMES and len(bodies) > 1 and body.score - bodies[1].score < _LEAD:
         one, other = (_in_words(tree, pair) for pair in bodies[:2])
         return f"ambiguous (the limbs may be {one}, or {other})"
-    if confidence < LEAST_CONFIDENCE:
+    if confidence < LEAST_CONFIDENCE and body.names < _FULL_NAMES:
         kind = "ambiguous" if body.names > _WHOLE_NAMES else "not human"
         return f"{kind} (the nearest body, {_in_words(tree, body)}, has a confidence of {confidence:.2f})"
     return ""
