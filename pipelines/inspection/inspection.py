@@ -133,10 +133,10 @@ def inspect_file(
     mappings = load_mappings(skeleton, feature_set.joints)
     found = Inspection()
     found.add("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
-    found.add(
-        "format",
-        "NPZ, joint angles (AMASS)" if reader_of(file).format == "amass" else _FORMATS.get(ending, ending[1:].upper()),
-    )
+    kind = _FORMATS.get(ending, ending[1:].upper())
+    if reader_of(file).format == "amass":
+        kind = f"{ending[1:].upper()}, joint angles (AMASS)"
+    found.add("format", reader_of(file).title or kind)
     try:
         asf = skeleton_beside(file, source) if ending == ".amc" else None
         if asf is not None:

@@ -30,6 +30,7 @@ _LARGEST = 1e6
 class HumanMlReader(PointsReader):
     """Reads NPY files of shape (frames, 263) or (frames, 22, 3)."""
 
+    title: ClassVar[str] = "NPY (HumanML3D)"
     endings: ClassVar[tuple[str, ...]] = (".npy",)
     up: ClassVar[str | None] = "y"
 

@@ -46,6 +46,7 @@ _PER_BYTE = 12  # of memory for a byte of JSON, whose numbers become objects
 class KeypointReader(PointsReader):
     """Reads keypoints of persons; the first file of a sequence stands for it."""
 
+    title: ClassVar[str] = "JSON, keypoints"
     endings: ClassVar[tuple[str, ...]] = (".json",)
 
     def sniff(self, path: Path) -> bool:

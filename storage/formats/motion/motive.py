@@ -38,6 +38,7 @@ class _Layout:
 class MotiveReader(PointsReader):
     """Reads the CSV files of Motive, whose first line begins with "Format Version"."""
 
+    title: ClassVar[str] = "CSV (OptiTrack Motive)"
     endings: ClassVar[tuple[str, ...]] = (".csv",)
 
     def sniff(self, path: Path) -> bool:

@@ -48,6 +48,7 @@ class _Layout:
 class NexusReader(PointsReader):
     """Reads CSV files of Vicon, in which a line with a title and one with a rate begin every section."""
 
+    title: ClassVar[str] = "CSV (Vicon Nexus)"
     endings: ClassVar[tuple[str, ...]] = (".csv",)
 
     def sniff(self, path: Path) -> bool:

@@ -55,6 +55,7 @@ class _Layout:
 class OpenSimReader(PointsReader):
     """Reads motions with the model that lies beside them, or that `body_model` gives."""
 
+    title: ClassVar[str] = "OpenSim motion"
     endings: ClassVar[tuple[str, ...]] = (".mot", ".sto")
     up: ClassVar[str | None] = "y"
 

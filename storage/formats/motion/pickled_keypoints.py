@@ -25,6 +25,7 @@ _HEAD = 4096
 class PickledKeypointsReader(PointsReader):
     """Reads pickles with `keypoints3d`."""
 
+    title: ClassVar[str] = "pickle, keypoints (AIST++)"
     endings: ClassVar[tuple[str, ...]] = (".pkl",)
 
     def sniff(self, path: Path) -> bool:

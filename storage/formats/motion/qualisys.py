@@ -39,6 +39,7 @@ class _Layout:
 class QualisysReader(PointsReader):
     """Reads TSV files of markers; those of rigid bodies and skeletons are refused."""
 
+    title: ClassVar[str] = "TSV (Qualisys), markers"
     endings: ClassVar[tuple[str, ...]] = (".tsv",)
 
     def sniff(self, path: Path) -> bool:

@@ -182,6 +182,8 @@ class Reader(ABC):
         Format of the skeleton mappings that the reader looks its joints up in.
     endings : tuple of str
         Endings of its files in lower case, with the dot.
+    title : str
+        The format in words, for `kinedex inspect`; by default its ending.
     reads_whole : bool
         True if the reader reads the whole file at once, so that it can take the bytes from its caller.
     distribution : str
@@ -190,6 +192,7 @@ class Reader(ABC):
 
     format: ClassVar[Format]
     endings: ClassVar[tuple[str, ...]]
+    title: ClassVar[str] = ""
     reads_whole: ClassVar[bool] = False
     distribution: str = ""
 
