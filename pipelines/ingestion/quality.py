@@ -10,8 +10,20 @@ from kinedex.ops.body.plausibility import Plausibility, plausibility
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 
-QUALITY_COLUMNS = {figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES}
-"""The declarations of the columns of figures."""
+RECOGNITION_COLUMNS = {
+    "recognition_confidence": TakeColumn(
+        "DOUBLE", "quality", "", "how surely the body was recognised, 0 to 1; 1 where the names fit a mapping"
+    ),
+    "estimated_joints": TakeColumn(
+        "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
+    ),
+}
+"""The declarations of the columns of recognition."""
+
+QUALITY_COLUMNS = RECOGNITION_COLUMNS | {
+    figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES
+}
+"""The declarations of the columns of recognition and of figures."""
 
 
 def figures_of(body: Body, joints: tuple[str, ...]) -> Plausibility:
@@ -39,7 +51,8 @@ def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tupl
         A sentence for each figure beyond its limits.
     """
     figures = figures_of(body, joints)
-    columns = {name: value for name, value in quality_columns(figures).items() if name in stored}
+    recognition = {"recognition_confidence": body.confidence, "estimated_joints": " ".join(body.estimated)}
+    columns = {name: value for name, value in (recognition | quality_columns(figures)).items() if name in stored}
     return columns, quality_warnings(figures, body.rate_hz)
 
 

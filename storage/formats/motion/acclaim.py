@@ -14,8 +14,8 @@ from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
     posed,
     posed_bytes,
+    recognition_evidence,
     refuse_far,
-    virtual_joint_warnings,
 )
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
 
@@ -60,7 +60,8 @@ class AcclaimReader(Reader):
             unit=f"{skeleton.unit_m / skeleton.length_scale:.6g} m",
             skeleton=fit.mapping.name,
             unknown=fit.unknown,
-            warnings=(*motion.warnings, *virtual_joint_warnings(fit)),
+            warnings=motion.warnings,
+            evidence=recognition_evidence(fit),
         )
 
 

@@ -29,7 +29,7 @@ from kinedex.storage.formats.motion.body_models import (
     load_body_model,
     model_digest,
 )
-from kinedex.storage.formats.motion.mapped_body import mapped_orientation, refuse_far, virtual_joint_warnings
+from kinedex.storage.formats.motion.mapped_body import mapped_orientation, recognition_evidence, refuse_far
 from kinedex.storage.formats.motion.number_pickles import load_pickle
 from kinedex.storage.formats.motion.numpy_arrays import array_names, array_shapes, load_arrays
 from kinedex.storage.formats.motion.position_files import ARRAYS
@@ -194,8 +194,8 @@ class AmassReader(Reader):
             unit=f"{unit_m:.6g} m",
             skeleton=fit.mapping.name,
             unknown=fit.unknown,
-            warnings=(*warnings, *virtual_joint_warnings(fit)),
-            evidence=reasons,
+            warnings=tuple(warnings),
+            evidence=(*reasons, *recognition_evidence(fit)),
         )
 
 

@@ -20,10 +20,11 @@ from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
     posed,
     posed_bytes,
+    recognition_evidence,
+    recognition_warnings,
     refuse_far,
     to_metres,
     turned_upright,
-    virtual_joint_warnings,
 )
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.rates import corrected_rate
@@ -105,13 +106,14 @@ class BvhReader(Reader):
         nodes, restored = _restore(person, fit)
         positions, turned = posed(bvh, nodes, fit.root, fit, joints)
         fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
-        warnings = [*bvh.file.warnings, *virtual_joint_warnings(fit)]
+        warnings = [*bvh.file.warnings, *recognition_warnings(fit)]
         rate_hz = corrected_rate(file.path, bvh.file.rate_hz, positions, joints, settings, warnings)
         if restored:
             warnings.append(
                 f"bones {', '.join(restored)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
             )
-        unit = to_metres(file.path, positions, fit.mapping.unit_m, joints, warnings)
+        evidence = [*recognition_evidence(fit), *turned_by]
+        unit = to_metres(file.path, positions, fit.mapping.unit_m, joints, warnings, evidence)
         refuse_far(file.path, positions, joints, fit.unknown)
         return Body(
             positions=positions,
@@ -123,7 +125,7 @@ class BvhReader(Reader):
             warnings=tuple(warnings),
             estimated=tuple(fit.estimated),
             confidence=fit.confidence,
-            evidence=(*fit.reasons, *turned_by),
+            evidence=tuple(evidence),
         )
 
 

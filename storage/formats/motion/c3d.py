@@ -7,7 +7,7 @@ from typing import ClassVar
 from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.storage.formats.motion.c3d_layout import read_layout
 from kinedex.storage.formats.motion.c3d_markers import frames_bytes, labels_of, parse_c3d
-from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
+from kinedex.storage.formats.motion.mapped_body import recognition_warnings
 from kinedex.storage.formats.motion.points import body_of_points, points_bytes
 from kinedex.storage.formats.motion.points_reader import bodies_of, evidence_of, points_of_person, upright
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
@@ -46,6 +46,6 @@ class C3dReader(Reader):
         markers = points_of_person(parse_c3d(file.path), file.person)
         evidence = evidence_of(markers, markers.up)
         fit = mappings.detect(file.path, "c3d", markers.places(), evidence).upright(markers.up)
-        warnings = [*markers.warnings, *(virtual_joint_warnings(fit) if fit.reasons else [])]
+        warnings = [*markers.warnings, *recognition_warnings(fit)]
         fit = upright(fit, evidence, warnings)
         return body_of_points(markers, markers.names, fit, joints, settings, warnings)

@@ -21,10 +21,11 @@ from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
+    recognition_evidence,
+    recognition_warnings,
     refuse_far,
     to_metres,
     turned_upright,
-    virtual_joint_warnings,
 )
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings, body_bytes
@@ -340,7 +341,8 @@ def body_of_figure(
         figure = replace(figure, rest=rest)
     positions, turned = _posed(figure, fit, joints, bones)
     fit, upturned = (fit, ()) if figure.upright else turned_upright(fit, figure.rest, positions, joints)
-    unit = to_metres(path, positions, 1.0, joints, warnings, stated=True)
+    found = [*recognition_evidence(fit), *upturned]
+    unit = to_metres(path, positions, 1.0, joints, warnings, found, stated=True)
     refuse_far(path, positions, joints, fit.unknown)
     return Body(
         positions=positions,
@@ -349,10 +351,10 @@ def body_of_figure(
         unit=unit,
         skeleton=fit.mapping.name,
         unknown=fit.unknown,
-        warnings=(*warnings, *virtual_joint_warnings(fit)),
+        warnings=(*warnings, *recognition_warnings(fit)),
         estimated=tuple(fit.estimated),
         confidence=fit.confidence,
-        evidence=(*figure.evidence, *fit.reasons, *upturned),
+        evidence=(*figure.evidence, *found),
     )
 
 

@@ -32,17 +32,22 @@ DOUBTFUL = 0.6
 """A body that is recognised with less confidence is warned of."""
 
 
-def virtual_joint_warnings(fit: Fit) -> list[str]:
-    """Return a warning that names the joints built from others or estimated, and one of a doubtful recognition."""
+def recognition_warnings(fit: Fit) -> list[str]:
+    """Return a warning of a doubtful recognition; nothing for a body that is surely recognised."""
+    if not fit.recognised or fit.confidence >= DOUBTFUL:
+        return []
+    reasons = "; ".join(fit.reasons)
+    return [f"the body is recognised with a confidence of {fit.confidence:.2f}, check it: {reasons}"]
+
+
+def recognition_evidence(fit: Fit) -> tuple[str, ...]:
+    """Return the reasons of a recognition, and a sentence on the joints that are estimated or built from others."""
     if fit.recognised:
         how = ", ".join(f"{joint} ({phrase})" for joint, phrase in fit.estimated.items())
-        warnings = [f"joints that the file does not hold are estimated: {how}"] if how else []
-        if fit.confidence < DOUBTFUL:
-            reasons = "; ".join(fit.reasons)
-            warnings.append(f"the body is recognised with a confidence of {fit.confidence:.2f}, check it: {reasons}")
-        return warnings
+        return (*fit.reasons, f"joints that the file does not hold are estimated: {how}") if how else fit.reasons
     named = ", ".join(f"{joint} ({mix})" for joint, mix in fit.virtual.items())
-    return [f"joints that the skeleton lacks are built from others: {named}"] if named else []
+    built = f"joints that the skeleton lacks are built from others: {named}"
+    return (*fit.reasons, built) if named else fit.reasons
 
 
 class Motion(Protocol):
@@ -122,6 +127,7 @@ def to_metres(
     unit_m: float | None,
     joints: tuple[str, ...],
     warnings: list[str],
+    evidence: list[str],
     frame: int = 0,
     stated: bool = False,
 ) -> str:
@@ -138,7 +144,9 @@ def to_metres(
     joints : tuple of str
         The names of the J joints.
     warnings : list of str
-        A sentence is appended if the unit is guessed or corrected.
+        A sentence is appended if the unit that a file states is corrected.
+    evidence : list of str
+        A sentence is appended if the unit is guessed.
     frame : int, optional
         First frame in which the body is measured.
     stated : bool, optional
@@ -148,7 +156,7 @@ def to_metres(
     if unit_m is None:
         name, unit_m, height = guess_unit(path, positions[:, :, frame:], joints)
         unit = f"{unit_m:.6g} m (guessed)"
-        warnings.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
+        evidence.append(f"its unit of length is guessed: {name}, which makes the body {height:.2f} m high")
     elif stated and (other := contradicted_unit(positions[:, :, frame:], joints, unit_m)) is not None:
         name, other_m, height = other
         unit = f"{other_m:.6g} m (guessed)"

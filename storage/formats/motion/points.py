@@ -16,7 +16,7 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import Gap, fill_gaps
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.mapped_body import refuse_far, to_metres
+from kinedex.storage.formats.motion.mapped_body import recognition_evidence, refuse_far, to_metres
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, ReadSettings, body_bytes
 
 F64 = npt.NDArray[np.float64]
@@ -116,7 +116,8 @@ def body_of_points(
         warnings.append(_invalid(path, fit, valid, left, longest, called, lost))
     first = int(np.argmax(valid))
     stated = points.unit_m is not None
-    unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, first, stated)
+    evidence = list(recognition_evidence(fit))
+    unit = to_metres(path, positions, points.unit_m or fit.mapping.unit_m, joints, warnings, evidence, first, stated)
     refuse_far(path, positions, joints, fit.unknown, valid)
     return Body(
         positions=positions,
@@ -129,7 +130,7 @@ def body_of_points(
         valid=None if valid.all() else valid,
         estimated=tuple(fit.estimated),
         confidence=fit.confidence,
-        evidence=fit.reasons,
+        evidence=tuple(evidence),
     )
 
 

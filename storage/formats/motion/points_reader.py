@@ -18,7 +18,7 @@ from kinedex.catalog.skeletons.recognition.recognised_tree import joint_places
 from kinedex.catalog.skeletons.skeleton_fit import Fit, axes_of_up
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
+from kinedex.storage.formats.motion.mapped_body import recognition_warnings
 from kinedex.storage.formats.motion.points import Points, body_of_points, points_bytes
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
@@ -84,7 +84,7 @@ class PointsReader(Reader):
         points = self.points(file, settings)
         evidence = evidence_of(points, self.up)
         fit = mappings.detect(file.path, "positions", points.places(), evidence)
-        warnings = [*points.warnings, *virtual_joint_warnings(fit)]
+        warnings = [*points.warnings, *recognition_warnings(fit)]
         if "positions" not in mappings.forced:
             fit = upright(fit, evidence, warnings)
         return body_of_points(points, points.names, fit, joints, settings, warnings)

@@ -10,7 +10,7 @@ from kinedex.catalog.skeletons.mappings import Format, Mappings
 from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.mapped_body import virtual_joint_warnings
+from kinedex.storage.formats.motion.mapped_body import recognition_warnings
 from kinedex.storage.formats.motion.points import Points, body_of_points, points_bytes
 from kinedex.storage.formats.motion.points_reader import bodies_of, evidence_of, points_of_person, upright
 from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions, positions_extent, trc_head
@@ -53,7 +53,7 @@ class PositionsReader(Reader):
             warnings.append(f"the file does not name its joints; they are read in the order of {called}")
         evidence = evidence_of(points)
         fit = mappings.detect(file.path, "positions", points.places(), evidence)
-        warnings += virtual_joint_warnings(fit)
+        warnings += recognition_warnings(fit)
         if "positions" not in mappings.forced:
             fit = upright(fit, evidence, warnings)
         return body_of_points(points, points.names, fit, joints, settings, warnings)

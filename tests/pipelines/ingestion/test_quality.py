@@ -39,7 +39,9 @@ def test_a_store_has_the_figures_as_columns_and_sql_asks_for_them(tmp_path: Path
     bring_in(tmp_path / "store", tmp_path / "source")
     store = open_store(tmp_path / "store")
     columns = store.manifest.columns
-    assert [name for name, one in columns.items() if one.origin == "quality"] == [figure.name for figure in FIGURES]
+    assert {name for name, one in columns.items() if one.origin == "quality"} == {
+        "recognition_confidence", "estimated_joints", *(figure.name for figure in FIGURES),
+    }  # fmt: skip
     assert columns["height_m"].unit == "m"
     rows = {row["name"]: row for row in store.takes().to_dicts()}
     assert rows["right"]["height_m"] == pytest.approx(1.85, abs=0.1)
