@@ -64,7 +64,7 @@ def test_a_bvh_file_that_comes_in_is_described_and_drawn(tmp_path: Path) -> None
     assert (message(found, "rate"), message(found, "length")) == ("30 Hz", "40 frames, 1.33 s")
     assert message(found, "unit") == "0.01 m (guessed)"
     assert message(found, "height").startswith("1.78 m")
-    assert "lfingers (-0.25 lelbow +1.25 lwrist)" in " ".join(found.all("evidence"))
+    assert "lfingers (-0.25 lelbow +1.25 lwrist)" in " ".join(text for _, text in found.lines)
     assert "F13 rhand_fast 100%" in message(found, "features on")
     assert "F39" in message(found, "never on")
     assert write_picture(found, tmp_path / "wave.png")

@@ -30,7 +30,7 @@ def write_trc(path: Path, body: np.ndarray, unit: str) -> None:
 @pytest.mark.parametrize(("unit", "factor"), [("mm", 1.0), ("m", 1000.0), ("m", 1.0), ("mm", 1000.0)])
 def test_a_body_comes_in_as_high_as_it_is_whatever_the_header_states(tmp_path: Path, unit: str, factor: float) -> None:
     write_trc(tmp_path / "a.trc", standing(4) * factor, unit)
-    body = read_body(tmp_path / "a.trc", None, load_mappings("auto", JOINTS), JOINTS)
+    body = read_body(tmp_path / "a.trc", None, load_mappings("auto", tuple(JOINTS)), tuple(JOINTS))
     assert np.abs(body.positions - standing(4)).max() < 1e-5
     wrong = [warning for warning in body.warnings if "its unit of length is wrong" in warning]
     assert len(wrong) == (unit == "mm") ^ (factor == 1000.0)
