@@ -13,6 +13,7 @@ from kinedex.catalog.classes import Classes
 from kinedex.ops.annotation.calibration import best_threshold
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import quantise
 from kinedex.pipelines.annotation.batches import split_takes
 from kinedex.pipelines.console.wording import few
@@ -122,16 +123,22 @@ def calibrate(
 def fold_costs(fold: Fold) -> F64:
     """Return the cost of each clip, then of each rejected interval, for each template, in a worker.
 
-    They are float64 (templates, clips and intervals), ∞ where nothing fits.
+    They are float64 (templates, clips and intervals), ∞ where nothing fits, and where a template is not applied.
     """
     words = [*(one for clips in fold.clips for one in clips.words), *(one.words for one in fold.rejected)]
+    known = [*(clips.known for clips in fold.clips for _ in clips.words), *(one.known for one in fold.rejected)]
     templates = [quantise(one.learned.template, fold.delta) for one in fold.templates]
     costs = np.full((len(templates), len(words)), np.inf)
-    for batch in split_takes(range(len(words)), map(len, words)) if templates else ():
-        edges = np.cumsum([0, *(len(words[clip]) for clip in batch)]).astype(np.int64)
-        ranges = np.stack([edges[:-1], edges[1:]], axis=1)
-        curves = distance_curves(templates, np.concatenate([words[clip] for clip in batch]), ranges)
-        costs[:, batch] = np.minimum.reduceat(curves, edges[:-1], axis=1)
+    for mask in sorted(set(known)):
+        places = [place for place, one in enumerate(known) if one == mask]
+        restricted = [restricted_template(one, mask) for one in templates]
+        rows = [row for row, one in enumerate(restricted) if one is not None]
+        applied = [one for one in restricted if one is not None]
+        for batch in split_takes(places, (len(words[place]) for place in places)) if applied else ():
+            edges = np.cumsum([0, *(len(words[clip]) for clip in batch)]).astype(np.int64)
+            ranges = np.stack([edges[:-1], edges[1:]], axis=1)
+            curves = distance_curves(applied, np.concatenate([words[clip] for clip in batch]), ranges)
+            costs[np.ix_(rows, batch)] = np.minimum.reduceat(curves, edges[:-1], axis=1)
     # templates of wildcards alone fit anything, and are excluded from annotation
     costs[[not one.fixed for one in templates]] = np.inf
     return costs

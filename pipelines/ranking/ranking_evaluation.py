@@ -17,6 +17,7 @@ from kinedex.catalog.classes import OWN, load_classes
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.evaluation.ranking_metrics import average_precision
 from kinedex.ops.ranking.hit_selection import KEYS
+from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.console.tables import plain_text
@@ -135,13 +136,21 @@ def _same(hit: Hit, segment: Manual) -> bool:
 
 
 def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
-    """Return the least distance of each template in each clip, float64 (C,); ∞ in clips that are too short for it."""
-    ranges = np.stack([clips.offsets[:-1], clips.offsets[1:]], axis=1)
-    curves = distance_curves(list(templates.values()), clips.words, ranges)
-    filled = np.flatnonzero(clips.frames > 0)
+    """Return the least distance of each template in each clip, float64 (C,).
+
+    It is ∞ in clips that are too short for a template, and in those that it is not applied to, as they lack features.
+    """
     least = np.full((len(templates), len(clips)), np.inf)
-    if len(filled):
-        least[:, filled] = np.minimum.reduceat(curves, clips.offsets[:-1][filled], axis=1)
+    for mask in clips.masks:
+        places, own = clips.knowing(mask)
+        restricted = [restricted_template(one, mask) for one in templates.values()]
+        rows = np.flatnonzero([one is not None for one in restricted])
+        filled = np.flatnonzero(own.frames > 0)
+        if not len(rows) or not len(filled):
+            continue
+        ranges = np.stack([own.offsets[:-1], own.offsets[1:]], axis=1)
+        curves = distance_curves([one for one in restricted if one is not None], own.words, ranges)
+        least[np.ix_(rows, places[filled])] = np.minimum.reduceat(curves, own.offsets[:-1][filled], axis=1)
     return dict(zip(templates, least, strict=True))
 
 

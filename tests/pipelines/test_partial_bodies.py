@@ -24,14 +24,17 @@ from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import Learned, learn_soft, quantise
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
+from kinedex.pipelines.annotation import threshold_calibration as calibration
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.keyframes.learning import training_sets, training_task
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
+from kinedex.pipelines.ranking.ranking_evaluation import clip_costs
 from kinedex.pipelines.ranking.store_ranking import rank_store
 from kinedex.pipelines.search.bit_slices import sliced_words
+from kinedex.pipelines.search.explanation import explain_store
 from kinedex.pipelines.search.not_applied import applicability, not_applied_table
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_remarks, search_store
@@ -439,3 +442,29 @@ def test_an_example_of_a_partial_body_finds_itself(indexed: Store) -> None:
     example = template_from_clip(indexed, "take_0", "30", "55")
     ranking = rank_store(indexed, [example]).rankings[0]
     assert {(hit.take, hit.start) for hit in ranking.hits if hit.cost == 0} >= {("take_0", 30), ("take_1", 30)}
+
+
+def test_clips_are_judged_by_what_they_know() -> None:
+    templates = {name: quantise(template(name).learned.template, 0.05) for name in ("kick", "walk")}
+    clips = laid_out([(motion("kick"), int(ALL_KNOWN)), (motion("kick"), MOST), (motion("walk"), 0b1111)])
+    costs = clip_costs(templates, clips)
+    assert costs["kick"].tolist() == [0, 0, np.inf]
+    assert costs["walk"][:2].min() > 0
+    whole = clip_costs(templates, laid_out([(motion("kick"), int(ALL_KNOWN))]))
+    assert costs["walk"][0] == whole["walk"][0]
+
+
+def test_thresholds_are_calibrated_by_what_clips_know() -> None:
+    part = usable_clips("kick", {"part": partial(motion("kick"), MOST)}, {"part": MOST})
+    whole = usable_clips("kick", {"whole": motion("kick")})
+    few = usable_clips("walk", {"few": partial(motion("walk"), 0b1111)}, {"few": 0b1111})
+    fold = calibration.Fold((template("kick"), template("walk")), (part, whole, few), 0.05)
+    costs = calibration.fold_costs(fold)
+    assert costs[0].tolist() == [0, 0, np.inf]
+    assert np.isinf(costs[1, 2])
+
+
+def test_an_explanation_finds_what_the_search_finds(indexed: Store) -> None:
+    reports = explain_store(indexed, QUERIES)
+    hits = search_store(indexed, QUERIES).column("query").to_pylist()
+    assert [report.ranges for report in reports] == [hits.count(query.name) for query in QUERIES]
