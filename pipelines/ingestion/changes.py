@@ -216,7 +216,8 @@ class _Comparison:
             return False
         self.unchanged[motion.path] = file
         self.restated += file.rows_at(motion, rows)
-        self.surplus += [row["take_id"] for row in file.rows if row not in rows]
+        if not file.is_elsewhere(motion):
+            self.surplus += [row["take_id"] for row in file.rows if row not in rows]
         return True
 
     def result(self, damaged: list[int], skeletons: pa.Table) -> Changes:
@@ -224,8 +225,8 @@ class _Comparison:
         ids = self.writer.assign_take_ids(task.name for task in self.tasks)
         tasks = sorted((replace(task, take_id=ids[task.name]) for task in self.tasks), key=lambda task: task.take_id)
         # the roots of this archive, now and before it was moved
-        moved = (file.root for path, file in self.known.items() if path == file.path and file.root != self.root)
-        former = {self.root, *moved}
+        others = (file for path, file in self.known.items() if path == file.path and file.root != self.root)
+        former = {self.root, *(file.root for file in others if not file.is_there)}
         here = {(self.root, motion.path) for motion in self.found.motions} | self.places
         absent = [file for file in self.files if file.root in former and file.place not in here]
         vanished = [file for file in absent if file.root == self.root or not file.is_there]

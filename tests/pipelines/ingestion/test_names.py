@@ -101,3 +101,13 @@ def test_a_source_of_which_nothing_comes_in_ends_the_run_and_prunes_nothing(tmp_
     opened = open_store(store)
     assert opened.result("ingest_log").num_rows == 2
     assert opened.takes().height == 3
+
+
+def test_an_ingest_of_a_copy_drops_no_take_of_the_original(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", TAKES), tmp_path / "store"
+    bring_in(store, source)
+    copy = shutil.copytree(source, tmp_path / "copy")
+    (source / "a/x_1.amc").unlink()
+    (copy / "a/x_1.amc").unlink()
+    assert bring_in(store, copy, prune=True)["dropped"] == 0
+    assert open_store(store).takes().height == 3
