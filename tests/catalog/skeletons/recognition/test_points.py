@@ -1,0 +1,186 @@
+"""Bodies among points: labels in all styles, regressions, hidden markers, T-poses, and what is no body."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
+from kinedex.catalog.skeletons.recognition.points import recognise_points
+from kinedex.catalog.skeletons.recognition.stand_ins import stand_ins
+from kinedex.ops.body import features
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.reader_table import read_body
+from tests.bodies import STANDING
+from tests.c3d_files import LABELS, standing_markers
+
+FEATURES = load_feature_set()
+JOINTS = FEATURES.joints
+LANDMARKS = load_landmarks()
+
+SETS = {
+    "Plug-in Gait": (
+        "FHD BHD SHO ELB WRA WRB FIN ASI PSI THI KNE TIB ANK HEE TOE", "C7 T10 CLAV STRN RBAK", ()),
+    "Plug-in Gait, one sacral marker": ("ASI THI KNE TIB ANK HEE TOE", "SACR", None),
+    "CMU": ("FHD BHD SHO UPA ELB FRM WRA WRB FIN FWT BWT THI KNE SHN ANK HEE TOE MT5", "C7 T10 CLAV STRN", ()),
+    "Helen Hayes": (
+        ".ASIS .Thigh .Knee .Shank .Ankle .Heel .Toe .Shoulder .Elbow .Wrist", "V.Sacral Top.Head R.Offset", ()),
+    "OptiTrack": (
+        "ShoulderBack ShoulderTop ElbowOut UArmHigh HandOut WristOut WristIn Thigh KneeOut Shin AnkleOut ToeOut ToeIn",
+        "HeadTop HeadFront HeadSide BackTop Chest WaistLFront WaistRFront WaistLBack WaistRBack", ()),
+    "Qualisys CAST": (
+        "_HDF _HDB _IAS _IPS _FTC _FLE _FME _FAL _TAM _FCC _FM1 _FM5 _SAJ _HLE _HME _RSP _UHE _HM2 _HM5",
+        "SNJ SXS TV8 CV7", ()),
+    "Rajagopal": (
+        "ACR ASH PSH LEL MEL FAradius FAulna ASI PSI TH1 LFC MFC LMAL MMAL CAL TOE MT5", "C7 CLAV", ()),
+    "HALPE-26": (
+        "Hip Knee Ankle BigToe SmallToe Heel Shoulder Elbow Wrist", "Neck Head Nose", ()),
+    "Vicon's 53": (
+        "FHD BHD FSH BSH UPA ELB IEL FRM IWR OWR IHAND OHAND FWT BWT THI KNE KNI SHN ANK HEE MT5 MT1 TOE",
+        "ARIEL C7 T10 CLAV STRN MFWT MBWT", ()),
+}  # fmt: skip
+"""Labels with a side, labels without one, and the unknown joints (None: all of the upper body)."""
+
+
+def labels_of(name: str) -> list[str]:
+    sided, middle, _ = SETS[name]
+    return [side + label for label in sided.split() for side in "LR"] + middle.split()
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_marker_sets_supply_the_joints_of_a_body(name: str) -> None:
+    reading = LANDMARKS.read(labels_of(name))
+    made = {joint for joint in JOINTS if LANDMARKS.mixes(joint, reading.labels)[0]}
+    legs = {f"{side}{part}" for side in "lr" for part in ("hip", "knee", "ankle", "toes")}
+    arms = {f"{side}{part}" for side in "lr" for part in ("shoulder", "elbow", "wrist")}
+    assert legs <= made
+    assert arms <= made if SETS[name][2] is not None else not arms & made
+    for joint in made:
+        mixes, _ = LANDMARKS.mixes(joint, reading.labels)
+        assert all(abs(sum(weight for _, weight in mix.weights) - 1) < 1e-5 for mix in mixes), joint
+
+
+LONG = {"L": "Left", "R": "Right"}
+
+STYLES = {
+    "glued": lambda side, label: side + label,
+    "dotted": lambda side, label: f"{side}.{label}",
+    "lower": lambda side, label: f"{side}_{label}".lower(),
+    "words": lambda side, label: f"{LONG[side]} {label}",
+    "at the end": lambda side, label: f"{label}_{side}",
+    "long at the end": lambda side, label: f"{label}{LONG[side]}",
+}
+
+
+@given(
+    style=st.sampled_from(sorted(STYLES)), prefix=st.sampled_from(["", "Ann:", "Ann_", "a:b:", "Skeleton 001_", "Zed"])
+)
+def test_labels_mean_the_same_in_every_style(style: str, prefix: str) -> None:
+    sided = "ASI PSI THI KNE TIB ANK HEE TOE SHO ELB WRA WRB FIN FHD BHD".split()
+    styled = {STYLES[style](side, label): side + label for label in sided for side in "LR"}
+    middle = ["C7", "T10", "CLAV", "STRN"]
+    plain = LANDMARKS.read([*styled.values(), *middle])
+    found = LANDMARKS.read([prefix + label for label in (*styled, *middle)])
+    back = {prefix + label: name for label, name in styled.items()} | {prefix + name: name for name in middle}
+    assert {mark: tuple(back[label] for label in labels) for mark, labels in found.labels.items()} == plain.labels
+
+
+def evidence(points: np.ndarray, names: tuple[str, ...] = LABELS, up: str | None = None) -> Evidence:
+    return Evidence(names, points, up=up)
+
+
+def test_joints_of_markers_lie_inside_of_the_body_and_the_neck_at_the_collar_bones() -> None:
+    fit = recognise_points("x", evidence(standing_markers(8)), JOINTS)
+    found = dict(zip(JOINTS, fit.apply(standing_markers(8), JOINTS)[:, :, 0], strict=True))
+    assert (fit.unknown, dict(fit.estimated), fit.confidence) == ((), {}, 1.0)
+    for joint, place in STANDING.items():
+        np.testing.assert_allclose(found[joint], place, atol=0.16, err_msg=joint)
+    clavicle, vertebra = 1.44, 1.51
+    assert clavicle - 0.02 < found["neck"][1] < vertebra
+    assert found["lhip"][1] < found["root"][1] < found["belly"][1] < found["chest"][1] < found["neck"][1]
+    np.testing.assert_allclose(found["lhip"] * [-1, 1, 1], found["rhip"], atol=1e-9)
+    assert any("30 of 30 labels name landmarks" in reason for reason in fit.reasons)
+
+
+def test_a_lower_body_comes_in_with_unknown_joints_above() -> None:
+    lower = tuple(label for label in LABELS if label[1:] in ("FWT", "BWT", "KNE", "ANK", "HEE", "TOE"))
+    points = standing_markers(8)[[LABELS.index(label) for label in lower]]
+    fit = recognise_points("x", evidence(points, lower), JOINTS)
+    known = set(JOINTS) - set(fit.unknown)
+    assert known == {"root", *(f"{side}{part}" for side in "lr" for part in ("hip", "knee", "ankle", "toes"))}
+
+
+def test_a_file_turned_on_its_side_is_turned_back_unless_it_states_what_is_up() -> None:
+    points = standing_markers(8)
+    lying = points[:, [2, 0, 1]]  # Z is up
+    upright = recognise_points("x", evidence(points), JOINTS).apply(points, JOINTS)
+    found = recognise_points("x", evidence(lying), JOINTS).apply(lying, JOINTS)
+    np.testing.assert_allclose(found[:, 1], upright[:, 1], atol=1e-9)
+    stated = recognise_points("x", evidence(lying, up="y"), JOINTS).apply(lying, JOINTS)
+    np.testing.assert_array_equal(
+        stated[:, 1], recognise_points("x", evidence(lying, up="y"), JOINTS).apply(lying, JOINTS)[:, 1]
+    )
+    assert not np.allclose(stated[:, 1], upright[:, 1])
+
+
+@pytest.mark.parametrize(
+    "names", [("Marker_1", "Marker_2", "Marker_3"), ("box:LASI", "box:top"), ("LKNE", "LANK", "C7")]
+)
+def test_what_is_no_body_is_refused_with_what_was_found(names: tuple[str, ...]) -> None:
+    points = np.random.default_rng(0).normal(size=(len(names), 3, 8))
+    with pytest.raises(SourceError, match=r"no human body is recognised .* labels are known.*kinedex mapping"):
+        recognise_points("x", evidence(points, names), JOINTS)
+
+
+def test_labels_of_a_body_on_points_of_none_are_refused() -> None:
+    points = np.random.default_rng(0).normal(size=(len(LABELS), 3, 8))
+    with pytest.raises(SourceError, match="no human proportions"):
+        recognise_points("x", evidence(points), JOINTS)
+
+
+def test_stand_ins_place_a_joint_as_a_rigid_body_has_it() -> None:
+    """The naive twin places the joint frame by frame, in the axes of three markers."""
+    random = np.random.default_rng(1)
+    frames = 20
+    turns = np.linalg.qr(random.normal(size=(frames, 3, 3)))[0]
+    turns *= np.sign(np.linalg.det(turns))[:, None, None]
+    body = random.normal(size=(5, 3))
+    moved = np.einsum("kab,nb->nak", turns, body) + random.normal(size=(1, 3, frames))
+    labels = ("a", "b", "c", "d")
+    places = dict(zip(labels, moved[:4].copy(), strict=True))
+    places["a"][:, 3:6] = np.nan
+    target = moved[4].copy()
+    target[:, 5:] = np.nan
+    mixes = stand_ins(places, target, labels, 1e-6)
+    assert mixes
+    for mix in mixes:
+        place = mix.apply(places, 1.0)
+        seen = np.isfinite(place).all(axis=0)
+        np.testing.assert_allclose(place[:, seen], moved[4][:, seen], atol=1e-4)
+        for k in np.flatnonzero(seen)[:3]:
+            a, b, c = (body[labels.index(name)] for name in mix.plane)
+            basis = np.stack([b - a, c - a, np.cross(b - a, c - a)], axis=1)
+            local = np.linalg.solve(basis, body[4] - a)
+            there = [places[name][:, k] for name in mix.plane]
+            edges = np.stack([there[1] - there[0], there[2] - there[0]], axis=1)
+            naive = there[0] + edges @ local[:2] + local[2] * np.cross(edges[:, 0], edges[:, 1])
+            np.testing.assert_allclose(place[:, k], naive, atol=1e-4)
+    assert {mix.plane for mix in mixes} <= set(combinations(labels, 3))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["RoboStatic", "59993_Frame_Static", "Sample_Static"])
+def test_hands_of_a_t_pose_are_not_above_the_neck(shared: Path, name: str) -> None:
+    path = shared / "data" / "wild" / "pyCGM" / f"{name}.c3d"
+    body = read_body(path, None, load_mappings("auto", JOINTS), JOINTS)
+    assert (body.unknown, body.estimated, body.valid) == ((), (), None)
+    words = features.words(body.positions, body.orientation, body.rate_hz, FEATURES.rules)
+    assert not (words & np.uint64(0b1100)).any()
