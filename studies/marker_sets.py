@@ -76,10 +76,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     table = Table(
-    shown = [
-        above("neck"), above("neck") / leg / 100, lowered, above("head") - above("neck"), above("lhip"), hands,
-    ]  # fmt: skip
-        "hand above neck, %",
+        "file", "read by", "neck above root, cm", "in legs", "shoulders above neck", "head above neck",
+        "hips above root", "hand above neck, %",
     )  # fmt: skip
     for name, way, body in bodies(parser.parse_args().data):
         table.add_row(name, way, *measures(body))
