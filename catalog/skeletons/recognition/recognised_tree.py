@@ -116,7 +116,7 @@ def _recognised(
     fit, up_reason, up_sure = _upright(fit, tree, evidence)
     fit = replace(fit, mapping=replace(fit.mapping, root_axes=_root_axes(tree, body, sides, fit.mapping.axes)))
     confidence = _confidence(tree, body, sides) * (1.0 if up_sure else _NO_UP)
-    fault = _fault(tree, bodies, confidence)
+    fault = _fault(tree, bodies, confidence, frozenset(vocabulary.terms.get("animal", ())))
     reasons = (*_reasons(tree, body, sides), up_reason)
     fit = replace(fit, estimated=found.estimated, reasons=reasons, confidence=round(confidence, 3))
     digest = hashlib.sha256(repr((fit.mapping.joints, fit.mapping.axes.tolist())).encode()).hexdigest()[:16]
@@ -255,14 +255,14 @@ def _proportions(tree: Tree, body: Anatomy) -> float:
     return -(arms**2 + trunk**2) / 2
 
 
-def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float) -> str:
+def _fault(tree: Tree, bodies: Sequence[Anatomy], confidence: float, animal: frozenset[str]) -> str:
     """Return why the best body cannot be used; an empty text if it can."""
     body = bodies[0]
     if _on_four_legs(tree, body):
         return "not human (its trunk lies between four legs)"
-    tails = [i for i, parts in enumerate(tree.parts) if "animal" in parts and not tree.names[i].end]
-    if tails and _proportions(tree, body) < -1.0:
-        return f"not human (it has '{tree.names[tails[0]].text}', and its proportions are no human's)"
+    tails = [i for i, name in enumerate(tree.names) if animal & {*name.words, name.key} and not name.end]
+    if tails and (body.legs is None or body.arms is None or _proportions(tree, body) < -1.0):
+        return f"not human (it has '{tree.names[tails[0]].text}', and not a human's arms, legs and trunk)"
     if body.names < _WHOLE_NAMES and len(bodies) > 1 and body.score - bodies[1].score < _LEAD:
         one, other = (_in_words(tree, pair) for pair in bodies[:2])
         return f"ambiguous (the limbs may be {one}, or {other})"

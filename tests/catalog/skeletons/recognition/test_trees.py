@@ -176,6 +176,30 @@ def dog() -> Evidence:
     return Evidence(names, places[:, :, None], parents, np.vstack([offsets, [0, 0, -0.2], [0, 0, -0.2]]))
 
 
+def creature(*limbs: tuple[str, float, tuple[tuple[float, float], ...]]) -> Evidence:
+    """A creature with pairs of limbs along a level back: the name of each, where it is along the back, and its joints.
+
+    Joints are distances from the middle and heights.
+    """
+    nodes = [("root", "", (0.0, 0.6, 0.0)), ("spine", "root", (0.0, 0.6, 0.5)), ("head", "spine", (0.0, 0.8, 0.9))]
+    for name, along, joints in limbs:
+        for side, sign in (("l", 1.0), ("r", -1.0)):
+            above = "spine" if along > 0.3 else "root"
+            for i, (far, high) in enumerate(joints):
+                nodes.append((f"{name}{i}_{side}", above, (sign * far, high, along)))
+                above = nodes[-1][0]
+    names = tuple(name for name, _, _ in nodes)
+    parents = tuple(names.index(parent) if parent else -1 for _, parent, _ in nodes)
+    places = np.array([place for _, _, place in nodes])
+    offsets = np.array([places[i] - (places[p] if p >= 0 else 0.0) for i, p in enumerate(parents)])
+    return Evidence(names, places[:, :, None], parents, offsets)
+
+
+LEG = ((0.1, 0.58), (0.1, 0.3), (0.1, 0.05), (0.1, 0.0))
+SPIDER_LEG = ((0.1, 0.6), (0.4, 0.8), (0.7, 0.4), (0.8, 0.0))
+WING = ((0.1, 0.6), (0.4, 0.65), (0.8, 0.6), (1.0, 0.55))
+
+
 @pytest.mark.parametrize(
     ("evidence", "kind"),
     [
@@ -184,8 +208,12 @@ def dog() -> Evidence:
         (chain("ground", "pendulum", "pendulum2", "bob"), "not human"),
         (hand(), "not human"),
         (dog(), "not human"),
+        (creature(("rear_leg", 0.0, LEG), ("front_leg", 0.5, LEG)), "not human"),
+        (creature(("bone_a", 0.0, LEG), ("bone_b", 0.5, LEG)), "not human"),
+        (creature(("leg", 0.0, LEG), ("wing", 0.5, WING)), "not human"),
+        (creature(*((f"leg{i}", 0.2 * i, SPIDER_LEG) for i in range(4))), "not human"),
     ],
-    ids=["a chain", "a camera", "a pendulum", "a hand", "a dog"],
+    ids=["a chain", "a camera", "a pendulum", "a hand", "a dog", "a horse", "a nameless horse", "a bird", "a spider"],
 )
 def test_what_is_no_human_is_refused_with_the_kind_of_reason(evidence: Evidence, kind: str) -> None:
     with pytest.raises(SourceError, match=f"no body is recognised: {kind}"):
