@@ -3,10 +3,10 @@
 The store is that of `kinedex run annotate` with ground truth. One actor at a time is left out: the takes of that actor
 are annotated and judged, and nothing else is done with them. The templates begin with one clip of each class, of other
 actors. The takes of the other actors are annotated, and a simulated person looks at a few segments in each round: what
-agrees with ground truth becomes an example with the true edges, what is another class an example of that one, and the
-rest is rejected. Then everything is learned and annotated again. The orders in which segments are looked at are
-compared: by confidence, by disagreement of `best` and `thesis`, at random. Where no take of another actor has ground
-truth, the clips of each other actor are laid end to end.
+overlaps ground truth of its class becomes an example with the true edges, what agrees with another class an example of
+that one, and the rest is rejected. Then everything is learned and annotated again. The orders in which segments are
+looked at are compared: by confidence, by disagreement of `best` and `thesis`, at random. Where no take of another actor
+has ground truth, the clips of each other actor are laid end to end.
 """
 
 from __future__ import annotations
@@ -70,7 +70,10 @@ class Person:
     def look(self, motion: Motion, label: str, segment: Segment) -> None:
         """Accept, correct or reject a segment."""
         self.seen[motion.name].append((segment.start, segment.stop))
-        fitting = [one for one in motion.truth if _shared(segment.start, segment.stop, *one[1:]) >= AGREES]
+        least = {label: 1e-9}  # a segment of the right class is corrected, however badly it is cut
+        fitting = [
+            one for one in motion.truth if _shared(segment.start, segment.stop, *one[1:]) >= least.get(one[0], AGREES)
+        ]
         if not any(one[0] == label for one in fitting):
             self.rejected.append(Rejected(label, motion.name, motion.words[segment.start : segment.stop]))
         for name, start, stop in fitting:

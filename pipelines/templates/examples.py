@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import defaultdict
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -257,11 +258,24 @@ class Rejected:
 
 
 def rejected_examples(store: Store, params: ExampleParameters) -> list[Rejected]:
-    """Return the rejected intervals among the examples that parameters choose; none if labels are not among them."""
+    """Return the rejected intervals among the examples that parameters choose; none if labels are not among them.
+
+    One that overlaps a positive label of its class is excluded: it was cut badly, and shows the class all the same.
+    """
     if LABELS not in params.examples:
         return []
     labelled, _ = _labelled(store, store.takes(params.labels_where))
-    words = example_words(store, [one for one in labelled if not one.positive])
+    shown = defaultdict(list)
+    for one in labelled:
+        if one.positive:
+            shown[one.take, one.label].append(one)
+    refused = [
+        one
+        for one in labelled
+        if not one.positive
+        and not any(one.start < other.stop and other.start < one.stop for other in shown[one.take, one.label])
+    ]
+    words = example_words(store, refused)
     valid = ((one, own[own != NO_WORD]) for one, own in words.items())
     return [
         Rejected(one.label, one.take, own, store.known.get(one.take_id, int(ALL_KNOWN)))

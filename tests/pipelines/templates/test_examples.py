@@ -136,6 +136,9 @@ def test_a_rejected_interval_is_negative_for_its_class_alone(line: Line) -> None
     (rejected,) = rejected_examples(store, params)
     assert (rejected.label, rejected.take, len(rejected.words)) == ("walk", "cat_take01", 20)
     assert rejected_examples(store, ExampleParameters()) == []
+    label(line, "cat_take01", "walk", 40, 60, verdict="negative", origin="accepted")
+    label(line, "cat_take01", "walk", 50, 59)  # the rejected one was cut badly
+    assert len(rejected_examples(opened(line), params)) == 1
     clips = example_clips(store, examples_of(store, params)[0])
     plain = {one.subclass: one for one in training_sets(clips, load_classes("own", list(POSES)))}
     shown = {one.subclass: one for one in training_sets(clips, load_classes("own", list(POSES)), [rejected])}
