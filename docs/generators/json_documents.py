@@ -69,6 +69,10 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "features": "for each feature its `feature`, `name`, `percent`, `runs`, `longest_seconds` and `remark`",
         "picture": "path of the picture, or null",
     },
+    "mapping list": {
+        **_STORE,
+        "mappings": "for each mapping or vocabulary that the store keeps its `name`, `kind` and YAML `text`",
+    },
     "verify": {
         **_STORE,
         "version": "version of the store that was checked",

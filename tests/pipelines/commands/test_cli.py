@@ -260,6 +260,7 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "search --explain": document("search", store, "example", "--explain"),
         "rank": document("rank", store, "--take", "x_aa_wave_001_120", "--tau", "1"),
         "inspect": document("inspect", source / "takes/x_aa_take01.amc", "--picture", tmp_path / "x.png"),
+        "mapping list": document("mapping", "list", store),
         "verify": document("verify", store),
         "repair": document("repair", store, "--dry-run"),
         "upgrade": document("upgrade", store),
