@@ -21,6 +21,7 @@ from kinedex.ops.errors import did_you_mean
 _WORD = re.compile(r"[^\W_]+")
 _EXPLICIT = ("joint", "center", "centre", "jc")  # words by which a label of a marker set names a joint
 _MOST_CHOICES = 12  # alternatives of a joint; more never help
+_LOOKED_AT = 60  # labels in which a prefix without a mark is looked for
 _SKIN = 3  # labels of the skin that make a file one of markers
 _TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "strn")
 """A set of markers on the skin has some of these."""
@@ -93,11 +94,14 @@ class Reading:
         True for a set of markers on the skin, False for one of joint centres.
     unread : tuple of str
         The labels that name nothing.
+    made : dict
+        The mixes of joints that have been made of them.
     """
 
     labels: dict[str, tuple[str, ...]]
     skin: bool
     unread: tuple[str, ...]
+    made: dict[str, tuple[list[Mix], str]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def known(self) -> int:
@@ -140,11 +144,26 @@ class Landmarks:
     points: Mapping[str, tuple[Choice, ...]]
     orders: Mapping[str, tuple[str, ...]]
     _keys: dict[str, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False)
+    _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
         """Return the landmarks that labels name, without the prefix with which they name most."""
+        known = self._readings.get(tuple(labels))
+        if known is not None:
+            return known
         prefixes = sorted({"", *_prefixes(labels)}, key=len)
-        return max((self._read(labels, prefix) for prefix in prefixes), key=lambda found: found.known)
+        found = max((self._read(labels, prefix) for prefix in prefixes), key=lambda found: found.known)
+        if len(self._readings) > 256:
+            self._readings.clear()
+        self._readings[tuple(labels)] = found
+        return found
+
+    def all_mixes(self, reading: Reading, joints: Sequence[str]) -> dict[str, tuple[list[Mix], str]]:
+        """Return the mixes of every joint, as `mixes` does; files of an archive share their labels, and so these."""
+        for joint in joints:
+            if joint not in reading.made:
+                reading.made[joint] = self.mixes(joint, reading.labels)
+        return {joint: reading.made[joint] for joint in joints}
 
     def _read(self, labels: Sequence[str], prefix: str) -> Reading:
         there = {label[:-1] for label in labels if label.endswith("O")} if len(labels) > 3 else set()
@@ -251,8 +270,9 @@ def _prefixes(labels: Sequence[str]) -> list[str]:
         label[: mark.end()] for label in labels for mark in re.finditer(r"[^A-Za-z0-9]", label[:LONGEST_PREFIX])
     )
     usual = [prefix for prefix, count in marks.most_common(8) if 3 * count > len(labels)]
-    starts = Counter(label[:size] for label in labels for size in (1, 2, 3, 4, 5, 6, 8, 10) if len(label) > size + 1)
-    glued = [start for start, count in starts.items() if 3 * count > 2 * len(labels) > 6]
+    some = labels[:_LOOKED_AT]
+    starts = Counter(label[:size] for label in some for size in (1, 2, 3, 4, 5, 6, 8, 10) if len(label) > size + 1)
+    glued = [start for start, count in starts.items() if 3 * count > 2 * len(some) > 6]
     return [*usual, *glued]
 
 

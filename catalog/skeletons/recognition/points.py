@@ -30,6 +30,7 @@ LEAST_CONFIDENCE = 0.5
 _SIDES = ("l", "r")
 _LEGS = tuple(f"{side}{part}" for side in _SIDES for part in ("hip", "knee", "ankle"))
 _ARMS = tuple(f"{side}{part}" for side in _SIDES for part in ("shoulder", "elbow", "wrist"))
+_ENOUGH = 3  # mixes of a joint that is never hidden
 _APART = 0.04  # sizes of the body; an alternative farther off than this stands for another place
 _OFF = 0.012  # sizes of the body; a stand-in for hidden markers is nearer than this
 _PELVIS = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "ltrochanter", "rtrochanter", "lcrest", "rcrest")
@@ -55,6 +56,13 @@ class _Draft:
     places: dict[str, F64]
     joints: dict[str, list[Mix]] = field(default_factory=dict)
     estimated: dict[str, str] = field(default_factory=dict)
+    made: dict[Mix, F64] = field(default_factory=dict)
+
+    def at(self, mix: Mix) -> F64:
+        """Return where a combination of points is in the sampled frames, (3, K)."""
+        if mix not in self.made:
+            self.made[mix] = mix.apply(self.places, 1.0)
+        return self.made[mix]
 
     def set(self, joint: str, *mixes: Mix | None, how: str = "") -> None:
         """Give a joint its alternatives if it has none, and record how it is estimated."""
@@ -74,7 +82,7 @@ class _Draft:
             if any(part is None for part in parts.values()):
                 return None
             return mix.apply({name: part for name, part in parts.items() if part is not None}, 1.0)
-        return mix.apply(self.places, 1.0)
+        return self.at(mix)
 
 
 def recognise_points(
@@ -155,20 +163,39 @@ def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landm
 
 def _regressions(draft: _Draft, landmarks: Landmarks, reading: Reading, joints: Sequence[str]) -> None:
     """Make the joints that have regressions or centres of their own; alternatives must agree where both are seen."""
-    found = {joint: landmarks.mixes(joint, reading.labels) for joint in joints}
     with np.errstate(invalid="ignore", over="ignore"):
-        places = {joint: [mix.apply(draft.places, 1.0) for mix in mixes] for joint, (mixes, _) in found.items()}
         size = _size(draft.places)
-    for joint, (mixes, how) in found.items():
-        seen = [i for i, place in enumerate(places[joint]) if np.isfinite(place).all(axis=0).any()]
-        kept = [i for i in seen if not _length(places[joint][i] - places[joint][seen[0]]) > _APART * size]
-        draft.set(joint, *(mixes[i] for i in kept), how=how)
+        for joint, (mixes, how) in landmarks.all_mixes(reading, joints).items():
+            draft.set(joint, *_agreeing(draft, mixes, size), how=how)
     for joint, landmarks_of in _SEGMENTS.items():
         if joint in draft.joints and reading.skin:
             labels = [label for landmark in landmarks_of for label in reading.labels.get(landmark, ())]
             best, *others = draft.joints[joint]
-            like = stand_ins(draft.places, best.apply(draft.places, 1.0), labels, _OFF * size)
+            place = draft.place(joint)
+            like = [] if place is None else stand_ins(draft.places, place, labels, _OFF * size)
             draft.joints[joint] = [best, *like, *others]
+
+
+def _agreeing(draft: _Draft, mixes: Sequence[Mix], size: float) -> list[Mix]:
+    """Return the mixes that are seen in some frame and lie where the first of them does.
+
+    Of a joint that is seen in all sampled frames two alternatives are enough.
+    """
+    kept: list[Mix] = []
+    first: F64 | None = None
+    for mix in mixes:
+        place = draft.at(mix)
+        seen = np.isfinite(place[0] + place[1] + place[2])
+        if not seen.any():
+            continue
+        if first is None:
+            first, always = place, bool(seen.all())
+        elif _length(place - first) > _APART * size:
+            continue
+        kept.append(mix)
+        if always and len(kept) == _ENOUGH:
+            break
+    return kept
 
 
 def _size(places: Mapping[str, F64]) -> float:
@@ -407,7 +434,10 @@ def _toes(draft: _Draft, side: str) -> None:
 
 
 def _median(values: F64) -> float:
-    return float(np.nanmedian(values)) if np.isfinite(values).any() else float("nan")
+    """Return the median of the finite values; NaN without any."""
+    ordered = np.sort(values[np.isfinite(values)])
+    count = len(ordered)
+    return float(ordered[(count - 1) // 2] + ordered[count // 2]) / 2 if count else float("nan")
 
 
 def _length(vectors: F64) -> float:

@@ -13,7 +13,7 @@ from kinedex.catalog.skeletons.skeleton_fit import Mix
 F64 = npt.NDArray[np.float64]
 
 _MOST = 6  # stand-ins of a joint
-_MOST_LABELS = 8  # of a segment; more make no better triples
+_MOST_LABELS = 6  # of a segment; more make no better triples
 _FARTHEST = 2.0  # a joint that lies farther outside of a triple than this moves too much with each marker
 _FLAT = 0.05  # sine of an angle below which three markers lie on a line
 
