@@ -94,7 +94,7 @@ class OpenSimReader(PointsReader):
         model = read_osim(model_path)
         warnings = [f"joints are placed by the model {model_path.name}", *layout.warnings]
         values, rate_hz = _values(path, layout, model, warnings)
-        names, positions = _posed(model, values)
+        names, positions = _posed(path, model, values)
         return Points(str(path), names, positions, rate_hz, unit_m=1.0, warnings=warnings)
 
 
@@ -216,16 +216,22 @@ def _refuse_gaps(path: Path, layout: _Layout, numbers: list[F64], columns: list[
             )  # fmt: skip
 
 
-def _posed(model: Model, values: F64) -> tuple[tuple[str, ...], F64]:
+def _posed(path: Path, model: Model, values: F64) -> tuple[tuple[str, ...], F64]:
     """Return names and positions (N, 3, T) of the centres of the joints and of the markers."""
     centres = {_name(model, i): (i, joint.in_child.origin) for i, joint in enumerate(model.joints) if joint.parent >= 0}
     stations = centres | {name: at for name, at in model.markers.items() if name not in centres}
     positions = np.empty((len(stations), 3, values.shape[1]))
     for start in range(0, values.shape[1], _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        rotations, origins = multibody.forward(model.joints, values[:, part])
-        for station, (body, place) in enumerate(stations.values()):
-            positions[station, :, part] = (origins[body] + rotations[body] @ place).T
+        with np.errstate(over="ignore", invalid="ignore"):  # functions of absurd numbers; their places are refused
+            rotations, origins = multibody.forward(model.joints, values[:, part])
+            for station, (body, place) in enumerate(stations.values()):
+                positions[station, :, part] = (origins[body] + rotations[body] @ place).T
+    far = ~(np.abs(positions) <= LARGEST).all(axis=(1, 2))
+    if far.any():
+        raise SourceError(
+            path, f"places '{list(stations)[int(np.argmax(far))]}' of the model '{model.name}' too far away"
+        )
     return tuple(stations), positions
 
 

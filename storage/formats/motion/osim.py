@@ -22,6 +22,9 @@ F64 = npt.NDArray[np.float64]
 LARGEST = 1e6
 """No number of a model of a body is larger: places in metres, angles in radians, coefficients of functions."""
 
+NEAREST = 1e-9
+"""Knots of a spline are farther apart than this, and axes are longer."""
+
 MOST_KNOTS = 1000
 """A spline of more knots is no joint's."""
 
@@ -128,7 +131,7 @@ class _Parser:
             return multibody.Linear(tuple(found[:-1].tolist()), float(found[-1]))
         if kind == "PolynomialFunction":
             found = self.numbers(element.find("coefficients"), f"{what} coefficients", None)
-            return multibody.Polynomial(tuple(found[:MOST_KNOTS].tolist()))
+            return multibody.Polynomial(tuple(found.tolist()))
         if kind == "MultiplierFunction":
             factor = float(self.numbers(element.find("scale"), f"{what} scale", 1, 1.0)[0])
             inner = element.find("function")
@@ -137,7 +140,7 @@ class _Parser:
         if kind in ("SimmSpline", "NaturalCubicSpline"):
             x, y = (self.numbers(element.find(axis), f"{what} {axis}", None) for axis in "xy")
             try:
-                if len(x) <= MOST_KNOTS:
+                if len(x) <= MOST_KNOTS and (np.diff(x) > NEAREST).all():
                     return multibody.spline(x, y)
             except ParameterError:
                 pass
@@ -320,7 +323,7 @@ def _spatial(
         if not _fits(function, len(names)):
             raise parser.error(own, f"has a function that does not go with {len(names)} coordinates")
         direction = parser.numbers(axis.find("axis"), f"{own} axis", 3)
-        if not direction.any():
+        if not np.linalg.norm(direction) > NEAREST:
             raise parser.error(own, "has an axis without a direction")
         found[nth < 3].append(multibody.Motion(direction, tuple(map(index.index, names)), function))
     return tuple(found[True]), tuple(found[False])

@@ -89,7 +89,7 @@ RAN: list[str] = []
 
 
 def run(text: str = "") -> str:
-    """What no pickle may reach."""
+    """Note that a pickle has reached a function."""
     RAN.append(text)
     return text
 
