@@ -13,9 +13,10 @@ import yaml
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, Keyframe, KeyframeQuery
 from kinedex.catalog.queries.query_files import parse_queries, read_queries
+from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline
-from studies import few_clips, learned_queries, manual_queries, stiffness
+from studies import corrections, few_clips, learned_queries, manual_queries, stiffness
 from studies.bandai import NONE, confusions, draw, summary, winner
 from studies.cross_studio import begin_of, contributions
 from studies.long_archive import METHODS, stages
@@ -136,3 +137,17 @@ def test_the_pages_name_variants_that_there_are() -> None:
     named = {quoted or word for quoted, word in re.findall(r'--variant (?:"([^"]+)"|(\w+))', text)}
     assert named <= set(learned_queries.VARIANTS)
     assert named
+
+
+def test_a_simulated_person_corrects_what_is_cut_badly_and_rejects_what_is_wrong() -> None:
+    words = np.arange(100, dtype=np.uint64)
+    motion = corrections.Motion("a", "ann", words, (("walk", 10, 30), ("kick", 50, 70)))
+    person = corrections.Person({}, {"a": "ann"})
+    person.look(motion, "walk", Segment(25, 40, 0, 0.1, 0))  # overlaps
+    person.look(motion, "walk", Segment(51, 69, 0, 0.1, 0))  # it is a kick
+    person.look(motion, "kick", Segment(80, 90, 0, 0.1, 0))  # it is nothing
+    assert {one.subclass: one.names for one in person.clips()} == {"walk": ("a[10:30]",), "kick": ("a[50:70]",)}
+    assert [one.of_takes for one in person.clips()] == [("a",), ("a",)]
+    assert [(one.label, len(one.words)) for one in person.rejected] == [("walk", 18), ("kick", 10)]
+    assert person.has_seen(motion, Segment(52, 70, 0, 0.1, 0))
+    assert not person.has_seen(motion, Segment(10, 24, 0, 0.1, 0))
