@@ -33,8 +33,10 @@ from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Read
 F64 = npt.NDArray[np.float64]
 
 _LEAST_NODES = 10  # a root with fewer nodes is a prop or a camera
+_HEAD_BYTES = 1 << 18  # the hierarchy of some thousand joints
 _KEPT_BYTES = 32 << 20  # channels of a file that are kept between recognition and reading
 _NEARLY_NOTHING = 0.01  # of the length of the OFFSET
+_MOTION_LINE = re.compile(rb"^[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
 _SECOND = re.compile(r"#\d+$")
 
 
@@ -85,6 +87,8 @@ class BvhReader(Reader):
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the names of the figures of a file with several roots; empty for a file of one figure."""
+        if _one_root(file):
+            return ()
         found = persons_of(BvhFile(file.path, file.data))
         return tuple(person.name for person in found) if len(found) > 1 else ()
 
@@ -155,6 +159,20 @@ class _Motion:
             found.append(block[inside - start])
             start += len(block)
         return np.concatenate(found)
+
+
+def _one_root(file: MotionFile) -> bool:
+    """Return whether the beginning of a file holds its whole hierarchy, with one root; frames are not read for that."""
+    if file.data is not None:
+        head = file.data[:_HEAD_BYTES]
+    else:
+        try:
+            with file.path.open("rb") as stream:
+                head = stream.read(_HEAD_BYTES)
+        except OSError:
+            return False  # the parser reports the fault
+    motion = _MOTION_LINE.search(head)
+    return motion is not None and head[: motion.start()].upper().count(b"ROOT") < 2
 
 
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
