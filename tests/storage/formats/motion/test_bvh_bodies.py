@@ -330,3 +330,14 @@ def test_wild_files_come_in_upright_and_of_human_height_or_are_no_human(shared: 
         lifted = np.nanmedian(joint(body, "head")[1] - joint(body, "root")[1])
         assert 0.35 < lifted < 0.8, path
     assert refused == [("test", True), ("Dog_example", True), ("dog_std", True)]
+
+
+def test_cmus_skeleton_under_other_names_has_the_same_joints(shared: Path, tmp_path: Path) -> None:
+    path = next((shared / "data" / "cmu").rglob("*.bvh"))
+    exact = read_body(path, None, AUTO, JOINTS)
+    assert exact.skeleton == "cmu-bvh"
+    renamed = tmp_path / "a.bvh"
+    renamed.write_text(path.read_text().replace("LFingers", "LeftHandIndex1").replace("RFingers", "RightHandIndex1"))
+    body = read_body(renamed, None, AUTO, JOINTS)
+    assert body.skeleton == "recognised"
+    np.testing.assert_allclose(body.positions, exact.positions, atol=1e-3)
