@@ -183,7 +183,7 @@ def _pace(figures: Plausibility, rate_hz: float) -> Iterator[str]:
         shown = [f"{name} {getattr(figures, name):.3g} (expected {limit[name].limits()})" for name in names]
         slow = tempo < (limit["tempo_hz"].low or 0)
         shown = shown or [f"hands and feet turn {tempo:.2g} times a second with {force:.0f} m/s²"]
-        likely = f", such as --rate {usual_rate(rate_hz * TYPICAL_HZ / tempo):g}" if tempo == tempo else ""
+        likely = f", such as --rate {usual_rate(rate_hz * TYPICAL_HZ / tempo):g}" if tempo > 0 else ""
         yield (
             f"at {rate_hz:g} Hz the motion is too {'slow' if slow else 'fast'} for a person: {', '.join(shown)}; "
             f"{_RATE}{likely}"

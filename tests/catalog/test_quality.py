@@ -42,6 +42,11 @@ def test_a_warning_names_figure_limits_and_way_out() -> None:
     assert "give it by --rate, such as --rate " in slow[-1]
 
 
+def test_a_body_whose_limbs_never_turn_is_warned_of() -> None:
+    found = quality_warnings(Plausibility(speed_m_s=2.0, tempo_hz=0.0, acceleration_m_s2=0.0), 30.0)
+    assert any("too slow for a person" in warning for warning in found)
+
+
 def test_unknown_figures_are_null_and_not_off() -> None:
     columns = quality_columns(Plausibility())
     assert list(columns) == [figure.name for figure in FIGURES]
