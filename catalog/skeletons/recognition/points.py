@@ -487,7 +487,10 @@ def _refusal(draft: _Draft, reading: Reading, proportions: Proportions) -> str:
     """Return why these points are no body, or nothing."""
     legs = [joint for joint in _LEGS if joint in draft.joints]
     arms = [joint for joint in _ARMS if joint in draft.joints]
-    if not (len(legs) == len(_LEGS) or (len(arms) == len(_ARMS) and {"neck", "root"} <= draft.joints.keys())):
+    if not (
+        len(legs) == len(_LEGS)
+        or (len(arms) == len(_ARMS) and "neck" in draft.joints and {"root", "chest"} & draft.joints.keys())
+    ):
         return "no human body is recognised among its points: neither two whole legs nor two arms and a trunk"
     if proportions.confidence < LEAST_CONFIDENCE:
         return f"its points have no human proportions ({'; '.join(proportions.doubts)})"

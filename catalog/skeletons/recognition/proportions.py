@@ -20,6 +20,7 @@ _RATIOS = {  # shares of the leg, from hip over knee to ankle
 }  # fmt: skip
 _UNEQUAL = 1.35  # a longer limb than this times the other one is another limb
 _LOOSE = 0.15  # a limb whose length varies by this share of it is none
+_ARMS = 1.5  # legs are so many times as long as arms to the wrist
 _COST = 0.3  # confidence that a doubt costs
 
 
@@ -69,7 +70,9 @@ def check_proportions(places: Mapping[str, F64]) -> Proportions:
         found = _lengths(places, *ends)
         lengths[part] = [float(np.median(found))] if len(found) else []
     legs = sum(float(np.mean(lengths[limb])) for limb in ("thigh", "shank") if lengths[limb])
+    arms = sum(float(np.mean(lengths[limb])) for limb in ("upper arm", "forearm") if lengths[limb])
     unit = legs if lengths["thigh"] and lengths["shank"] else 2.0 * float(np.mean(lengths["trunk"] or [0.0]))
+    unit = unit or _ARMS * arms
     shares = []
     for part, (least, most) in _RATIOS.items():
         if lengths[part] and unit > 0:

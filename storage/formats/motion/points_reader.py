@@ -123,6 +123,8 @@ def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
     judged = up_axis(joint_places(fit, evidence.places, None)[0])
     index = int(np.argmax(np.abs(fit.mapping.axes[1])))
     taken = ("-" if fit.mapping.axes[1, index] < 0 else "") + "xyz"[index]
+    if not judged.axis and evidence.up is None:
+        warnings.append(f"no axis is clearly up ({'; '.join(judged.reasons)}): {taken} is taken")
     if not judged.axis or judged.axis == taken or judged.confidence < SURE_UP:
         return fit
     if evidence.up is not None:

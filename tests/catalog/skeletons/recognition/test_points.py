@@ -118,6 +118,14 @@ def test_a_lower_body_comes_in_with_unknown_joints_above() -> None:
     assert known == {"root", *(f"{side}{part}" for side in "lr" for part in ("hip", "knee", "ankle", "toes"))}
 
 
+def test_an_upper_body_comes_in_without_a_root() -> None:
+    upper = tuple(label for label in LABELS if label[1:] in ("SHO", "ELB", "WRA", "WRB", "FIN") or label[0] not in "LR")
+    points = standing_markers(8)[[LABELS.index(label) for label in upper]]
+    fit = recognise_points("x", evidence(points, upper), JOINTS)
+    assert {"root", "lhip", "rknee"} <= set(fit.unknown)
+    assert {"neck", "chest", "lshoulder", "relbow", "lwrist"} <= set(JOINTS) - set(fit.unknown)
+
+
 def test_a_file_turned_on_its_side_is_turned_back_unless_it_states_what_is_up() -> None:
     points = standing_markers(8)
     lying = points[:, [2, 0, 1]]  # Z is up
