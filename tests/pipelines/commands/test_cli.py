@@ -268,7 +268,8 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "gc": document("gc", store, "--dry-run"),
         "version": document("version"),
     }
-    assert {command: list(keys) for command, keys in DOCUMENTS.items()} == {
+    elsewhere = ("labels ",)  # tests/pipelines/labels/test_decisions.py has annotations to decide on
+    assert {command: list(keys) for command, keys in DOCUMENTS.items() if not command.startswith(elsewhere)} == {
         command: list(keys) for command, keys in found.items()
     }
     assert found["ingest"]["ran"] == []

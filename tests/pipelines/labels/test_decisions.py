@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import kinedex
+from docs.generators.json_documents import DOCUMENTS
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.labels.segments import Difference, Segment, differences
 from kinedex.pipelines.stages.annotate import Annotate
@@ -87,6 +88,24 @@ def test_annotations_are_accepted_and_rejected_by_what_the_options_choose(line: 
     assert "frames or times of one take" in run("labels", "reject", line.store, "--start", "3", fails=True)
     assert "no annotation of test/annotate" in run("labels", "reject", line.store, "--class", "swim", fails=True)
     assert "columns of annotations" in run("labels", "reject", line.store, "--where", "colour = 1", fails=True)
+
+
+def test_json_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Path) -> None:
+    file = tmp_path / "mine.csv"
+    file.write_text("take,class,start,stop\nbob_take01,skip,0,50\n")
+    words: dict[str, tuple[object, ...]] = {
+        "import": (file,),
+        "add": ("bob_take01", "skip", 3, 9),
+        "accept": ("--all",),
+        "reject": ("--all",),
+        "list": (),
+        "remove": ("--class", "skip"),
+    }
+    found = {
+        f"labels {name}": json.loads(run("labels", name, line.store, *own, "--json")) for name, own in words.items()
+    }
+    expected = {command: list(keys) for command, keys in DOCUMENTS.items() if command.startswith("labels ")}
+    assert {command: list(keys) for command, keys in found.items()} == expected
 
 
 def test_rows_of_a_file_choose_annotations(line: Line, tmp_path: Path) -> None:
