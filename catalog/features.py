@@ -258,11 +258,27 @@ class FeatureSet:
         ----------
         unknown : iterable of str
             The joints that the body lacks.
+
+        Returns
+        -------
+        int
+            The mask, with all bits for a body that lacks none.
         """
         return self.every_bit & ~sum(1 << (feature.number - 1) for feature in self.without(unknown).unknown)
 
     def named(self, mask: int) -> list[str]:
-        """Return the names of the features of a mask, in the order of their numbers."""
+        """Return the names of the features of a mask, in the order of their numbers.
+
+        Parameters
+        ----------
+        mask : int
+            Bits as in a word.
+
+        Returns
+        -------
+        list of str
+            The names.
+        """
         return [feature.name for feature in self.features if mask >> (feature.number - 1) & 1]
 
     def set_of(self, number: int) -> WordSet:

@@ -24,6 +24,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.ops.body import features
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.ingestion.analysis import known_features
 from kinedex.pipelines.synth.archive import write_archive
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of
@@ -171,8 +172,8 @@ def _about_vertical(ours: F64, true: F64) -> F64:
 def _words(body: Body, made: Variant, actor: Actor) -> tuple[float, float, str]:
     """Return the share of equal bits, and the smallest F of a feature that is neither always on nor always off."""
     true = np.stack([made.truth[joint] for joint in FEATURES.joints])
-    off = FEATURES.without({*body.unknown, *made.unknown}).unknown
-    numbers = [i for i, feature in enumerate(FEATURES.features) if feature not in off]
+    known = known_features(FEATURES, body) & FEATURES.known(made.unknown)
+    numbers = [i for i in range(len(FEATURES.features)) if known >> i & 1]
     want = features.words(np.ascontiguousarray(true), actor.orientation, actor.rate_hz, FEATURES.rules)
     have = features.words(body.positions, body.orientation, actor.rate_hz, FEATURES.rules, body.valid)
     scores, equal = {}, []

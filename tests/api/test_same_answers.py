@@ -65,7 +65,7 @@ def test_invalid_frames_of_an_array_have_no_features(store: kinedex.Store) -> No
     table = kinedex.features(positions, rate=30)
     assert table["rknee_bent"].is_null().to_list() == [frame == 20 for frame in range(60)]
     lower = kinedex.Take.from_positions(positions[:, :9], 30, joints=store["SYN_al_take01"].joints[:9])
-    assert any("these features are off" in warning for warning in lower.warnings)
+    assert any("these features are unknown" in warning for warning in lower.warnings)
 
 
 def test_learned_templates_are_those_of_the_pipeline(store: kinedex.Store) -> None:

@@ -238,5 +238,7 @@ def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warni
         if np.isfinite(matrices).all():
             orientation[:, valid] = kinematics.quaternions(matrices)
             return orientation
-    warnings.append("hips or spine are unknown or without length, so the root's turn is too: features of it are off")
+    warnings.append(
+        "hips or spine are unknown or without length, so the root's turn is too: features of it are unknown"
+    )
     return orientation
