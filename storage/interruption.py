@@ -18,6 +18,7 @@ GRACE = 1.2
 """Seconds that a statement has to stop before it is abandoned: DuckDB interrupts no call of a single function."""
 
 _abandoned: dict[duckdb.DuckDBPyConnection, threading.Event] = {}
+_stopped: list[threading.Thread] = []
 
 
 class TimeLimitError(KinedexError):
@@ -65,6 +66,7 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
     finally:
         if not run.done.is_set():
             _abandoned[connection] = run.done
+        _stopped[:] = [thread for thread in (*_stopped, run.thread) if thread.is_alive()]
     raise TimeLimitError(
         f"the statement did not end within {timeout:g} s; give it more time, or fewer rows with WHERE or LIMIT"
     )
@@ -78,7 +80,8 @@ class _Run(Generic[T]):
         self._work = work
         self._results: list[T] = []
         self._fault: BaseException | None = None
-        threading.Thread(target=self._run, name="kinedex-sql", daemon=True).start()
+        self.thread = threading.Thread(target=self._run, name="kinedex-sql", daemon=True)
+        self.thread.start()
 
     def _run(self) -> None:
         try:
@@ -119,3 +122,8 @@ def is_abandoned(connection: duckdb.DuckDBPyConnection) -> bool:
 def abandoned_statements() -> int:
     """Return the number of abandoned statements that still run."""
     return sum(not done.is_set() for done in _abandoned.values())
+
+
+def is_running() -> bool:
+    """Return whether the thread of a statement that was stopped is alive, if only to free what the statement held."""
+    return any(thread.is_alive() for thread in _stopped)

@@ -195,7 +195,8 @@ def check_strange_bvh(path: Path) -> None:
 def check_strange_c3d(path: Path) -> None:
     """The parser alone, whatever the markers are called."""
     markers = parse_c3d(path)
-    if np.isinf(markers.positions).any() or not SLOWEST_HZ <= (markers.rate_hz or 0.0) <= FASTEST_HZ:
+    possible = markers.rate_hz is None or SLOWEST_HZ <= markers.rate_hz <= FASTEST_HZ
+    if np.isinf(markers.positions).any() or not possible:
         raise Broken("markers infinitely far away, or a rate out of bounds")
     if markers.positions.shape[:2] != (len(markers.names), 3) or len(set(markers.names)) != len(markers.names):
         raise Broken(f"{markers.positions.shape[:2]} points, named {markers.names}")

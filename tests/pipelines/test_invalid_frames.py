@@ -18,7 +18,7 @@ from kinedex.storage.store.take_export import export_take
 from kinedex.storage.store.verification import verify
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
 
-TAKE = "X_ann_take1"
+TAKE = "HDM_ann_take1"
 ARMS = [LABELS.index(side + name) for side in "LR" for name in ("ELB", "WRA", "WRB", "FIN")]
 LEG = [LABELS.index(name) for name in ("LTOE", "LHEE", "LANK", "LKNE")]
 INVALID = range(128, 143)  # of 30 a second: source frames 510 to 569 of 120
@@ -53,8 +53,8 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("markers")
     for actor in ("ann", "bob"):
         for number, height in enumerate((0.9, 1.1)):
-            write(root / f"clips/raise/X_{actor}_raise_{number:03}_120.c3d", arms_up(height))
-            write(root / f"clips/kick/X_{actor}_kick_{number:03}_120.c3d", leg_up(height / 2))
+            write(root / f"clips/raise/HDM_{actor}_raise_{number:03}_120.c3d", arms_up(height))
+            write(root / f"clips/kick/HDM_{actor}_kick_{number:03}_120.c3d", leg_up(height / 2))
     hidden = arms_up()
     hidden[LABELS.index("LELB"), :, 30:90] = np.nan
     parts = still(120), arms_up(), still(60), leg_up(), still(60), hidden, still(120)
