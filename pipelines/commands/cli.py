@@ -39,9 +39,9 @@ def main() -> None:
 def _leave_a_running_statement(code: object) -> None:
     """End the process at once where a SQL statement does not stop.
 
-    Python would take DuckDB apart under the statement, or under the thread that frees what it held. Nothing is lost: SQL
-    opens a store for reading alone, holds no lock, the prompt has written its history, and DuckDB removes the temporary
-    files of processes that are gone.
+    Python would take DuckDB apart under the statement, or under the thread that frees what it held. Nothing is lost:
+    SQL opens a store for reading alone, holds no lock, the prompt has written its history, and DuckDB removes the
+    temporary files of processes that are gone.
     """
     running = sys.modules.get("kinedex.storage.interruption")
     if running is not None and running.is_running():
