@@ -29,7 +29,7 @@ from kinedex.pipelines.synth.archive import write_archive
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of
 from kinedex.storage.formats.motion.sources import scan
-from studies.wild_variants import Actor, Skeleton, Variant, load_skeletons, roles_of, variant
+from studies.wild_variants import Actor, Skeleton, Variant, load_skeletons, roles_of, sliding, variant
 
 F64 = npt.NDArray[np.float64]
 FEATURES = load_feature_set()
@@ -195,7 +195,12 @@ def variants(skeletons: Iterable[Skeleton], mappings: Mappings, console: Console
         for skeleton in skeletons:
             roles = roles_of(skeleton)
             if roles is None:
-                sums["no human, not judged here"] += 1
+                path = Path(name) / "variant.bvh"
+                path.write_text(sliding(skeleton), encoding="utf-8")
+                outcome = read(path, mappings)
+                sums["of no human, refused" if outcome.body is None else "of no human, in"] += 1
+                cells = ("", "", "", "", f"refused: {outcome.reason[:200]}" if outcome.body is None else "in")
+                table.add_row(skeleton.label, "no human", "", *cells)
                 continue
             family, nodes = roles
             for up, turn in TURNS.items():

@@ -180,6 +180,15 @@ def variant(skeleton: Skeleton, nodes: dict[str, int], actor: Actor, turn: F64) 
     return Variant(text, truth, own, unknown)
 
 
+def sliding(skeleton: Skeleton) -> str:
+    """Return the BVH text of a skeleton that slides ahead in its rest pose for two seconds, for bodies of no human."""
+    frames = 60
+    turns = np.broadcast_to(np.eye(3), (len(skeleton.names), frames, 3, 3))
+    root = np.zeros((3, frames))
+    root[2] = np.linspace(0.0, float(np.abs(skeleton.offsets).max()), frames)
+    return _text(skeleton, skeleton.offsets, root, turns, 30.0)
+
+
 def _lacking(nodes: dict[str, int]) -> set[str]:
     legs = {f"{side}{role}" for side in "lr" for role in ("hip", "knee", "ankle", "toes")}
     arms = {f"{side}{role}" for side in "lr" for role in ("clavicle", "shoulder", "elbow", "wrist", "fingers")}
