@@ -35,6 +35,7 @@ Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 
+@lru_cache(maxsize=1)
 def shipped_configs() -> Path:
     """Return the folder of the configuration files that come with kinedex, in a checkout and in a wheel alike."""
     return Path(__file__).resolve().parents[1] / "configs"

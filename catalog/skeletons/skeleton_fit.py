@@ -65,6 +65,12 @@ class Mix:
         return mixed
 
 
+_KEPT_FITS: dict[tuple[int, tuple[tuple[str, int], ...]], Fit] = {}
+"""Fits by the identity of their mapping, which they keep alive, and the nodes."""
+
+_MOST_KEPT = 64
+
+
 @dataclass(frozen=True)
 class SkeletonMapping:
     """One mapping file.
@@ -134,7 +140,19 @@ class SkeletonMapping:
         return short
 
     def fit(self, nodes: Mapping[str, int]) -> Fit:
-        """Find the named joints in a skeleton, given as node name → index."""
+        """Find the named joints in a skeleton, given as node name → index.
+
+        The last fits are kept, for most files of an archive have the same nodes.
+        """
+        key = (id(self), tuple(nodes.items()))
+        kept = _KEPT_FITS.get(key)
+        if kept is None:
+            if len(_KEPT_FITS) >= _MOST_KEPT:
+                _KEPT_FITS.clear()
+            kept = _KEPT_FITS[key] = self._fit(nodes)
+        return kept
+
+    def _fit(self, nodes: Mapping[str, int]) -> Fit:
         places = self.places(nodes)
         found: dict[str, Mix | None] = {}
         instead: dict[str, tuple[Mix, ...]] = {}

@@ -178,17 +178,19 @@ def _one_root(file: MotionFile) -> bool:
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
     """Return the nodes whose position channels do not hold their OFFSET, but what is added to it: nearly nothing."""
     nodes, offsets = motion.file.nodes, motion.file.offsets
+    lengths = np.sqrt((offsets * offsets).sum(axis=1)).tolist()
     moved = {
         i: [step.column for step in node.steps if step.kind >= kinematics.MOVE_X]
         for i, node in enumerate(nodes)
-        if node.parent >= 0 and offsets[i].any()
+        if node.parent >= 0 and lengths[i]
     }
     moved = {i: columns for i, columns in moved.items() if len(columns) == 3}
     if not moved:
         return frozenset()
-    channels = motion.sampled(SAMPLED_FRAMES)
-    far = {i: np.abs(channels[:, columns]).max() / np.linalg.norm(offsets[i]) for i, columns in moved.items()}
-    apart = frozenset(i for i, share in far.items() if share < _NEARLY_NOTHING)
+    reach = np.abs(motion.sampled(SAMPLED_FRAMES)).max(axis=0).tolist()
+    apart = frozenset(
+        i for i, columns in moved.items() if max(reach[column] for column in columns) < _NEARLY_NOTHING * lengths[i]
+    )
     return apart if 2 * len(apart) > len(moved) else frozenset()
 
 

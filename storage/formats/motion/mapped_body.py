@@ -22,6 +22,9 @@ from kinedex.storage.formats.motion.text_blocks import BLOCK
 
 F64 = npt.NDArray[np.float64]
 
+_UPRIGHT = 0.8  # cosine of the tilt of a body that stands
+_MOSTLY = 0.9  # of the frames
+
 FARTHEST_M = 100_000.0
 """No body is farther from the origin: a joint beyond this is a fault of the file."""
 
@@ -195,6 +198,19 @@ def is_shipped(fit: Fit) -> bool:
     return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
 
 
+def _stands(positions: F64, joints: tuple[str, ...]) -> bool:
+    """Return whether a body stands along Y in nearly all of a few frames, which leaves nothing to judge."""
+    wanted = ("head", "lankle", "rankle")
+    if not set(wanted) <= set(joints):
+        return False
+    head, left, right = (positions[joints.index(joint)] for joint in wanted)
+    step = max(1, positions.shape[2] // SAMPLED_FRAMES)
+    with np.errstate(over="ignore", invalid="ignore"):  # Absurd numbers are refused later.
+        up = head[:, ::step] - 0.5 * (left[:, ::step] + right[:, ::step])
+        standing = up[1] > _UPRIGHT * np.sqrt((up * up).sum(axis=0))
+    return bool(standing.mean() > _MOSTLY)
+
+
 def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
     """Turn the joints in place where another axis than that of a shipped mapping is up; return its fit, and why.
 
@@ -211,7 +227,7 @@ def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...])
     joints : tuple of str
         The names of the J joints.
     """
-    if not is_shipped(fit):
+    if not is_shipped(fit) or _stands(positions, joints):
         return fit, ()
     frames = np.unique(np.linspace(0, positions.shape[2] - 1, SAMPLED_FRAMES).round().astype(np.int64))
     known = {joint: positions[i][:, frames] for i, joint in enumerate(joints) if joint not in fit.unknown}
