@@ -1,9 +1,9 @@
 """`python -m studies.wild DIR`: read motion files of others, and synthetic motion in the dialects of their skeletons.
 
-The first table counts the files below DIR: in, with joints estimated, or refused, and why. The second needs
-`--skeletons FILE` (`wild_skeletons.json`): each skeleton is moved like a synthetic actor, written as BVH twice, with Y
-up and with Z up (as Blender exports it), read again, and compared with the truth: the distance of joints, left and
-right, the vertical axis, and the words.
+The first table lists the files below DIR: in, with joints estimated, or refused, and why; the counts below it name
+those whose figures are implausible. The second needs `--skeletons FILE` (`wild_skeletons.json`): each skeleton is moved
+like a synthetic actor, written as BVH twice, with Y up and with Z up (as Blender exports it), read again, and compared
+with the truth: the distance of joints, left and right, the vertical axis, and the words.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.ops.body import features
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.ingestion.analysis import known_features
+from kinedex.pipelines.ingestion.quality import judged
 from kinedex.pipelines.synth.archive import write_archive
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of
@@ -60,6 +61,7 @@ def census(folder: Path, mappings: Mappings, console: Console) -> None:
     """Read all motion files below a folder and print a line for each, and the sums by ending."""
     found = scan(folder)
     sums: Counter[tuple[str, str]] = Counter()
+    implausible: Counter[tuple[str, str]] = Counter()
     table = Table("file", "dialect", "frames", "confidence", "unknown", "estimated", "warnings, or the reason")
     for motion in found.motions:
         file = MotionFile(motion.absolute)
@@ -70,22 +72,26 @@ def census(folder: Path, mappings: Mappings, console: Console) -> None:
             persons = ("",)
         for person in persons:
             outcome = read(motion.absolute, mappings, skeleton, person)
-            table.add_row(*_row(motion.path + (f" [{person}]" if person else ""), outcome))
-            sums[motion.format, "in" if outcome.body else "refused"] += 1
+            doubts = judged(outcome.body, FEATURES.joints, ())[1] if outcome.body else []
+            table.add_row(*_row(motion.path + (f" [{person}]" if person else ""), outcome, doubts))
+            dialect = outcome.body.skeleton if outcome.body else "refused"
+            sums[motion.format, dialect] += 1
+            implausible[motion.format, dialect] += bool(doubts)
     console.print(table)
-    for ending in sorted({ending for ending, _ in sums}):
-        console.print(f".{ending}: {sums[ending, 'in']} in, {sums[ending, 'refused']} refused")
+    for (ending, dialect), count in sorted(sums.items()):
+        doubted = f", {implausible[ending, dialect]} implausible" if dialect != "refused" else ""
+        console.print(f".{ending}: {count} {dialect}{doubted}")
     for line in found.unread_lines():
         console.print(line)
 
 
-def _row(path: str, outcome: Outcome) -> tuple[str, ...]:
+def _row(path: str, outcome: Outcome, doubts: list[str]) -> tuple[str, ...]:
     body = outcome.body
     if body is None:
         return path, "refused", "", "", "", "", outcome.reason
     return (
         path, body.skeleton, str(body.frames), f"{body.confidence:.2f}", " ".join(body.unknown),
-        " ".join(body.estimated), " | ".join(body.warnings),
+        " ".join(body.estimated), " | ".join([*body.warnings, *doubts]),
     )  # fmt: skip
 
 
