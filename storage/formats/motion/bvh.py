@@ -36,6 +36,7 @@ _LEAST_NODES = 10  # a root with fewer nodes is a prop or a camera
 _HEAD_BYTES = 1 << 18  # the hierarchy of some thousand joints
 _KEPT_BYTES = 32 << 20  # channels of a file that are kept between recognition and reading
 _NEARLY_NOTHING = 0.01  # of the length of the OFFSET
+_NODES = re.compile(rb"(?<![^\s{}])(ROOT|JOINT)\s+[^\s{}]+", re.IGNORECASE)
 _MOTION_LINE = re.compile(rb"^[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
 _SECOND = re.compile(r"#\d+$")
 
@@ -172,7 +173,11 @@ def _one_root(file: MotionFile) -> bool:
         except OSError:
             return False  # the parser reports the fault
     motion = _MOTION_LINE.search(head)
-    return motion is not None and head[: motion.start()].upper().count(b"ROOT") < 2
+    if motion is None:
+        return False
+    # a word after either keyword is a name, which may be `Root` itself
+    keywords = [found[1].upper() for found in _NODES.finditer(head, 0, motion.start())]
+    return keywords.count(b"ROOT") < 2
 
 
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
