@@ -1,0 +1,33 @@
+"""The motion of named joints, as the writers of motion files take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Places of named joints over time, in metres with Y up.
+
+    Attributes
+    ----------
+    name : str
+        Name of the take or of the clip, for the headers of files.
+    joints : tuple of str
+        Names of the joints, at most the 24 named ones.
+    places : float32 array (T, joints, 3)
+        Places in metres; NaN where a joint was not seen.
+    rate_hz : float
+        Frames per second.
+    words : uint64 array (T,) or None
+        The word of each frame, `NO_WORD` where the frame is invalid; None where there are none.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    places: npt.NDArray[np.float32]
+    rate_hz: float
+    words: npt.NDArray[np.uint64] | None = None
