@@ -24,6 +24,8 @@ class JointMotion:
         Frames per second.
     words : uint64 array (T,) or None
         The word of each frame, `NO_WORD` where the frame is invalid; None where there are none.
+    orientation : float32 array (T, 4) or None
+        Orientation of the root as unit quaternions (w, x, y, z); None where it is not known.
     """
 
     name: str
@@ -31,3 +33,4 @@ class JointMotion:
     places: npt.NDArray[np.float32]
     rate_hz: float
     words: npt.NDArray[np.uint64] | None = None
+    orientation: npt.NDArray[np.float32] | None = None

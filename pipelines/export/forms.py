@@ -1,0 +1,79 @@
+"""The forms of exported files: their endings, and their writers from joints or from the channels of a source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.storage.formats.motion.joint_motion import JointMotion
+from kinedex.storage.formats.motion.source_cut import SourceCut
+
+_MOTION = "kinedex.storage.formats.motion"
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form of exported files. A writer is named "module:function" and imported when it is first used.
+
+    Attributes
+    ----------
+    meaning : str
+        Its description, for lists of forms.
+    endings : tuple of str
+        Endings of the files of one clip, without the dot. A writer from joints writes the first one.
+    joints : str or None
+        Function of (path, JointMotion) that writes the 24 joints; None where there is none.
+    channels : str or None
+        Function of (paths, SourceCut) that cuts a source's own channels, with one path for each of `endings`; None
+        where there is none.
+    sources : tuple of str
+        Formats of takes (column `format`) whose channels `channels` can cut.
+    """
+
+    meaning: str
+    endings: tuple[str, ...]
+    joints: str | None = None
+    channels: str | None = None
+    sources: tuple[str, ...] = ()
+
+    def write_joints(self, path: Path, motion: JointMotion) -> None:
+        """Write a motion of joints to one file."""
+        assert self.joints is not None
+        write: Callable[[Path, JointMotion], None] = _function(self.joints)
+        write(path, motion)
+
+    def cut_channels(self, paths: Sequence[Path], cut: SourceCut) -> None:
+        """Write a cut of a source's own channels, one file for each of `endings`."""
+        assert self.channels is not None
+        write: Callable[[Sequence[Path], SourceCut], None] = _function(self.channels)
+        write(paths, cut)
+
+
+FORMS = {
+    "csv": Form("joint positions as text", ("csv",), f"{_MOTION}.table_writer:write_csv"),
+    "parquet": Form("joint positions and words", ("parquet",), f"{_MOTION}.table_writer:write_parquet"),
+    "npz": Form("joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.npz_writer:write_npz"),
+}
+"""Name of a form → the form."""
+
+
+def form_named(name: str) -> Form:
+    """Return a form by its name.
+
+    Raises
+    ------
+    KinedexError
+        There is no such form; the message names those that there are.
+    """
+    if name not in FORMS:
+        raise KinedexError(f"no export format '{name}'{did_you_mean(name, FORMS)}; there are {', '.join(FORMS)}")
+    return FORMS[name]
+
+
+def _function(place: str) -> Callable[..., None]:
+    module, _, name = place.partition(":")
+    function: Callable[..., None] = getattr(import_module(module), name)
+    return function
