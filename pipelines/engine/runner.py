@@ -315,7 +315,9 @@ def _record(
     if files := full.get("files"):
         full[SUMS] = file_sums(context.store_path, files)
     with context.writer() as writer:
-        writer.record_stage(StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full))
+        writer.record_stage(
+            StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full, pipeline.run)
+        )
         writer.record_pipeline(context.pipeline, replace(pipeline, recorded=now()))
         writer.commit()
 

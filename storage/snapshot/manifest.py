@@ -126,7 +126,7 @@ class ResultPart:
     stage : str
         The stage, "<pipeline>/<stage>".
     run : str
-        Id of the pipeline run.
+        Id of the run of the stage.
     xxh3 : str
         XXH3 checksum of the file, 128 bits in hexadecimal digits; empty in a store of format 3.
     columns : int
@@ -246,13 +246,15 @@ class StageRecord:
     fingerprint : str
         Hash of all that its results follow from.
     run : str
-        Id of the pipeline run.
+        Id of this run of the stage, which its results have as `run`.
     finished : str
         Time of its end, ISO 8601 in UTC.
     seconds : float
         Its duration.
     summary : dict
         Facts about its results, as JSON values.
+    pipeline_run : str
+        Id of the pipeline run that it ran in (`PipelineRecord.run`); empty in records of before there was a history.
     """
 
     stage: str
@@ -261,6 +263,7 @@ class StageRecord:
     finished: str
     seconds: float
     summary: dict[str, Any] = field(default_factory=dict)
+    pipeline_run: str = ""
 
 
 @dataclass(frozen=True)
