@@ -1,0 +1,101 @@
+"""The direction that a body faces on the ground, and motions that begin at the origin, facing +Z.
+
+Places are in metres with Y up and the body's left towards +X where it faces +Z.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+
+class Placement(NamedTuple):
+    """A body's place on the ground: x and z in metres, and its turn about Y from +Z in radians."""
+
+    x: float
+    z: float
+    yaw: float
+
+
+def facing_yaw(left: F64, right: F64) -> F64:
+    """Return the turn about Y from +Z of a body that stands between its left and right joints.
+
+    The body faces across the line from its right to its left joints, seen from above.
+
+    Parameters
+    ----------
+    left, right : float64 array (…, P, 3)
+        Places of P pairs of joints, such as the hips and the shoulders; NaN where a joint is not known.
+
+    Returns
+    -------
+    float64 array (…)
+        Radians, from −π to π: a body with yaw π/2 faces +X. NaN where no pair is known, or where all are upright.
+    """
+    across = left - right
+    whole = np.isfinite(across).all(axis=-1, keepdims=True)
+    x, _, z = np.moveaxis(np.where(whole, across, 0.0).sum(axis=-2), -1, 0)
+    return np.where((x == 0.0) & (z == 0.0), np.nan, np.arctan2(-z, x))
+
+
+def turn_about_y(places: F64, yaw: float) -> F64:
+    """Turn places about the Y axis, so that +Z comes to lie at an angle of yaw towards +X.
+
+    Parameters
+    ----------
+    places : float64 array (…, 3)
+        Places or directions.
+    yaw : float
+        Radians.
+    """
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    x, y, z = np.moveaxis(places, -1, 0)
+    return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
+
+
+def start_at_origin(places: F64, placement: Placement) -> F64:
+    """Move and turn places so that a body of this placement stands above the origin and faces +Z; heights stay.
+
+    Parameters
+    ----------
+    places : float64 array (…, 3)
+        Metres, Y up.
+    placement : Placement
+        The body's place on the ground before.
+    """
+    return turn_about_y(places - np.array([placement.x, 0.0, placement.z]), -placement.yaw)
+
+
+def turned_quaternions(turns: F64, yaw: float) -> F64:
+    """Return orientations (…, 4) w, x, y, z, of bodies that are turned about the Y axis by yaw radians."""
+    a, c = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
+    w, x, y, z = np.moveaxis(turns, -1, 0)
+    return np.stack([a * w - c * y, a * x + c * z, a * y + c * w, a * z - c * x], axis=-1)
+
+
+def placement_of(root: F64, left: F64, right: F64) -> Placement:
+    """Return the placement of a body in one frame.
+
+    Parameters
+    ----------
+    root : float64 array (3,)
+        The root's place.
+    left, right : float64 array (P, 3)
+        Places of pairs of joints, such as the hips and the shoulders; NaN where a joint is not known.
+
+    Raises
+    ------
+    ParameterError
+        The root is not known, or no pair is.
+    """
+    yaw = float(facing_yaw(left, right))
+    if not (np.isfinite(root).all() and math.isfinite(yaw)):
+        raise ParameterError("the body", "with a root and both hips or both shoulders", "unknown places")
+    return Placement(float(root[0]), float(root[2]), yaw)

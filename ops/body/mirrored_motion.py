@@ -1,0 +1,49 @@
+"""Motions in a mirror: left and right exchanged, across the plane x = 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+def mirrored_names(names: Sequence[str]) -> list[str]:
+    """Return the name of the mirror image of each named joint: lhip for rhip; root for root.
+
+    A name that begins with l or r has a mirror image where the other one is among the names, too.
+    """
+    known = set(names)
+    others = {name: {"l": "r", "r": "l"}.get(name[:1], "") + name[1:] for name in names}
+    return [others[name] if others[name] in known and name[:1] in "lr" else name for name in names]
+
+
+def mirrored_places(places: F64, names: Sequence[str]) -> F64:
+    """Return the places of a body's mirror image.
+
+    Parameters
+    ----------
+    places : float array (T, J, 3)
+        Places of joints; NaN where a joint is not known.
+    names : sequence of str
+        The J joints; those that begin with l and r are pairs (`mirrored_names`).
+
+    Returns
+    -------
+    float array (T, J, 3)
+        Joint by joint in the order of the names. Mirrored twice, the places are what they were, to the bit.
+    """
+    index = {name: j for j, name in enumerate(names)}
+    order = np.array([index[name] for name in mirrored_names(names)], np.int64)
+    return places[:, order] * np.array([-1, 1, 1], places.dtype)
+
+
+def mirrored_quaternions(turns: F64) -> F64:
+    """Return the orientations of mirror images, float array (…, 4) w, x, y, z.
+
+    They belong to a body whose own axes are mirrored, too: its left is +X as before.
+    """
+    return turns * np.array([1, 1, -1, -1], turns.dtype)

@@ -1,0 +1,117 @@
+"""Clips that show the same motion: near-duplicates by the places of their joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.facing_direction import Placement, start_at_origin
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+F32 = npt.NDArray[np.float32]
+
+MOMENTS = 32
+"""Moments, evenly spread over a clip, at which clips are compared."""
+
+_BLOCK = 256
+
+
+def motion_outline(places: F64, placement: Placement) -> F32:
+    """Return a clip's outline: its joints at `MOMENTS` moments, from the origin and facing +Z at the start.
+
+    Parameters
+    ----------
+    places : float array (T, J, 3)
+        Places in metres, Y up; NaN where a joint is not known.
+    placement : Placement
+        The body's place in the first frame.
+
+    Returns
+    -------
+    float32 array (MOMENTS, J, 3)
+        Places between two frames are interpolated.
+    """
+    at = np.linspace(0.0, len(places) - 1.0, MOMENTS)
+    left = np.floor(at).astype(np.int64)
+    right = np.minimum(left + 1, len(places) - 1)
+    share = (at - left)[:, None, None]
+    moved = np.where(share > 0, places[left] * (1.0 - share) + places[right] * share, places[left])
+    return start_at_origin(moved, placement).astype(np.float32)
+
+
+def near_duplicates(outlines: Sequence[F32] | F32, seconds: Sequence[float] | F64, most: float) -> list[int]:
+    """Find for each clip the first earlier one that shows the same motion.
+
+    Two clips show the same motion if their outlines differ by less than `most` metres, as the root of the mean square
+    over the moments and the joints that both know, and if their durations differ by at most a tenth of the longer
+    one. A clip is compared with those that are no duplicates themselves.
+
+    Parameters
+    ----------
+    outlines : sequence of float32 array (MOMENTS, J, 3)
+        Outlines of N clips (`motion_outline`).
+    seconds : sequence of float (N,)
+        Their durations.
+    most : float
+        The difference in metres from which on clips are different.
+
+    Returns
+    -------
+    list of int (N,)
+        Index of the earlier clip; −1 where there is none.
+
+    Raises
+    ------
+    ParameterError
+        The difference is not above 0.
+    """
+    if not most > 0:
+        raise ParameterError("most", "metres above 0", most)
+    count = len(outlines)
+    same = [-1] * count
+    if not count:
+        return same
+    points = np.asarray(outlines, np.float32).reshape(count, -1)
+    known = np.isfinite(points)
+    values = np.where(known, points, 0.0)
+    whole = bool(known.all())
+    durations = np.asarray(seconds, np.float64)
+    kept = np.empty(0, np.int64)
+    for first in range(0, count, _BLOCK):
+        block = np.arange(first, min(first + _BLOCK, count))
+        candidates = np.concatenate([kept, block])
+        near = _distances(values, known, whole, block, candidates) < most
+        longer = np.maximum(durations[block][:, None], durations[candidates][None, :])
+        near &= np.abs(durations[block][:, None] - durations[candidates][None, :]) <= 0.1 * longer
+        found: list[int] = []
+        # a clip of this block counts from where it turns out to be no duplicate
+        usable = np.arange(len(candidates)) < len(kept)
+        for row, clip in enumerate(block.tolist()):
+            matches = near[row] & usable
+            place = int(np.argmax(matches))
+            if matches[place]:
+                same[clip] = int(candidates[place])
+            else:
+                found.append(clip)
+                usable[len(kept) + row] = True
+        kept = np.concatenate([kept, np.array(found, np.int64)])
+    return same
+
+
+def _distances(
+    values: F32, known: npt.NDArray[np.bool_], whole: bool, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]
+) -> F64:
+    """Return the distances in metres between clips; infinity where they know no joint in common."""
+    a, b = values[rows], values[columns]
+    if whole:
+        squares = np.square(a).sum(axis=1, dtype=np.float64)[:, None] + np.square(b).sum(axis=1, dtype=np.float64)
+        squares = squares - 2.0 * (a.astype(np.float64) @ b.astype(np.float64).T)
+        return np.sqrt(np.maximum(squares, 0.0) / (values.shape[1] / 3))
+    here, there = known[rows].astype(np.float64), known[columns].astype(np.float64)
+    wide_a, wide_b = a.astype(np.float64), b.astype(np.float64)
+    squares = np.square(wide_a) @ there.T + here @ np.square(wide_b).T - 2.0 * (wide_a @ wide_b.T)
+    common = here @ there.T / 3
+    return np.sqrt(np.where(common > 0, np.maximum(squares, 0.0) / np.maximum(common, 1.0), np.inf))
