@@ -291,6 +291,46 @@ def count_rows(data: bytes, start: int, numbered: bool) -> int:
     return int(_count_rows(np.frombuffer(data, dtype=np.uint8), start, numbered))
 
 
+@njit(cache=True, nogil=True)
+def _row_starts(data: U8, pos: int, numbered: bool, out: I64) -> None:
+    end, count = len(data), 0
+    while pos < end:
+        line = pos
+        pos = _skip_blanks(data, pos, end)
+        if pos < end:
+            byte = data[_at(pos)]
+            if numbered:
+                row = _ZERO <= byte <= _NINE
+            else:
+                row = byte != _NEWLINE and byte != _RETURN and byte != _HASH
+            if row:
+                out[_at(count)] = line
+                count += 1
+        pos = _next_line(data, pos, end)
+
+
+def row_starts(data: bytes, start: int, numbered: bool) -> I64:
+    """Return the bytes at which the lines begin that `count_rows` counts.
+
+    Parameters
+    ----------
+    data : bytes
+        A text.
+    start : int
+        The first byte, the beginning of a line.
+    numbered : bool
+        Find only lines that begin with a digit.
+
+    Returns
+    -------
+    int64 array (rows,)
+        Places in `data`, ascending; blanks at the beginning of a line belong to it.
+    """
+    found = np.empty(count_rows(data, start, numbered), np.int64)
+    _row_starts(np.frombuffer(data, dtype=np.uint8), start, numbered, found)
+    return found
+
+
 def parse_frames(
     data: bytes, start: int, line: int, names: list[str], widths: list[int]
 ) -> tuple[F64, int, Fault | None]:

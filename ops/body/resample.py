@@ -71,6 +71,49 @@ def resample(
     return Sampled(moved, turned, None if valid is None else valid[left] & valid[right])
 
 
+def covered_frames(start: int, stop: int, frames: int, source_rate_hz: float, rate_hz: float) -> tuple[int, int]:
+    """Return the interval of source frames that an interval of resampled frames covers.
+
+    Frame t of the result lasts from t to t + 1 of its own frames, and covers the source frames that begin in that time;
+    so neighbouring intervals share no source frame. Sampled again, the source frames give as many frames as the
+    interval has, unless the source is slower than the result: one more or less then. Where the source has no whole
+    number of frames for each of the result, a few more source frames may be needed for that.
+
+    Parameters
+    ----------
+    start, stop : int
+        The interval [start, stop) in frames of the result of `resample`.
+    frames : int
+        The number of source frames.
+    source_rate_hz, rate_hz : float
+        Frames per second of the source and of the result.
+
+    Returns
+    -------
+    tuple of (int, int)
+        The interval in source frames.
+
+    Raises
+    ------
+    ParameterError
+        The interval is empty, or the source has no frames there.
+    """
+    step = source_rate_hz / rate_hz
+    first, last = _ceil(start * step), _ceil((stop - 1) * step)
+    if not 0 <= start < stop or last >= frames + max(step, 1.0):
+        raise ParameterError("start and stop", f"an interval of frames within {frames} source frames", (start, stop))
+    needed = _ceil((stop - start - 1) * step) + 1
+    end = max(_ceil(stop * step), first + needed)
+    if end <= frames:
+        return first, end
+    # at the end of the source there are no further frames: it begins with the one before
+    return (first if frames - first >= needed else max(0, int(np.floor(round(start * step, 9))))), frames
+
+
+def _ceil(number: float) -> int:
+    return int(np.ceil(round(number, 9)))
+
+
 def _slerp(a: F64, b: F64, share: F64) -> F64:
     cosine = np.sum(a * b, axis=0)
     b = np.where(cosine < 0, -b, b)

@@ -56,6 +56,15 @@ FORMS = {
     "csv": Form("joint positions as text", ("csv",), f"{_MOTION}.table_writer:write_csv"),
     "parquet": Form("joint positions and words", ("parquet",), f"{_MOTION}.table_writer:write_parquet"),
     "npz": Form("joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.npz_writer:write_npz"),
+    "bvh": Form(
+        "the channels of a BVH source", ("bvh",), channels=f"{_MOTION}.bvh_cuts:write_bvh_cut", sources=("bvh",)
+    ),
+    "amc": Form(
+        "the channels of an AMC source, and its ASF skeleton",
+        ("amc", "asf"),
+        channels=f"{_MOTION}.amc_cuts:write_amc_cut",
+        sources=("amc",),
+    ),
 }
 """Name of a form → the form."""
 

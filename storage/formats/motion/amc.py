@@ -72,6 +72,8 @@ class AmcFile:
     ----------
     frames : int
         The number of frames.
+    start : int
+        The byte at which the first frame begins.
     warnings : tuple of str
         Reservations about the file, complete once a block was parsed.
 
@@ -86,9 +88,10 @@ class AmcFile:
         self.skeleton = skeleton
         self.warnings: tuple[str, ...] = ()
         self._data = data
-        self.frames = 0
+        self.frames = self.start = 0
         for block in blocks(self.path, data, before_last_frame):
             start = _amc_header(self.path, block)[0] if block.line == 1 else 0
+            self.start = self.start or start
             self.frames += t.count_rows(block.data, start, numbered=True)
 
     def blocks(self) -> Iterator[npt.NDArray[np.float64]]:

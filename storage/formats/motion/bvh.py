@@ -55,12 +55,15 @@ class Person:
         Indices of End Sites at the place of their joint.
     offsets : float64 array (N, 3)
         The OFFSET of every node, also of those whose position channels stand in its place.
+    members : tuple of int
+        The indices of the nodes in the file.
     """
 
     name: str
     nodes: tuple[kinematics.Node, ...]
     redundant: frozenset[int]
     offsets: F64
+    members: tuple[int, ...]
 
     @property
     def places(self) -> dict[str, int]:
@@ -220,7 +223,7 @@ def persons_of(file: BvhFile, apart: frozenset[int] = frozenset()) -> list[Perso
     if not large:
         large = dict([max(trees.items(), key=lambda tree: len(tree[1]))])
     if len(trees) == 1:
-        return [Person("", all_nodes, file.redundant, file.offsets)]
+        return [Person("", all_nodes, file.redundant, file.offsets, tuple(range(len(all_nodes))))]
     found: list[Person] = []
     for top, members in large.items():
         name = _free_name(_root_name(file.nodes[top].name), [person.name for person in found])
@@ -251,7 +254,8 @@ def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members:
         replace(nodes[old], name=called, parent=index.get(nodes[old].parent, -1))
         for old, called in zip(members, names, strict=True)
     )
-    return Person(name, own, frozenset(index[old] for old in file.redundant if old in index), file.offsets[members])
+    redundant = frozenset(index[old] for old in file.redundant if old in index)
+    return Person(name, own, redundant, file.offsets[members], tuple(members))
 
 
 def _evidence(motion: _Motion, person: Person) -> Evidence:

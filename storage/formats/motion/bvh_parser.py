@@ -79,6 +79,29 @@ def _places(nodes: tuple[k.Node, ...], redundant: frozenset[int]) -> dict[str, i
     return {node.name: i for i, node in enumerate(nodes) if i not in redundant}
 
 
+@dataclass(frozen=True)
+class Layout:
+    """The text before the frames of a BVH file, and the bytes of its parts.
+
+    Attributes
+    ----------
+    text : bytes
+        From the beginning of the file to the end of the line of Frame Time, without the end of that line.
+    frames, frame_time : tuple of (int, int)
+        Start and stop of the number of frames, and of the frame time.
+    joints : tuple of (int, int)
+        Start and stop of every node, from its keyword to its closing brace, in the order of `BvhFile.nodes`.
+    offsets : tuple of (int, int)
+        Start and stop of the three numbers of every node's OFFSET.
+    """
+
+    text: bytes
+    frames: tuple[int, int]
+    frame_time: tuple[int, int]
+    joints: tuple[tuple[int, int], ...]
+    offsets: tuple[tuple[int, int], ...]
+
+
 @dataclass
 class _Joint:
     """One ROOT, JOINT or End Site of the hierarchy as it is read."""
@@ -89,6 +112,8 @@ class _Joint:
     end: bool = False
     offset: tuple[float, ...] | None = None
     channels: list[str] | None = None
+    numbers: tuple[int, int] = (0, 0)  # the bytes of its OFFSET's numbers
+    stop: int = 0  # the byte after its closing brace
 
 
 @dataclass
@@ -99,6 +124,7 @@ class _Text:
     data: bytes
     pos: int = 0
     at: int = field(default=0, init=False)  # where the last word began
+    settings: list[tuple[int, int]] = field(default_factory=list, init=False)  # bytes of Frames, of Frame Time
 
     def line(self, at: int) -> int:
         return 1 + len(_LINE_END.findall(self.data, 0, at))
@@ -189,6 +215,8 @@ class BvhFile:
         The number of frames.
     offsets : float64 array (N, 3)
         The OFFSET of every node, also of those whose position channels stand in its place.
+    layout : Layout
+        The text before the frames.
 
     Raises
     ------
@@ -214,6 +242,9 @@ class BvhFile:
                 f"the header states {claimed} frames, the file holds {self.frames}, which are kept{cut}"
             )
         self.warnings += _name(joints)
+        spans = tuple((joint.at, joint.stop) for joint in joints)
+        numbers = tuple(joint.numbers for joint in joints)
+        self.layout = Layout(text.data[: text.pos], text.settings[-2], text.settings[-1], spans, numbers)
         self.nodes, self._rotations = _chain(joints)
         self.offsets = np.array([joint.offset for joint in joints])
         self.redundant = frozenset(i for i, joint in enumerate(joints) if joint.end and not any(joint.offset or ()))
@@ -293,6 +324,7 @@ def _hierarchy(text: _Text) -> list[_Joint]:
             raise text.error(f"expected {expected}, got {_shown(word)}{did_you_mean(word.upper(), [expected])}")
         elif key == "}":
             joint = joints[inside.pop()]
+            joint.stop = text.pos
             if joint.offset is None:
                 raise text.error(f"{_called(joint)} has no OFFSET", joint.at)
         elif key == "OFFSET":
@@ -334,7 +366,10 @@ def _open_joint(text: _Text, key: str, joints: list[_Joint], inside: list[int]) 
 def _read_offset(text: _Text, joint: _Joint) -> None:
     if joint.offset is not None:
         raise text.error(f"a second OFFSET of {_called(joint)}")
-    joint.offset = tuple(text.number(f"OFFSET of {_called(joint)}") for _ in range(3))
+    values = [text.number(f"OFFSET of {_called(joint)}")]
+    first = text.at
+    values += [text.number(f"OFFSET of {_called(joint)}") for _ in range(2)]
+    joint.offset, joint.numbers = tuple(values), (first, text.pos)
 
 
 def _read_channels(text: _Text, joint: _Joint) -> None:
@@ -386,7 +421,9 @@ def _setting(text: _Text, pattern: re.Pattern[bytes], expected: str) -> str:
     if found is None:
         raise text.error(f"expected {expected}, got {_shown(word)}")
     text.pos = found.end()
-    return _decode(found[1]).strip()
+    value = found[1].rstrip()
+    text.settings.append((found.start(1), found.start(1) + len(value)))
+    return _decode(value).strip()
 
 
 def frame_rate(frame_time: str) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinedex.catalog.skeletons.mappings import Mappings
+
 
 @dataclass(frozen=True)
 class SourceCut:
@@ -30,6 +32,11 @@ class SourceCut:
         Put the root above the origin and turn it to +Z in the first frame of `inner`.
     inner : tuple of int, optional
         The interval that is meant, in frames of the source, where the cut includes its surroundings.
+    checksum : str, optional
+        SHA-256 of the source when it was ingested; a source of another content is an error. Not checked without it.
+    mappings : Mappings, optional
+        The skeleton mappings that tell the source's left from its right, for `mirror` and `in_place`; the shipped ones
+        by default.
     """
 
     source: Path
@@ -42,3 +49,5 @@ class SourceCut:
     rate_hz: float | None = None
     in_place: bool = False
     inner: tuple[int, int] | None = None
+    checksum: str | None = None
+    mappings: Mappings | None = None

@@ -1,0 +1,97 @@
+"""Cuts of a source's own channels: the checks that its formats share, and the files that a cut is written to.
+
+The numbers of a cut are the text of the source, byte by byte, wherever no change is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError, ParameterError, SourceError
+from kinedex.storage.disk import whole_file
+from kinedex.storage.formats.motion.source_cut import SourceCut
+from kinedex.storage.formats.motion.sources import checksum
+
+Stamp = tuple[int, int]
+"""Size in bytes, and time of the last change in nanoseconds, of a file."""
+
+
+def stamp_of(path: Path) -> Stamp:
+    """Return the state of a file; a SourceError reports that it is not there.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read; the message names the form that needs no source.
+    """
+    try:
+        found = path.stat()
+    except OSError as fault:
+        raise SourceError(
+            path,
+            f"cannot be read: {fault.strerror}; a cut of the source's own channels needs it. Bring it back, or export "
+            "the 24 joints, which the store itself holds",
+        ) from fault
+    return found.st_size, found.st_mtime_ns
+
+
+def check_source(cut: SourceCut) -> None:
+    """Check that the source is the file that the store has read.
+
+    Raises
+    ------
+    SourceError
+        The source cannot be read, or has another content than `cut.checksum`.
+    """
+    if cut.checksum and cut.checksum != _checksum(cut.source, stamp_of(cut.source)):
+        raise SourceError(
+            cut.source,
+            "was changed since it was ingested, so that frames of the store are not its frames; ingest it again "
+            "(kinedex ingest STORE SOURCE), or export the 24 joints, which the store itself holds",
+        )
+
+
+@lru_cache(maxsize=64)
+def _checksum(path: Path, _stamp: Stamp) -> str:
+    return checksum(path)
+
+
+def check_interval(cut: SourceCut, frames: int) -> None:
+    """Check that a cut lies within the frames of its source.
+
+    Raises
+    ------
+    SourceError
+        It does not; the store and the file disagree.
+    ParameterError
+        The interval is empty, or the frames that are meant lie outside of it.
+    """
+    if cut.mirror or cut.in_place or cut.rate_hz is not None:
+        raise ParameterError("mirror, rate_hz and in_place", "not asked for of a source's own channels", cut)
+    if not 0 <= cut.start < cut.stop:
+        raise ParameterError("start and stop", "an interval of at least one frame", (cut.start, cut.stop))
+    if cut.stop > frames:
+        raise SourceError(
+            cut.source,
+            f"has {frames} frames, so that [{cut.start}, {cut.stop}) cannot be cut out of it; it was changed since it "
+            "was ingested: ingest it again (kinedex ingest STORE SOURCE)",
+        )
+    if cut.inner is not None and not cut.start <= cut.inner[0] < cut.inner[1] <= cut.stop:
+        raise ParameterError("inner", f"an interval within [{cut.start}, {cut.stop})", cut.inner)
+
+
+def write_bytes(path: Path, pieces: Iterable[bytes]) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    KinedexError
+        The file cannot be written.
+    """
+    try:
+        with whole_file(path) as unfinished, unfinished.open("wb") as file:
+            file.writelines(pieces)
+    except OSError as fault:
+        raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
