@@ -18,9 +18,11 @@ from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack
 
-_STYLE = """:root { color-scheme: light dark; --line: #8884; --accent: #d2691e; }
+_STYLE = """:root { color-scheme: light dark; --line: #8884; --left: #1f6fc4; --right: #c8402f; }
 body { margin: 0; font: 13px system-ui, sans-serif; color: #222; background: #fff; }
-@media (prefers-color-scheme: dark) { body { color: #ddd; background: #1b1b1b; } }
+@media (prefers-color-scheme: dark) {
+:root { --left: #6cb2ff; --right: #ff8a76; } body { color: #ddd; background: #1b1b1b; } }
+.sides { float: right; } .left { color: var(--left); } .right { color: var(--right); }
 canvas { display: block; width: 100%; max-width: 420px; cursor: ew-resize; touch-action: pan-y; }
 .what { margin: .2rem 0; font-variant-numeric: tabular-nums; }
 .controls { display: flex; gap: .6rem; align-items: center; max-width: 420px; }
@@ -29,7 +31,8 @@ input[type=range] { flex: 1; }
 
 _CONTROLS = """<div id="player" hidden>
 <canvas width="640" height="420" role="img" aria-label="Stick figure of the take; drag to turn it"></canvas>
-<p class="what"></p>
+<p class="what"><span class="sides"><b class="left">left</b> <b class="right">right</b></span>
+<span class="now"></span> <span class="title"></span></p>
 <div class="controls"><button type="button" class="play">play</button>
 <input type="range" min="0" max="1" step="any" value="0" aria-label="Time within the take">
 <label>speed <select><option value="0.25">¼</option><option value="0.5">½</option><option value="1" selected>1</option>
@@ -81,7 +84,7 @@ def player_page(take: Shown) -> str:
     return (
         f'<!doctype html><meta charset="utf-8"><style>{_STYLE}</style>{start}{_CONTROLS}'
         f'<script type="application/json" id="motions">{data}</script><script>{script}</script>'
-        '<script>document.querySelector(".start rect").dispatchEvent(new Event("click"));</script>'
+        '<script>document.querySelector(".start rect").dispatchEvent(new Event("click", { bubbles: true }));</script>'
     )
 
 

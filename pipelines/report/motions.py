@@ -33,14 +33,16 @@ Embed = Literal["auto", "all", "none"] | list[str]
 
 @dataclass(frozen=True)
 class Motion:
-    """One take in the form that the player reads.
+    """A take, or a piece of one, in the form that the player reads.
 
     Attributes
     ----------
     take : str
         Name of the take.
-    frames : int
-        Frames of the take at the analysis rate.
+    first, frames : int
+        The first analysis frame, and the number of them.
+    total : int
+        Analysis frames of the take.
     step : int
         Every step-th frame is stored.
     rate_hz : float
@@ -53,7 +55,9 @@ class Motion:
     """
 
     take: str
+    first: int
     frames: int
+    total: int
     step: int
     rate_hz: float
     unit_m: float
@@ -126,8 +130,24 @@ def embed(
     return Motions(tuple(packed), joints, parents, _remark(packed, len(takes), wanted, size, f"{stage}.embed"))
 
 
-def pack(take: str, positions: npt.NDArray[np.floating], rate_hz: float) -> Motion:
-    """Pack the positions of one take, (J, 3, T) in metres; NaN stands for unknown ones."""
+def pack(
+    take: str, positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, total: int | None = None
+) -> Motion:
+    """Pack the positions of a take or of a piece of it.
+
+    Parameters
+    ----------
+    take : str
+        Name of the take.
+    positions : float array (J, 3, T)
+        Metres, Y up; NaN where unknown.
+    rate_hz : float
+        Frames per second.
+    first : int
+        Frame of the take that the piece begins with.
+    total : int or None
+        Frames of the take; None for those of `positions`.
+    """
     kept = np.asarray(positions, np.float64)[:, :, ::_STEP]
     known = np.isfinite(kept)
     largest = float(np.abs(kept[known]).max()) if known.any() else 0.0
@@ -136,7 +156,8 @@ def pack(take: str, positions: npt.NDArray[np.floating], rate_hz: float) -> Moti
     rows = whole.reshape(-1, whole.shape[2])
     steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, as that of the player does
     data = base64.b64encode(zlib.compress(steps.astype("<i2").tobytes(), 9)).decode("ascii")
-    return Motion(take, positions.shape[2], _STEP, rate_hz / _STEP, unit_m, data)
+    frames = positions.shape[2]
+    return Motion(take, first, frames, frames if total is None else total, _STEP, rate_hz / _STEP, unit_m, data)
 
 
 def motions_json(motions: Motions | None) -> Markup:

@@ -87,7 +87,7 @@ def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
 
 
 def test_nothing_in_the_page_ends_the_script_that_holds_the_motions() -> None:
-    carried = motions.Motions((Motion("</script><b>", 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), "")
+    carried = motions.Motions((Motion("</script><b>", 0, 1, 1, 2, 15.0, 0.001, ""),), ("root",), (-1,), "")
     text = str(motions_json(carried))
     assert "<" not in text
     assert json.loads(text)["motions"][0]["take"] == "</script><b>"
