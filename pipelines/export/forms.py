@@ -65,6 +65,9 @@ FORMS = {
         channels=f"{_MOTION}.amc_cuts:write_amc_cut",
         sources=("amc",),
     ),
+    "trc": Form("joints as markers, for OpenSim and Pose2Sim", ("trc",), f"{_MOTION}.trc_writer:write_trc"),
+    "c3d": Form("joints as points, for programs of motion capture", ("c3d",), f"{_MOTION}.c3d_writer:write_c3d"),
+    "glb": Form("glTF: skeleton, animation and a stick figure", ("glb",), f"{_MOTION}.gltf_writer:write_gltf"),
 }
 """Name of a form → the form."""
 
