@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.kinematics import frames_along, quaternions
+from kinedex.ops.body.transforms import rotations
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 
@@ -36,9 +37,9 @@ _ARRAY, _ELEMENTS = 34962, 34963
 def write_gltf(path: Path, motion: JointMotion) -> None:
     """Write the joints of a motion as a binary glTF file (.glb), in metres with Y up.
 
-    Every joint is a node below the one it hangs from, and a key for each frame moves it. The root turns with hips and
-    spine; the other nodes do not turn. A mesh of sticks, blue on the left and red on the right, is bound to the nodes.
-    Joints that are never seen are no nodes.
+    Every joint is a node below the one it hangs from, and a key for each frame moves it. The root turns as the motion
+    states, or with hips and spine; the other nodes do not turn. A mesh of sticks, blue on the left and red on the
+    right, is bound to the nodes. Joints that are never seen are no nodes.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def write_gltf(path: Path, motion: JointMotion) -> None:
         The root is never seen, or a joint is not seen in some frames only, which a glTF cannot express.
     """
     names, parents, places = _tree(motion)
-    turns = _root_turns(names, places)
+    turns = _root_turns(names, places, motion.orientation)
     document = _Document()
     root = names.index("root")
     local = places - places[[max(parent, 0) for parent in parents]]
@@ -105,8 +106,10 @@ def _tree(motion: JointMotion) -> tuple[list[str], list[int], F64]:
     return names, parents, places
 
 
-def _root_turns(names: Sequence[str], places: F64) -> F64:
-    """Return the rotations (T, 3, 3) of hips and spine; unturned where these are unknown or have no length."""
+def _root_turns(names: Sequence[str], places: F64, orientation: npt.NDArray[np.float32] | None) -> F64:
+    """Return rotations (T, 3, 3) of the root, those of hips and spine if its own are unknown; else no rotation."""
+    if orientation is not None and np.isfinite(orientation).all():
+        return rotations(orientation.astype(np.float64))
     of = dict(zip(names, places, strict=True))
     spine = next((name for name in _SPINE if name in of), None)
     frames = places.shape[1]

@@ -1,0 +1,20 @@
+"""The study of round trips: every form that leaves a store is read again as it was written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kinedex.pipelines.export.forms import FORMS
+from studies.round_trips import round_trips, synthetic, table
+
+
+def test_every_form_comes_back(tmp_path: Path) -> None:
+    found = list(round_trips(synthetic(tmp_path)[2], tmp_path))
+    assert {one.form.partition(",")[0] for one in found} >= {name for name, form in FORMS.items() if form.joints}
+    assert "amc, channels" in {one.form for one in found}
+    for one in found:
+        assert not one.error_mm > 0.01, one
+        assert all(one.others.values()), one
+        if one.form != "bvh, joints":  # a chain of bones of fixed length
+            assert one.differ_at_rate == 0, one
+    assert table(found).count("\n") == len(found) + 2
