@@ -24,6 +24,7 @@ KINDS = {
     "features": "feature set",
     "classes": "class file",
     "queries": "query file",
+    "kinematics": "kinematic chain",
     "pipelines": "pipeline",
 }
 """The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""

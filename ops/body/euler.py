@@ -1,0 +1,94 @@
+"""Euler angles of rotation matrices, in any order of the three axes and without jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+
+def matrices_of(angles: F64, order: str) -> F64:
+    """Return the product (T, 3, 3) of rotations about axes, leftmost first.
+
+    Parameters
+    ----------
+    angles : float64 array (T, n)
+        Radians, in the order of the axes.
+    order : str
+        n letters of XYZ: "ZXY" is Rz · Rx · Ry.
+    """
+    product = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
+    for axis, angle in zip(order, angles.T, strict=True):
+        i = "XYZ".index(axis)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turn = np.zeros((len(angles), 3, 3))
+        turn[:, i, i] = 1.0
+        turn[:, j, j] = turn[:, k, k] = np.cos(angle)
+        turn[:, k, j] = np.sin(angle)
+        turn[:, j, k] = -turn[:, k, j]
+        product = product @ turn
+    return product
+
+
+def euler_angles(matrices: F64, order: str, first: F64 | None = None) -> F64:
+    """Return the angles whose product is a rotation, each frame's nearest to those of the frame before.
+
+    Parameters
+    ----------
+    matrices : float64 array (T, 3, 3)
+        Rotations.
+    order : str
+        A permutation of XYZ; the matrix of the first axis stands leftmost.
+    first : float64 array (3,), optional
+        Angles that those of the first frame are to be near to; 0 by default.
+
+    Returns
+    -------
+    float64 array (T, 3)
+        Radians, in the order of the axes; not limited to a turn, so that they go on where a joint turns further.
+
+    Raises
+    ------
+    ParameterError
+        The order is no permutation of XYZ.
+    """
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise ParameterError("order", "a permutation of XYZ", order)
+    i, j, k = ("XYZ".index(axis) for axis in order)
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    out = np.empty((len(matrices), 3))
+    _angles(np.ascontiguousarray(matrices), i, j, k, sign, np.zeros(3) if first is None else first, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _angles(matrices: F64, i: int, j: int, k: int, sign: float, first: F64, out: F64) -> None:
+    """Decompose with the middle angle in a quarter turn, or with its other solution where that is nearer."""
+    turn = 2.0 * np.pi
+    near = first.copy()
+    found, other = np.empty(3), np.empty(3)
+    for t in range(len(matrices)):
+        m = matrices[t]
+        sine = min(1.0, max(-1.0, sign * m[i, k]))
+        found[1] = np.arcsin(sine)
+        if abs(sine) < 1.0 - 1e-12:
+            found[0] = np.arctan2(-sign * m[j, k], m[k, k])
+            found[2] = np.arctan2(-sign * m[i, j], m[i, i])
+        else:  # only the sum or the difference of the outer angles is known: the last one stays
+            found[2] = near[2]
+            around = np.arctan2(sign * m[k, j], m[j, j])
+            found[0] = around - found[2] if sine * sign > 0 else around + found[2]
+        other[0], other[1], other[2] = found[0] + np.pi, np.pi - found[1], found[2] + np.pi
+        far, far_other = 0.0, 0.0
+        for a in range(3):
+            found[a] += turn * np.round((near[a] - found[a]) / turn)
+            other[a] += turn * np.round((near[a] - other[a]) / turn)
+            far += abs(found[a] - near[a])
+            far_other += abs(other[a] - near[a])
+        for a in range(3):
+            near[a] = found[a] if far <= far_other + 1e-9 else other[a]
+            out[t, a] = near[a]

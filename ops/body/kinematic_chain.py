@@ -1,0 +1,459 @@
+"""The kinematic chain: a body of nodes that turn, its points for a pose, and their derivatives (thesis, Section 6.2.1).
+
+A pose is the place of the first node and a rotation R_k of every node. With G_k = G_parent · R_k and the centre
+c_k = c_parent + G_parent · o_k, a point q in the frame of node k is at y = c_k + G_k · q. A step x of the parameters
+adds x₁..₃ to the place, and sets R_k ← R_k · exp(Σ x_d ê_d) over the axes of the node: twists that are linearised anew
+at every pose, so that three axes in one place never lock. The derivative of y by a turn about axis e_d of a node k
+above it is (G_k e_d) × (y − c_k); by the place it is the unit vector.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+PLACES = 3
+"""The first parameters of a pose are the place of the first node; those of its turns follow, axis by axis."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis that a node turns about, one parameter of the chain.
+
+    Attributes
+    ----------
+    node : int
+        The node.
+    direction : int
+        0, 1 or 2 for X, Y or Z of the node's frame.
+    sign : float
+        −1 for a turn about the opposite direction.
+    pull : float
+        Standard deviation of the turn about the rest pose, in radians; infinite for none.
+    hinge : tuple of (float, float)
+        Least and greatest turn in radians, infinite for none.
+    """
+
+    node: int
+    direction: int
+    sign: float = 1.0
+    pull: float = np.inf
+    hinge: tuple[float, float] = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class JointRest:
+    """The place of a joint in the frame of the node that moves it.
+
+    Attributes
+    ----------
+    node : int
+        The node that moves it.
+    start : int
+        The joint that `along` is seen from; the joint whose place it has where `along` is None and it is not measured.
+    along : tuple of float, optional
+        Direction at rest, which the length of the bone multiplies.
+    measured : bool
+        True for a place that is measured in the frame of the node.
+    """
+
+    node: int
+    start: int
+    along: tuple[float, float, float] | None = None
+    measured: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicChain:
+    """The nodes and joints of a body, without its lengths.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    nodes : tuple of str
+        K nodes, parents first.
+    parents : tuple of int
+        The parent of each node, −1 for the first.
+    centres : tuple of int
+        The joint that each node turns about.
+    axes : tuple of Axis
+        The axes of all nodes, node by node.
+    joints : tuple of str
+        J joints.
+    rest : tuple of JointRest
+        The place of each joint.
+
+    Raises
+    ------
+    ParameterError
+        A parent stands after its child, or the centre of a node is not moved by the node's parent.
+    """
+
+    name: str
+    nodes: tuple[str, ...]
+    parents: tuple[int, ...]
+    centres: tuple[int, ...]
+    axes: tuple[Axis, ...]
+    joints: tuple[str, ...]
+    rest: tuple[JointRest, ...]
+
+    def __post_init__(self) -> None:
+        for k, (node, parent, centre) in enumerate(zip(self.nodes, self.parents, self.centres, strict=True)):
+            if (k == 0) != (parent < 0) or parent >= k:
+                raise ParameterError(f"parent of node '{node}'", "a node before it; only the first has none", parent)
+            if self.rest[centre].node != max(parent, 0):
+                mover, above = self.nodes[self.rest[centre].node], self.nodes[max(parent, 0)]
+                raise ParameterError(f"centre of node '{node}'", f"a joint that node '{above}' moves", mover)
+
+    @property
+    def parameters(self) -> int:
+        """The number of parameters of a pose."""
+        return PLACES + len(self.axes)
+
+    def joint(self, name: str) -> int:
+        """Return the index of a joint."""
+        return self.joints.index(name)
+
+    def axes_of(self, node: int) -> list[Axis]:
+        """Return the axes of a node."""
+        return [axis for axis in self.axes if axis.node == node]
+
+
+class ChainArrays(NamedTuple):
+    """A chain with lengths as arrays, the form that compiled functions take.
+
+    Attributes
+    ----------
+    parents : int64 array (K,)
+        Parent of each node.
+    node_offsets : float64 array (K, 3)
+        Centre of each node in the frame of its parent, from the parent's centre.
+    joint_nodes : int64 array (J,)
+        Node that moves each joint.
+    joint_offsets : float64 array (J, 3)
+        Place of each joint in the frame of that node, from the node's centre.
+    axis_nodes, axis_directions : int64 array (D,)
+        Node and direction of each axis.
+    axis_signs : float64 array (D,)
+        1 or −1.
+    pulls : float64 array (D,)
+        1/σ² of the pull to rest.
+    hinges : float64 array (D, 2)
+        Least and greatest turn.
+    turned : bool array (K, D)
+        True where an axis turns a node: where it is the node's own or that of one above.
+    """
+
+    parents: I64
+    node_offsets: F64
+    joint_nodes: I64
+    joint_offsets: F64
+    axis_nodes: I64
+    axis_directions: I64
+    axis_signs: F64
+    pulls: F64
+    hinges: F64
+    turned: Bool
+
+
+@dataclass(frozen=True, eq=False)
+class ChainBody:
+    """A kinematic chain with the lengths of one person.
+
+    Attributes
+    ----------
+    chain : KinematicChain
+        The chain.
+    offsets : float64 array (J, 3)
+        Place of each joint in the frame of the node that moves it, in metres.
+    """
+
+    chain: KinematicChain
+    offsets: F64
+
+    def __post_init__(self) -> None:
+        if self.offsets.shape != (len(self.chain.joints), 3) or not np.isfinite(self.offsets).all():
+            raise ParameterError("offsets", f"{len(self.chain.joints)} finite places", self.offsets)
+
+    @cached_property
+    def arrays(self) -> ChainArrays:
+        """The chain and its lengths as arrays."""
+        chain = self.chain
+        turned = np.zeros((len(chain.nodes), len(chain.axes)), np.bool_)
+        for k, parent in enumerate(chain.parents):
+            turned[k] = [axis.node == k for axis in chain.axes]
+            if parent >= 0:
+                turned[k] |= turned[parent]
+        node_offsets = self.offsets[list(chain.centres)]
+        node_offsets[0] = 0.0  # the place of the first node is a parameter
+        return ChainArrays(
+            np.array(chain.parents, np.int64),
+            node_offsets,
+            np.array([rest.node for rest in chain.rest], np.int64),
+            np.ascontiguousarray(self.offsets),
+            np.array([axis.node for axis in chain.axes], np.int64),
+            np.array([axis.direction for axis in chain.axes], np.int64),
+            np.array([axis.sign for axis in chain.axes]),
+            np.array([axis.pull**-2.0 for axis in chain.axes]),
+            np.array([axis.hinge for axis in chain.axes]),
+            turned,
+        )
+
+
+class Poses(NamedTuple):
+    """Poses of a chain over time.
+
+    Attributes
+    ----------
+    places : float64 array (T, 3)
+        Place of the first node in metres.
+    turns : float64 array (T, K, 3, 3)
+        Rotation of each node from its parent.
+    """
+
+    places: F64
+    turns: F64
+
+
+def forward(body: ChainBody, poses: Poses) -> tuple[F64, F64]:
+    """Compute the joints of a body.
+
+    Parameters
+    ----------
+    body : ChainBody
+        The body.
+    poses : Poses
+        Its poses.
+
+    Returns
+    -------
+    positions : float64 array (J, 3, T)
+        Joints in metres.
+    turned : float64 array (T, K, 3, 3)
+        World rotation G of each node.
+    """
+    frames, nodes = poses.turns.shape[:2]
+    if poses.places.shape != (frames, 3) or poses.turns.shape[1:] != (len(body.chain.nodes), 3, 3):
+        shapes = (poses.places.shape, poses.turns.shape)
+        raise ParameterError("poses", f"of shapes (T, 3) and (T, {len(body.chain.nodes)}, 3, 3)", shapes)
+    positions = np.empty((len(body.chain.joints), 3, frames))
+    turned = np.empty((frames, nodes, 3, 3))
+    _forward(body.arrays, np.ascontiguousarray(poses.places), np.ascontiguousarray(poses.turns), positions, turned)
+    return positions, turned
+
+
+@njit(cache=True, nogil=True)
+def _forward(chain: ChainArrays, places: F64, turns: F64, positions: F64, turned: F64) -> None:
+    centres, joints = np.empty((len(chain.parents), 3)), np.empty((len(chain.joint_nodes), 3))
+    for t in range(len(places)):
+        pose_nodes(chain, places[t], turns[t], turned[t], centres)
+        pose_joints(chain, turned[t], centres, joints)
+        positions[:, :, t] = joints
+
+
+@njit(cache=True, nogil=True)
+def pose_nodes(chain: ChainArrays, place: F64, turns: F64, turned: F64, centres: F64) -> None:
+    """Compute world rotations (K, 3, 3) and centres (K, 3) of the nodes in one frame, into the last two arrays."""
+    for k in range(len(chain.parents)):
+        parent = chain.parents[k]
+        for i in range(3):
+            if parent < 0:
+                centres[k, i] = place[i]
+                for j in range(3):
+                    turned[k, i, j] = turns[k, i, j]
+            else:
+                centres[k, i] = centres[parent, i]
+                for j in range(3):
+                    centres[k, i] += turned[parent, i, j] * chain.node_offsets[k, j]
+                    turned[k, i, j] = (
+                        turned[parent, i, 0] * turns[k, 0, j]
+                        + turned[parent, i, 1] * turns[k, 1, j]
+                        + turned[parent, i, 2] * turns[k, 2, j]
+                    )
+
+
+@njit(cache=True, nogil=True)
+def pose_joints(chain: ChainArrays, turned: F64, centres: F64, joints: F64) -> None:
+    """Compute the joints (J, 3) of one frame from its nodes, into the last array."""
+    for j in range(len(chain.joint_nodes)):
+        k = chain.joint_nodes[j]
+        for i in range(3):
+            joints[j, i] = centres[k, i]
+            for a in range(3):
+                joints[j, i] += turned[k, i, a] * chain.joint_offsets[j, a]
+
+
+@njit(cache=True, nogil=True)
+def point_jacobian(chain: ChainArrays, turned: F64, centres: F64, node: int, point: F64, columns: F64) -> int:
+    """Compute the derivatives of a point of a node in one frame.
+
+    Parameters
+    ----------
+    chain : ChainArrays
+        The body.
+    turned, centres : float64 array (K, 3, 3), (K, 3)
+        The nodes, see `pose_nodes`.
+    node : int
+        The node that moves the point.
+    point : float64 array (3,)
+        The point in the world.
+    columns : float64 array (parameters, 4)
+        Out: the parameter, and the derivative of the point by it.
+
+    Returns
+    -------
+    int
+        The number of parameters that move the point, the rows of `columns` that are filled.
+    """
+    for i in range(3):
+        columns[i, 0], columns[i, 1], columns[i, 2], columns[i, 3] = i, 0.0, 0.0, 0.0
+        columns[i, 1 + i] = 1.0
+    count = PLACES
+    for d in range(len(chain.axis_nodes)):
+        if not chain.turned[node, d]:
+            continue
+        k, e, sign = chain.axis_nodes[d], chain.axis_directions[d], chain.axis_signs[d]
+        x, y, z = sign * turned[k, 0, e], sign * turned[k, 1, e], sign * turned[k, 2, e]
+        p, q, r = point[0] - centres[k, 0], point[1] - centres[k, 1], point[2] - centres[k, 2]
+        columns[count, 0] = PLACES + d
+        columns[count, 1] = y * r - z * q
+        columns[count, 2] = z * p - x * r
+        columns[count, 3] = x * q - y * p
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def take_step(chain: ChainArrays, place: F64, turns: F64, step: F64, new_place: F64, new_turns: F64) -> None:
+    """Move the pose of one frame by a step of its parameters, into the last two arrays."""
+    for i in range(3):
+        new_place[i] = place[i] + step[i]
+    vector = np.zeros(3)
+    d = 0
+    for k in range(len(chain.parents)):
+        vector[:] = 0.0
+        while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
+            vector[chain.axis_directions[d]] = chain.axis_signs[d] * step[PLACES + d]
+            d += 1
+        exponential = rotation_of(vector)
+        for i in range(3):
+            for j in range(3):
+                new_turns[k, i, j] = (
+                    turns[k, i, 0] * exponential[0, j]
+                    + turns[k, i, 1] * exponential[1, j]
+                    + turns[k, i, 2] * exponential[2, j]
+                )
+
+
+@njit(cache=True, nogil=True)
+def rotation_of(vector: F64) -> F64:
+    """Return the rotation (3, 3) of a rotation vector: Rodrigues' formula."""
+    x, y, z = vector
+    angle = np.sqrt(x * x + y * y + z * z)
+    if angle < 1e-8:
+        a, b = 1.0, 0.5
+    else:
+        a, b = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    return np.array([
+        [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+        [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+        [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def vector_of(rotation: F64) -> F64:
+    """Return the rotation vector, up to half a turn, of a rotation (3, 3): by its largest quaternion component."""
+    m = rotation
+    squares = (
+        1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2],
+        1 - m[0, 0] + m[1, 1] - m[2, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2],
+    )  # fmt: skip
+    a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    d, e, f = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
+    if squares[0] >= max(squares[1], max(squares[2], squares[3])):
+        w, x, y, z = squares[0], a, b, c
+    elif squares[1] >= max(squares[2], squares[3]):
+        w, x, y, z = a, squares[1], d, e
+    elif squares[2] >= squares[3]:
+        w, x, y, z = b, d, squares[2], f
+    else:
+        w, x, y, z = c, e, f, squares[3]
+    sine = np.sqrt(x * x + y * y + z * z)
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    ratio = 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 0.0
+    return np.array([ratio * x, ratio * y, ratio * z])
+
+
+@njit(cache=True, nogil=True)
+def log_derivative(vector: F64) -> F64:
+    """Return the derivative (3, 3) of log(R exp(x)) by x at 0, for log R = vector: the inverse right Jacobian."""
+    x, y, z = vector
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    # (1 − (θ/2) cot (θ/2)) / θ², which is 1/12 where θ is small
+    b = 1.0 / 12.0 + square / 720.0 if angle < 1e-3 else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / square
+    return np.array([
+        [1.0 - b * (y * y + z * z), b * x * y - 0.5 * z, b * x * z + 0.5 * y],
+        [b * x * y + 0.5 * z, 1.0 - b * (x * x + z * z), b * y * z - 0.5 * x],
+        [b * x * z - 0.5 * y, b * y * z + 0.5 * x, 1.0 - b * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+HINGE_RAD = 0.05
+"""Standard deviation of a turn beyond the limits of a hinge, in radians."""
+
+
+@njit(cache=True, nogil=True)
+def rest_cost(chain: ChainArrays, turns: F64) -> float:
+    """Return the squares of the pulls to rest and of the hinges' excess in one frame."""
+    total, d = 0.0, 0
+    for k in range(len(chain.parents)):
+        if d >= len(chain.axis_nodes) or chain.axis_nodes[d] != k:
+            continue
+        vector = vector_of(turns[k])
+        while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
+            turn = chain.axis_signs[d] * vector[chain.axis_directions[d]]
+            excess = turn - min(max(turn, chain.hinges[d, 0]), chain.hinges[d, 1])
+            total += chain.pulls[d] * turn * turn + (excess / HINGE_RAD) ** 2
+            d += 1
+    return total
+
+
+@njit(cache=True, nogil=True)
+def add_rest_terms(chain: ChainArrays, turns: F64, hessian: F64, gradient: F64) -> None:
+    """Add the terms of `rest_cost` to H and g of one frame, with g half of the derivative of the cost.
+
+    g holds the exact derivative of the logarithm; H takes it as the identity, and stays diagonal.
+    """
+    d = 0
+    for k in range(len(chain.parents)):
+        first = d
+        while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
+            d += 1
+        if d == first:
+            continue
+        vector = vector_of(turns[k])
+        derivative = log_derivative(vector)
+        for a in range(first, d):
+            i, sign = chain.axis_directions[a], chain.axis_signs[a]
+            turn = sign * vector[i]
+            excess = turn - min(max(turn, chain.hinges[a, 0]), chain.hinges[a, 1])
+            slope = chain.pulls[a] * turn + excess / HINGE_RAD**2
+            hessian[PLACES + a, PLACES + a] += chain.pulls[a] + (HINGE_RAD**-2.0 if excess != 0.0 else 0.0)
+            for b in range(first, d):
+                along = derivative[i, chain.axis_directions[b]]
+                gradient[PLACES + b] += slope * sign * chain.axis_signs[b] * along

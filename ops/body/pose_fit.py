@@ -1,0 +1,328 @@
+"""The fit of a kinematic chain to joints: lengths, an analytic start, and Levenberg's method in each frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.body.kinematic_chain import (
+    PLACES,
+    ChainArrays,
+    ChainBody,
+    KinematicChain,
+    Poses,
+    add_rest_terms,
+    point_jacobian,
+    pose_joints,
+    pose_nodes,
+    rest_cost,
+    rotation_of,
+    take_step,
+    vector_of,
+)
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+POINT_M = 0.01
+"""Standard deviation of a joint's place, in metres."""
+
+MOST_STEPS = 25
+"""Steps of Levenberg's method in a frame, those that fail included."""
+
+_DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0  # the first damping, and its factors after a success and a failure
+_LEAST = 1e-6  # added to the diagonal
+_BENT = 0.12  # weight of the pelvis' X beside the plane of the leg, which a straight leg does not have
+_CHEST = 0.084  # weight of the chest beside the plane of the arm
+
+
+def measured_body(chain: KinematicChain, positions: F64) -> ChainBody:
+    """Return the body of an actor: the medians of the bone lengths over frames.
+
+    Parameters
+    ----------
+    chain : KinematicChain
+        The chain; its first node turns about the root.
+    positions : float64 array (J, 3, T)
+        The joints of the chain in metres, Y up; NaN where a joint is not seen.
+
+    Raises
+    ------
+    ParameterError
+        A joint is seen in no frame together with the one that its length is measured from.
+    """
+    offsets = np.zeros((len(chain.joints), 3))
+    pelvis = _pelvis(chain, positions)
+    with np.errstate(invalid="ignore"):
+        for j, rest in enumerate(chain.rest):
+            bone = positions[j] - positions[rest.start]
+            if rest.measured:
+                bone = np.einsum("tba,bt->at", pelvis, positions[j] - positions[chain.centres[rest.node]])
+            seen = np.isfinite(bone).all(axis=0)
+            if not seen.any():
+                raise ParameterError(f"positions of {chain.joints[j]}", "finite in a frame at least", "none")
+            if rest.measured:
+                offsets[j] = np.median(bone[:, seen], axis=1)
+            elif rest.along is not None:
+                offsets[j] = np.array(rest.along) * np.median(np.sqrt((bone[:, seen] ** 2).sum(axis=0)))
+    for j, rest in enumerate(chain.rest):
+        if rest.along is None and not rest.measured and rest.start != j:
+            offsets[j] = offsets[rest.start]
+    return ChainBody(chain, offsets)
+
+
+def fit_poses(
+    body: ChainBody, positions: F64, sigma_m: float = POINT_M, steps: int = MOST_STEPS, tolerance: float = 1e-4
+) -> Poses:
+    """Fit the poses of a body to joints, each frame by itself.
+
+    The sum of squares of the distances to the joints over sigma, of the pulls to the rest pose and of the excess of
+    hinges is made least from an analytic start, see `start_poses`.
+
+    Parameters
+    ----------
+    body : ChainBody
+        The body.
+    positions : float64 array (J, 3, T)
+        The joints in metres, Y up; a joint that is NaN has no term, and the rest of the body decides where it is.
+    sigma_m : float, optional
+        Standard deviation of a joint's place, in metres.
+    steps : int, optional
+        The most steps in a frame.
+    tolerance : float, optional
+        A frame is done where a step makes the sum less by no more than this share.
+
+    Returns
+    -------
+    Poses
+        T poses; a frame without any joint has the rest pose, with the pelvis as `start_poses` puts it.
+    """
+    joints = len(body.chain.joints)
+    if positions.ndim != 3 or positions.shape[:2] != (joints, 3):
+        raise ParameterError("positions", f"of shape ({joints}, 3, T)", positions.shape)
+    if not (np.isfinite(sigma_m) and sigma_m > 0):
+        raise ParameterError("sigma_m", "positive and finite", sigma_m)
+    poses = start_poses(body, positions)
+    points = np.ascontiguousarray(np.moveaxis(positions, 2, 0), np.float64)
+    _fit(body.arrays, points, 1.0 / sigma_m**2, steps, tolerance, poses.places, poses.turns)
+    return poses
+
+
+def start_poses(body: ChainBody, positions: F64) -> Poses:
+    """Return poses from the directions of the bones, the start of a fit; started from elsewhere it can end beside.
+
+    Parameters
+    ----------
+    body : ChainBody
+        A body of the shipped chain's nodes.
+    positions : float64 array (J, 3, T)
+        The joints in metres, Y up. A direction that is not known is that of the parent node.
+
+    Returns
+    -------
+    Poses
+        T poses; where the pelvis is not seen, it is that of the nearest frame before, else of the first one seen.
+    """
+    chain = body.chain
+    at = {name: positions[j].T for j, name in enumerate(chain.joints)}
+    turned = _world_turns(chain, positions, at)
+    frames = positions.shape[2]
+    turns = np.empty((frames, len(chain.nodes), 3, 3))
+    for k, parent in enumerate(chain.parents):
+        world = turned[chain.nodes[k]]
+        local = world if parent < 0 else np.einsum("tba,tbc->tac", turned[chain.nodes[parent]], world)
+        free = np.zeros(3, np.bool_)
+        free[[axis.direction for axis in chain.axes_of(k)]] = True
+        turns[:, k] = local
+        if not free.all():
+            _restrict(turns, k, free)
+    return Poses(_held(at["root"]), turns)
+
+
+def _world_turns(chain: KinematicChain, positions: F64, at: dict[str, F64]) -> dict[str, F64]:
+    """Return the world rotations (T, 3, 3) of all nodes, by the directions of the bones."""
+    pelvis = _held(_pelvis(chain, positions))
+    found = {"pelvis": pelvis}
+    hips, shoulders = _unit(at["lhip"] - at["rhip"]), _unit(at["lshoulder"] - at["rshoulder"])
+    for node, above, low, high, share in (
+        ("spine0", "pelvis", "root", "belly", 1 / 3),
+        ("spine1", "spine0", "belly", "chest", 2 / 3),
+        ("spine2", "spine1", "chest", "neck", 1.0),
+    ):
+        across = share * shoulders + (1.0 - share) * hips
+        found[node] = _frame(1, at[high] - at[low], 0, across, found[above])
+    chest = found["spine2"]
+    found["neck"] = _frame(1, at["head"] - at["neck"], 0, shoulders, chest)
+    found["head"] = _frame(1, at["headtop"] - at["head"], 0, shoulders, found["neck"])
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        thigh, shank = _unit(at[f"{side}knee"] - at[f"{side}hip"]), _unit(at[f"{side}ankle"] - at[f"{side}knee"])
+        x = pelvis[:, :, 0]
+        beside = x - np.einsum("ta,ta->t", x, thigh)[:, None] * thigh
+        hip = _frame(1, -thigh, 0, np.cross(thigh, shank) + _BENT * beside, pelvis)
+        knee = _frame(1, -shank, 0, hip[:, :, 0], hip)
+        clavicle = _frame(0, sign * (at[f"{side}shoulder"] - at["neck"]), 1, chest[:, :, 1], chest)
+        upper = _unit(at[f"{side}elbow"] - at[f"{side}shoulder"])
+        fore = _unit(at[f"{side}wrist"] - at[f"{side}elbow"])
+        up = -sign * np.cross(upper, fore) + _CHEST * (chest[:, :, 1] + sign * chest[:, :, 0])
+        shoulder = _frame(0, sign * upper, 1, up, clavicle)
+        elbow = _frame(0, sign * fore, 1, shoulder[:, :, 1], shoulder)
+        found |= {f"{side}hip": hip, f"{side}knee": knee, f"{side}ankle": knee, f"{side}clavicle": clavicle}
+        found |= {f"{side}shoulder": shoulder, f"{side}elbow": elbow, f"{side}wrist": elbow}
+    return found
+
+
+def _pelvis(chain: KinematicChain, positions: F64) -> F64:
+    """Return the frame (T, 3, 3) of the pelvis: X from the right to the left hip, Y from their middle to the root.
+
+    Where the root is the middle of the hips, Y is the direction to the middle of the shoulders. NaN where it is not
+    known.
+    """
+    root, left, right, lshoulder, rshoulder = (
+        positions[chain.joint(name)].T for name in ("root", "lhip", "rhip", "lshoulder", "rshoulder")
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = _unit(left - right)
+        middle = 0.5 * (left + right)
+        up, trunk = root - middle, 0.5 * (lshoulder + rshoulder) - middle
+        across = np.sqrt(np.einsum("ta,ta->t", left - right, left - right))
+        beside = up - np.einsum("ta,ta->t", up, x)[:, None] * x
+        low = np.sqrt(np.einsum("ta,ta->t", beside, beside)) < 1e-3 * across
+        up = np.where(low[:, None], trunk, up)
+        y = _unit(up - np.einsum("ta,ta->t", up, x)[:, None] * x)
+        return np.stack([x, y, np.cross(x, y)], axis=2)
+
+
+def _held(rows: F64) -> F64:
+    """Return rows in which those that are not finite are the last finite one; before the first one, that one."""
+    seen = np.isfinite(rows.reshape(len(rows), -1).sum(axis=1))
+    if not seen.any():
+        raise ParameterError("positions of the root and the hips", "finite in a frame at least", "none")
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(rows)), -1))
+    return rows[np.where(last < 0, np.argmax(seen), last)]
+
+
+def _unit(vectors: F64) -> F64:
+    """Return vectors (T, 3) of length 1; NaN for one without length."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lengths = np.sqrt(np.einsum("ta,ta->t", vectors, vectors))
+        return vectors / np.where(lengths > 1e-9, lengths, np.nan)[:, None]
+
+
+def _frame(first: int, exact: F64, second: int, near: F64, above: F64) -> F64:
+    """Return frames (T, 3, 3) with one axis along `exact`, and another as near to `near` as can be.
+
+    An axis that is not known is that of the frame `above`.
+    """
+    one = _unit(exact)
+    one = np.where(np.isfinite(one.sum(axis=1, keepdims=True)), one, above[:, :, first])
+    other = _unit(near - np.einsum("ta,ta->t", near, one)[:, None] * one)
+    for axis in (second, 3 - first - second):  # the second serves where the first lies along the exact axis
+        own = above[:, :, axis] if axis == second else np.cross(above[:, :, axis], one) * (1 if first == 0 else -1)
+        spare = _unit(own - np.einsum("ta,ta->t", own, one)[:, None] * one)
+        other = np.where(np.isfinite(other.sum(axis=1, keepdims=True)), other, spare)
+    x, y = (one, other) if first == 0 else (other, one)
+    return np.stack([x, y, np.cross(x, y)], axis=2)
+
+
+@njit(cache=True, nogil=True)
+def _restrict(turns: F64, node: int, free: npt.NDArray[np.bool_]) -> None:
+    """Keep the components of a node's rotation vectors about its axes only."""
+    for t in range(len(turns)):
+        vector = vector_of(turns[t, node])
+        for i in range(3):
+            if not free[i]:
+                vector[i] = 0.0
+        turns[t, node] = rotation_of(vector)
+
+
+@njit(cache=True, nogil=True)
+def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: float, places: F64, turns: F64) -> None:
+    size, nodes = PLACES + len(chain.axis_nodes), len(chain.parents)
+    hessian, damped, gradient, step = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.empty(size)
+    place, turn = np.empty(3), np.empty((nodes, 3, 3))
+    turned, centres = np.empty((nodes, 3, 3)), np.empty((nodes, 3))
+    joints, columns = np.empty((len(chain.joint_nodes), 3)), np.empty((size, 4))
+    for t in range(len(points)):
+        cost = _cost(chain, places[t], turns[t], points[t], weight, turned, centres, joints)
+        damping, fresh = _DAMPING, True
+        for _ in range(steps):
+            if fresh:
+                pose_nodes(chain, places[t], turns[t], turned, centres)
+                pose_joints(chain, turned, centres, joints)
+                hessian[:], gradient[:] = 0.0, 0.0
+                _add_points(chain, turned, centres, joints, points[t], weight, columns, hessian, gradient)
+                add_rest_terms(chain, turns[t], hessian, gradient)
+            damped[:] = hessian
+            for i in range(size):
+                damped[i, i] += damping * hessian[i, i] + _LEAST
+            solve_step(damped, gradient, step)
+            take_step(chain, places[t], turns[t], step, place, turn)
+            new = _cost(chain, place, turn, points[t], weight, turned, centres, joints)
+            fresh = new < cost
+            if not fresh:
+                damping *= _RAISED
+                continue
+            places[t], turns[t] = place, turn
+            damping *= _EASED
+            done = cost - new <= tolerance * cost
+            cost = new
+            if done:
+                break
+
+
+@njit(cache=True, nogil=True)
+def _cost(
+    chain: ChainArrays, place: F64, turns: F64, points: F64, weight: float, turned: F64, centres: F64, joints: F64
+) -> float:
+    pose_nodes(chain, place, turns, turned, centres)
+    pose_joints(chain, turned, centres, joints)
+    total = rest_cost(chain, turns)
+    for j in range(len(joints)):
+        square = 0.0
+        for i in range(3):
+            square += (joints[j, i] - points[j, i]) ** 2
+        if square == square:
+            total += weight * square
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _add_points(
+    chain: ChainArrays, turned: F64, centres: F64, joints: F64, points: F64, weight: float, columns: F64,
+    hessian: F64, gradient: F64,
+) -> None:  # fmt: skip
+    """Add the squares of the distances of joints to their points to the lower half of H, and to g."""
+    for j in range(len(joints)):
+        x, y, z = joints[j, 0] - points[j, 0], joints[j, 1] - points[j, 1], joints[j, 2] - points[j, 2]
+        if np.isnan(x + y + z):
+            continue
+        count = point_jacobian(chain, turned, centres, chain.joint_nodes[j], joints[j], columns)
+        for a in range(count):
+            p, u, v, w = int(columns[a, 0]), columns[a, 1], columns[a, 2], columns[a, 3]
+            gradient[p] += weight * (u * x + v * y + w * z)
+            for b in range(a + 1):
+                q = int(columns[b, 0])
+                hessian[p, q] += weight * (u * columns[b, 1] + v * columns[b, 2] + w * columns[b, 3])
+
+
+@njit(cache=True, nogil=True)
+def solve_step(matrix: F64, gradient: F64, step: F64) -> None:
+    """Solve matrix · step = −gradient by Cholesky's method, in place of the matrix's lower half."""
+    size = len(gradient)
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(max(total, 1e-300)) if i == j else total / matrix[j, j]
+    for i in range(size):
+        total = -gradient[i]
+        for k in range(i):
+            total -= matrix[i, k] * step[k]
+        step[i] = total / matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        total = step[i]
+        for k in range(i + 1, size):
+            total -= matrix[k, i] * step[k]
+        step[i] = total / matrix[i, i]
