@@ -108,6 +108,24 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "versions": "for each its `version`, `created`, `format`, `kinedex`, `command`, `changes`, `takes`, whether it "
         "has an `index`, and the `problem` of one that cannot be read",
     },
+    "history list": {
+        **_STORE,
+        "runs": "for each pipeline run its `run`, `pipeline`, `begun`, `state`, `seconds`, `stages`, `takes`, where "
+        "its `results` are, its `kinedex`, and its `changes` from the run before",
+    },
+    "history show": {
+        **_STORE,
+        "run": "everything about the pipeline run: its YAML text, settings, sources, command and files, and for each "
+        "of its `stages` the parameters that were `given`, all `params`, its `state`, `reason`, `fingerprint` and "
+        "`summary`",
+    },
+    "history export": {
+        **_STORE,
+        "run": "id of the pipeline run",
+        "file": "path of the pipeline file",
+        "files": "paths of the files beside it that its parameters name",
+        "remarks": "what the file alone does not reproduce, and what to do about it",
+    },
     "gc": {
         **_STORE,
         "dry_run": "true where nothing was removed",

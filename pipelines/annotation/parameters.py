@@ -12,6 +12,7 @@ from kinedex.catalog.classes import OWN
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.annotation.methods import METHODS, AnnotationMethod, annotation_method
+from kinedex.pipelines.engine.file_parameters import NamesFile
 
 CALIBRATED: Literal["calibrated"] = "calibrated"
 DEFAULT_TAU = 0.13
@@ -49,7 +50,7 @@ class MethodParameters(BaseModel):
         {}, description="method thesis: class → its own tau, instead of the common or the calibrated one"
     )
     min_seconds: float = Field(0, ge=0, allow_inf_nan=False, description="shorter segments are dropped")
-    queries: list[str] | str | None = Field(
+    queries: Annotated[list[str] | str | None, NamesFile("queries")] = Field(
         None,
         description="keyframe queries that preselect frames: files, by shipped names or paths; none: all frames; where "
         "the pipeline learns queries too, the hits of either count",
@@ -103,7 +104,7 @@ class AnnotationParameters(MethodParameters):
     """The parameters of the stage `annotate`, and of stages that repeat its work."""
 
     where: str = Field("class IS NULL", description="takes to annotate: a SQL filter over the columns of takes")
-    classes: str = Field(
+    classes: Annotated[str, NamesFile("classes")] = Field(
         OWN, description="'own': every subclass is a class; or a class file, by its shipped name or its path"
     )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")

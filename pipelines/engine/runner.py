@@ -23,9 +23,11 @@ from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
+from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.storage.lock import Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now, versions
+from kinedex.storage.store.history import OWN_FIELDS
 from kinedex.storage.store.report_sums import SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
 
@@ -90,6 +92,7 @@ class _Run:
     resume: str | None
     wait: Wait
     record: PipelineRecord
+    history: RunRecorder
 
     def begun(self) -> _Run:
         """Return the run with the patience of one that has work to lose."""
@@ -163,16 +166,19 @@ def run_pipeline(
     option = "wait_seconds=600" if resume is None else "--wait 10m"
     wait = Wait(wait_seconds, terminal.say, option)
     record = _pipeline_record(pipeline, assignments or settings or {})
-    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record)
+    history = RunRecorder(store_path, pipeline, record)
+    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history)
     steps: list[Step] = []
     try:
         pool.check(store_path)
         for number in range(len(pipeline.stages)):
             steps.append(_take_step(run, planner, number))
             run = run if steps[-1].reason is None else run.begun()
-    except BaseException:
+    except BaseException as fault:
         pool.abort()
+        history.fail(fault)
         raise
+    history.finish()
     try:
         pool.close()
     except KeyboardInterrupt:
@@ -188,7 +194,10 @@ def _take_step(run: _Run, planner: Planner, number: int) -> Step:
     text = f"[{number + 1}/{len(run.pipeline.stages)}] {stage.name}: {_status(step)}"
     _log.info("%s", text, extra=_fields(run, stage.name, event="start" if step.reason else "skip", reason=step.reason))
     run.terminal.heading(text)
-    if step.reason is not None:
+    if step.reason is None:
+        run.history.skip(step)
+    else:
+        run.history.begin(step)
         _run_step(run, planner, step)
     return step
 
@@ -237,7 +246,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
             context = replace(context, wait=run.begun().wait)
         summary = stage.kind.run(context, stage.params)
         seconds = time.perf_counter() - begin
-        _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run.record)
+        _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run)
     except KinedexError as fault:
         raise _failed(run, stage.name, str(fault), fault) from fault
     except OSError as fault:
@@ -281,10 +290,6 @@ def _setting(stage: str, way_out: tuple[str, str]) -> str:
     return shlex.quote(f"{stage}.{way_out[0]}={way_out[1]}")
 
 
-_OWN_FIELDS = ("uses", "params", "inputs", "fingerprint_parts", SUMS)
-"""The fields of a record's summary that the runner adds."""
-
-
 def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> PipelineRecord:
     """Return what the store keeps of a run of a pipeline, so that it can be run again."""
     sources = {getattr(stage.params, "source", None) for stage in pipeline.stages} - {None}
@@ -300,9 +305,7 @@ def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> Pipelin
     )
 
 
-def _record(
-    context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, pipeline: PipelineRecord
-) -> None:
+def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, run: _Run) -> None:
     full: dict[str, Any] = {
         **summary,
         "uses": step.stage.uses,
@@ -315,11 +318,12 @@ def _record(
     if files := full.get("files"):
         full[SUMS] = file_sums(context.store_path, files)
     with context.writer() as writer:
-        writer.record_stage(
-            StageRecord(context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full, pipeline.run)
+        record = StageRecord(
+            context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full, run.record.run
         )
-        writer.record_pipeline(context.pipeline, replace(pipeline, recorded=now()))
-        writer.commit()
+        writer.record_stage(record)
+        writer.record_pipeline(context.pipeline, replace(run.record, recorded=now()))
+        run.history.done(step, record, writer.commit())
 
 
 def _resume(
@@ -346,7 +350,7 @@ def _outcome(pipeline: Pipeline, steps: list[Step], store_path: Path) -> Outcome
     stages = open_store(store_path, at="newest").manifest.stages
     records = {step.stage.name: stages[f"{pipeline.name}/{step.stage.name}"] for step in steps}
     summaries = {
-        name: {key: value for key, value in record.summary.items() if key not in _OWN_FIELDS}
+        name: {key: value for key, value in record.summary.items() if key not in OWN_FIELDS}
         for name, record in records.items()
     }
     pages = [name for one in summaries.values() for name in one.get("files", ()) if name.endswith(".html")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.evaluation.ground_truth import (
     GroundTruth,
     UnknownLabels,
@@ -35,7 +37,7 @@ class GroundTruthParameters(BaseModel):
         "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
         "no file, nothing is evaluated",
     )
-    source: str | None = Field(
+    source: Annotated[str | None, NamesFile("data")] = Field(
         None, description="the folder that ground_truth is relative to; by default the takes' source folders"
     )
     unknown_labels: UnknownLabels = Field(

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.classes import OWN
 from kinedex.pipelines.annotation.parameters import MethodParameters
+from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.evaluation.label_files import GroundTruthParameters
 
 LEARNED = "learned"
@@ -22,7 +23,7 @@ class Method(MethodParameters):
     """An annotation method with its parameters, under a name."""
 
     name: str = Field(min_length=1)
-    queries: list[str] | str | None = Field(
+    queries: Annotated[list[str] | str | None, NamesFile("queries")] = Field(
         None, description="none: all frames; query files; or 'learned': in each fold from its own training clips"
     )
 
@@ -120,7 +121,9 @@ class ComparisonParameters(GroundTruthParameters):
         "stage annotate",
     )
     splits: list[Split] = Field(min_length=1, description="takes to learn from, and takes to annotate")
-    classes: str = Field(OWN, description="'own': every subclass is a class; or a class file")
+    classes: Annotated[str, NamesFile("classes")] = Field(
+        OWN, description="'own': every subclass is a class; or a class file"
+    )
     divide_by: str = Field(
         "actor",
         description="the column of takes that Table 5.2 is divided by (in the metrics, scope 'group'); of clips laid "

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.ingestion.memory_limit import parse_size
 from kinedex.pipelines.ingestion.take_names import Naming
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
@@ -20,19 +21,19 @@ class IngestParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    source: str = Field(description="folder that holds the motion files, at any depth")
-    skeleton: str = Field(
+    source: Annotated[str, NamesFile("data")] = Field(description="folder that holds the motion files, at any depth")
+    skeleton: Annotated[str, NamesFile("skeletons")] = Field(
         "auto",
         description="skeleton mapping: `auto` recognises the body of each file; a shipped name or a path to a .yaml "
         "file counts for all files of its format, whatever their names (other formats stay automatic)",
     )
-    skeletons: list[str] = Field(
+    skeletons: Annotated[list[str], NamesFile("file")] = Field(
         default_factory=list,
         description="skeleton mappings of your own (.yaml files, or folders of them), which go before the shipped ones "
         "where the names of a file fit; vocabularies of names, too. Those that the store holds (`kinedex mapping add`) "
         "are added",
     )
-    features: str | None = Field(
+    features: Annotated[str | None, NamesFile("features")] = Field(
         None,
         description="feature set: a shipped name, or a path to a .yaml file; unless given that of the store, and "
         "`body40` in a new one; a store has one for good",
@@ -64,7 +65,7 @@ class IngestParameters(BaseModel):
         description="longest gap of a point, in source frames, that is closed along a straight line (C3D, TRC, CSV, "
         "NPZ, NPY); a tenth of a second unless given; the frames of a longer one are invalid and get no word",
     )
-    body_model: str | None = Field(
+    body_model: Annotated[str | None, NamesFile("data")] = Field(
         None,
         description="body model of AMASS files: model.npz of SMPL-H, or its joints at rest (.npz, .csv, .yaml); "
         "{gender} in the path stands for male, female or neutral",

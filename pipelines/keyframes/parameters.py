@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import ConfigDict, Field
 
 from kinedex.catalog.classes import OWN
 from kinedex.ops.keyframes.consensus import AtLeast
 from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings
+from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.keyframes.learning import Learner, Setting, allowed_features
 from kinedex.pipelines.keyframes.margins import Margins
 from kinedex.pipelines.keyframes.runs import GROUP, PATIENCE, SETTLED, Rounds
@@ -24,7 +27,9 @@ class KeyframeParameters(ExampleParameters):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    classes: str = Field(OWN, description="a class file; other subclasses of a class are no negatives of each other")
+    classes: Annotated[str, NamesFile("classes")] = Field(
+        OWN, description="a class file; other subclasses of a class are no negatives of each other"
+    )
     sets: list[str] = Field([], description="feature sets that keyframes may use; all unless given")
     learner: Learner = Field("genetic", description="genetic; or, to compare with it, random or greedy")
     seed: int = Field(2012, ge=0, description="the seed of all random numbers, whatever the number of workers")

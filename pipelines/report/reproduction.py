@@ -1,4 +1,4 @@
-"""The command that reproduces the results of a pipeline."""
+"""The commands that reproduce the results of a pipeline run in a new store."""
 
 from __future__ import annotations
 
@@ -7,21 +7,54 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from kinedex.catalog.configs import config_path, read_text
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.file_parameters import with_absolute_paths
 from kinedex.pipelines.report.data import StageRow
+from kinedex.storage.store.history import PipelineRun, last_run
 
 
 def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
-    """Return the command that runs a shipped pipeline with the parameters recorded in the store.
+    """Return the shell commands that repeat the last run of a pipeline in a new store beside this one.
 
-    The command sets every parameter that differs from the file of the pipeline. The file of a pipeline that is not
-    shipped is unknown; the command then has a comment instead of settings.
+    For a shipped pipeline it is `kinedex run` with every parameter that differs from the file, which does not need the
+    store. Otherwise the first command makes a pipeline file of what the store's history holds, wherever the file that
+    was run is now, and the second one runs it.
+
+    Parameters
+    ----------
+    pipeline : str
+        Name of the pipeline.
+    store_path : Path
+        The directory of the store, absolute.
+    records : sequence of StageRow
+        The stages with their parameters.
     """
+    again = store_path.with_name(f"{store_path.name}-again")
+    run = last_run(store_path, pipeline)
+    if run is None or _is_shipped(run):
+        return _shipped_command(pipeline, again, records)
+    file = f"{pipeline}-{run.run}.yaml"
+    export = ["kinedex", "history", "export", str(store_path), run.run, "-o", file]
+    return f"{shlex.join(export)}\n{shlex.join(['kinedex', 'run', file, '--store', str(again)])}"
+
+
+def _is_shipped(run: PipelineRun) -> bool:
+    """Return whether a run has used a shipped pipeline file and nothing that only its store has."""
+    if run.files or run.mappings or run.other_sources or run.labels:
+        return False
+    try:
+        return read_text(config_path("pipelines", run.pipeline)) == run.yaml
+    except KinedexError:
+        return False
+
+
+def _shipped_command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str:
     words = ["kinedex", "run", pipeline, "--store", str(store_path)]
     recorded = {record.stage: record.params for record in records}
     source = recorded.get("ingest", {}).get("source")
-    settings = {} if source is None else {"source": _text(source)}
+    settings = {} if source is None else {"source": str(Path(str(source)).expanduser().absolute())}
     try:
         planned = load_pipeline(pipeline, settings)
     except KinedexError:
@@ -29,8 +62,8 @@ def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str
     for name, text in settings.items():
         words += ["--set", f"{name}={text}"]
     for stage in planned.stages:
-        own = stage.params.model_dump(mode="json")
-        words += _differing(stage.name, own, recorded.get(stage.name, {}))
+        own = with_absolute_paths(type(stage.params), stage.params.model_dump(mode="json"))
+        words += _differing(stage.name, own, with_absolute_paths(type(stage.params), recorded.get(stage.name, {})))
     return shlex.join(words)
 
 

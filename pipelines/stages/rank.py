@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 from rich import box
@@ -17,6 +17,7 @@ from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, partly_known, rank_takes, ranking_table
 from kinedex.pipelines.ranking.stiffness import mean_stiffness
@@ -38,7 +39,9 @@ class Params(BaseModel):
     delta: float = Field(0.1, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
     tau: float = Field(0.1, ge=1e-6, le=1, description="distances below tau make a hit")
     top: int | None = Field(100, ge=1, description="how many hits a template at most; null for all")
-    queries: list[str] = Field([], description="keyframe queries that preselect frames: files, by names or paths")
+    queries: Annotated[list[str], NamesFile("queries")] = Field(
+        [], description="keyframe queries that preselect frames: files, by names or paths"
+    )
 
 
 class Rank(Stage[Params]):

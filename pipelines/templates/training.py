@@ -13,6 +13,7 @@ from pydantic import Field
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
+from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.templates.examples import ExampleParameters, examples_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, as_subclass_template, example_clips
 from kinedex.pipelines.templates.recipes import (
@@ -42,7 +43,7 @@ class TemplateParameters(ExampleParameters):
     combine: dict[str, Combination] = Field(
         {}, description="new class → {parts: [class, …], gap: columns of anything between them}"
     )
-    template_files: list[str] = Field(
+    template_files: Annotated[list[str], NamesFile("file")] = Field(
         [], description="template files (.yaml, .csv): their templates are taken in the place of learned ones"
     )
 

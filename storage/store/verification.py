@@ -54,6 +54,7 @@ from kinedex.storage.snapshot.schemas import (
     schema_problem,
 )
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.history import history_problems
 from kinedex.storage.store.report_sums import wrong_files
 
 Kind = Literal[
@@ -98,7 +99,8 @@ def verify(store: Snapshot) -> list[Finding]:
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
     are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; the checksums of
-    reports; leftover files; the index's checksums, counts and bit slices; and what repairs have set aside.
+    reports; leftover files; the history of runs; the index's checksums, counts and bit slices; and what repairs have
+    set aside.
 
     Parameters
     ----------
@@ -145,6 +147,7 @@ class _Verification:
             *self._live_twice("takes", self.manifest.takes),
             *self._reports(),
             *self._leftovers(),
+            *self._history(),
             *self._index(sound=not parts),
             *self._quarantines(),
         ]
@@ -276,6 +279,10 @@ class _Verification:
                 if f"{folder}/{name}" not in named:
                     problem = "no manifest names this file" + (", which a killed run has left" if _ours(name) else "")
                     yield self._found("leftover", f"{folder}/{name}", problem, fault=False)
+
+    def _history(self) -> Iterator[Finding]:
+        for file, problem in history_problems(self.store.path):
+            yield self._found("leftover", file, problem)
 
     def _index(self, *, sound: bool) -> Iterator[Finding]:
         """Check the index; its content is compared with the words of the parts only where these are sound."""

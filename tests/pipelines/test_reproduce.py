@@ -13,7 +13,7 @@ from kinedex.pipelines.report.data import StageRow
 from kinedex.pipelines.report.reproduction import command
 
 
-@pytest.mark.parametrize("source", ["/archive", "/my archive #1", "/a: b", "/it's 'here'", "2024"])
+@pytest.mark.parametrize("source", ["/archive", "/my archive #1", "/a: b", "/it's 'here'", "/2024"])
 def test_the_command_sets_what_was_set_to_the_letter(source: str) -> None:
     settings = {"source": source, "train": "actor = 'a: b' # c", "annotate.tau": "0.06", "queries": "[example]"}
     pipeline = load_pipeline("annotate", settings)

@@ -1,0 +1,115 @@
+"""Parameters that name files: their values as absolute paths, and the files themselves, for the history of runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from kinedex.catalog.queries.query_files import query_file_paths
+from kinedex.ops.errors import KinedexError
+
+
+@dataclass(frozen=True)
+class NamesFile:
+    """The annotation of a parameter, a text or a list of texts, that names files or a folder.
+
+    Attributes
+    ----------
+    kind : str
+        "data" for a folder or file of data, which nobody copies; "file" for a file, or a folder of YAML files, of
+        settings; "queries" and another kind of `catalog.configs.KINDS` where a shipped name may stand for a file.
+    """
+
+    kind: str
+
+
+def with_absolute_paths(params: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of parameters with every path in them absolute.
+
+    Parameters
+    ----------
+    params : type of BaseModel
+        The parameters of a stage.
+    values : mapping of str to object
+        Values of some or all of them, as JSON values.
+    """
+    return {name: _changed(params.model_fields.get(name), value) for name, value in values.items()}
+
+
+def _changed(field: FieldInfo | None, value: Any) -> Any:
+    if field is None:
+        return value
+    kind = next((one.kind for one in field.metadata if isinstance(one, NamesFile)), None)
+    if kind is not None:
+        return _of_texts(value, partial(_absolute, kind=kind))
+    inner = _model_in(field.annotation)
+    if inner is None:
+        return value
+    if isinstance(value, list):
+        return [with_absolute_paths(inner, one) if isinstance(one, dict) else one for one in value]
+    is_model = field.annotation is inner
+    return with_absolute_paths(inner, value) if is_model and isinstance(value, dict) else value
+
+
+def _model_in(annotation: object) -> type[BaseModel] | None:
+    """Return the model in a type such as `list[Method]`."""
+    if isinstance(annotation, type) and not get_args(annotation):
+        return annotation if issubclass(annotation, BaseModel) else None
+    return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
+
+
+def setting_files(params: BaseModel) -> Iterator[Path]:
+    """Yield the files of the user's own, other than data, that parameters name, as far as they can be read."""
+    for name, field in type(params).model_fields.items():
+        kind = next((one.kind for one in field.metadata if isinstance(one, NamesFile)), None)
+        value = getattr(params, name)
+        for text in _texts(value) if kind not in (None, "data") else ():
+            yield from _files(text, str(kind))
+        for inner in value if isinstance(value, list) else [value]:
+            if isinstance(inner, BaseModel):
+                yield from setting_files(inner)
+
+
+def _texts(value: object) -> list[str]:
+    return (
+        [value]
+        if isinstance(value, str)
+        else [one for one in value if isinstance(one, str)]
+        if isinstance(value, list)
+        else []
+    )
+
+
+def _of_texts(value: Any, change: Callable[[str], str]) -> Any:
+    if isinstance(value, str):
+        return change(value)
+    return [change(one) if isinstance(one, str) else one for one in value] if isinstance(value, list) else value
+
+
+def _absolute(text: str, kind: str) -> str:
+    """Return a text as an absolute path; a shipped name, or a word with a meaning of its own, as it is."""
+    if kind == "data" or kind == "file" or "/" in text or text.endswith((".yaml", ".yml", ".json")):
+        return os.path.abspath(Path(text).expanduser())
+    return text
+
+
+def _files(text: str, kind: str) -> Iterator[Path]:
+    path = Path(_absolute(text, kind))
+    if not path.is_absolute():
+        return
+    if path.is_dir():
+        yield from sorted(one for one in path.rglob("*") if one.suffix in (".yaml", ".yml") and one.is_file())
+    elif kind == "queries":
+        try:
+            yield from query_file_paths([path])
+        except KinedexError:
+            return
+    elif path.is_file():
+        yield path

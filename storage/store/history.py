@@ -1,0 +1,400 @@
+"""The history of a store: a file for each pipeline run, which stays when the results of the run are gone.
+
+`history/<run>.json` holds one pipeline run and its checksum, `history/files/<sha256>` the content of a file of the
+user's own that its parameters name, such as a class file. Manifests do not grow with the number of runs, and garbage
+collection leaves both. A run of before there was a history is known from the manifests that still exist.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import sync_file, sync_folder, whole_file, write_errors
+from kinedex.storage.remedies import repair
+from kinedex.storage.snapshot.manifest import (
+    Manifest,
+    PipelineRecord,
+    StageRecord,
+    json_checksum,
+    read_newest,
+    read_version,
+    versions,
+)
+from kinedex.storage.store.report_sums import SUMS
+
+FOLDER = "history"
+FILES = f"{FOLDER}/files"
+
+_NAME = re.compile(r"^([0-9]{8}-[0-9]{6}-[0-9a-f]{4})\.json$")
+_SHA256 = re.compile(r"^[0-9a-f]{64}$")
+
+State = Literal["running", "finished", "failed", "interrupted"]
+StageState = Literal["ran", "up to date", "running", "failed", "not reached"]
+
+OWN_FIELDS = ("uses", "params", "given", "inputs", "fingerprint_parts", SUMS)
+"""The fields of a stage record's summary that the runner adds to those of the stage."""
+
+
+@dataclass(frozen=True)
+class StageRun:
+    """A stage in a pipeline run.
+
+    Attributes
+    ----------
+    stage : str
+        Its name in the pipeline.
+    uses : str
+        The kind of stage.
+    inputs : dict of str to str
+        Role → the stage that plays it.
+    given : dict of str to object
+        The parameters that it was given, as JSON values; paths are absolute.
+    params : dict of str to object
+        All of its parameters, defaults among them.
+    state : {"ran", "up to date", "running", "failed", "not reached"}
+        What became of it.
+    reason : str
+        The reason for which it ran; empty if it did not.
+    run : str
+        Id of the run of the stage that made its results; of one that was up to date, that of the earlier run.
+    fingerprint : str
+        Hash of all that its results follow from.
+    fingerprint_parts : dict of str to str
+        The hashes that the fingerprint is made of.
+    finished : str
+        Time of its end, ISO 8601 in UTC.
+    seconds : float
+        Its duration.
+    summary : dict of str to object
+        Facts about its results, as JSON values.
+    """
+
+    stage: str
+    uses: str
+    inputs: dict[str, str] = field(default_factory=dict)
+    given: dict[str, Any] = field(default_factory=dict)
+    params: dict[str, Any] = field(default_factory=dict)
+    state: StageState = "not reached"
+    reason: str = ""
+    run: str = ""
+    fingerprint: str = ""
+    fingerprint_parts: dict[str, str] = field(default_factory=dict)
+    finished: str = ""
+    seconds: float = 0.0
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    def recorded(self, record: StageRecord, state: StageState) -> StageRun:
+        """Return the stage with what its record in the store states."""
+        return replace(
+            self,
+            state=state,
+            run=record.run,
+            fingerprint=record.fingerprint,
+            fingerprint_parts=record.summary.get("fingerprint_parts", {}),
+            finished=record.finished,
+            seconds=record.seconds,
+            summary={key: value for key, value in record.summary.items() if key not in OWN_FIELDS},
+        )
+
+
+@dataclass(frozen=True)
+class KeptText:
+    """A file of the user's own that the parameters of a run named.
+
+    Attributes
+    ----------
+    path : str
+        Its absolute path.
+    sha256 : str
+        Checksum of its content, which is the name of the copy in `FILES`.
+    """
+
+    path: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class PipelineRun:
+    """One run of a pipeline.
+
+    Attributes
+    ----------
+    run : str
+        Its id.
+    pipeline : str
+        Name of the pipeline.
+    state : {"running", "finished", "failed", "interrupted"}
+        What became of it; a run whose process was killed stays "running".
+    begun, finished : str
+        Times of its begin and of the end of its last stage so far, ISO 8601 in UTC.
+    seconds : float
+        Duration of the stages that ran.
+    kinedex : str
+        Version of kinedex.
+    command : str
+        Command line of the process.
+    description : str
+        Description of the pipeline.
+    path : str
+        Path of the pipeline's file.
+    yaml : str
+        Text of that file.
+    settings : dict of str to object
+        The settings that were given in place of those of the file.
+    sources : tuple of str
+        The folders that its stages read motion files from, absolute.
+    other_sources : dict of str to dict
+        Source folder → settings of the ingest, of the sources that other runs had brought in before, oldest first.
+    mappings : dict of str to str
+        Name → text of the skeleton mappings that the store held.
+    files : tuple of KeptText
+        The files of the user's own that parameters named.
+    takes : int
+        Number of the store's takes after the run.
+    labels : int
+        Number of rows of labels that the store held.
+    version : int
+        The newest version that the run made.
+    problem : str
+        The reason for which it failed.
+    stages : tuple of StageRun
+        Its stages, in their order.
+    """
+
+    run: str
+    pipeline: str
+    state: State = "running"
+    begun: str = ""
+    finished: str = ""
+    seconds: float = 0.0
+    kinedex: str = ""
+    command: str = ""
+    description: str = ""
+    path: str = ""
+    yaml: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)
+    sources: tuple[str, ...] = ()
+    other_sources: dict[str, dict[str, Any]] = field(default_factory=dict)
+    mappings: dict[str, str] = field(default_factory=dict)
+    files: tuple[KeptText, ...] = ()
+    takes: int = 0
+    labels: int = 0
+    version: int = 0
+    problem: str = ""
+    stages: tuple[StageRun, ...] = ()
+
+    @property
+    def ran(self) -> tuple[StageRun, ...]:
+        """The stages that ran."""
+        return tuple(stage for stage in self.stages if stage.state == "ran")
+
+
+_ADAPTER: TypeAdapter[PipelineRun] = TypeAdapter(PipelineRun)
+
+
+def write_run(store: Path, run: PipelineRun) -> None:
+    """Write a pipeline run into the history, in place of what was written of it before.
+
+    Raises
+    ------
+    StoreError
+        The disk is full or refuses; the file is as it was before.
+    """
+    content = asdict(run)
+    text = json.dumps(content | {"checksum": json_checksum(json.loads(json.dumps(content)))}, indent=1)
+    _write(store / FOLDER / f"{run.run}.json", text.encode() + b"\n")
+
+
+def keep_file(store: Path, path: Path) -> KeptText:
+    """Copy a file into the history, unless a file with this content is there.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    StoreError
+        The copy cannot be written.
+    """
+    content = path.read_bytes()
+    sha256 = hashlib.sha256(content).hexdigest()
+    if not (store / FILES / sha256).is_file():
+        _write(store / FILES / sha256, content)
+    return KeptText(os.path.abspath(path), sha256)
+
+
+def kept_content(store: Path, kept: KeptText) -> bytes:
+    """Return the content of a file that the history keeps.
+
+    Raises
+    ------
+    StoreError
+        The copy is missing or damaged.
+    """
+    name = f"{FILES}/{kept.sha256}"
+    try:
+        content = (store / name).read_bytes() if _SHA256.match(kept.sha256) else b""
+    except OSError as fault:
+        raise StoreError(f"{store / name}: the copy of {kept.path} cannot be read: {fault.strerror}") from None
+    if hashlib.sha256(content).hexdigest() != kept.sha256:
+        raise StoreError(
+            f"{store / name}: the copy of {kept.path} is damaged: its content does not fit its checksum",
+            remedy=repair(store),
+        )
+    return content
+
+
+def list_runs(store: Path) -> list[PipelineRun]:
+    """Return the pipeline runs of a store, oldest first.
+
+    Runs whose file is damaged are excluded; `history_problems` names them.
+
+    Raises
+    ------
+    StoreError
+        There is no store.
+    """
+    read_newest(store)
+    found = {}
+    for name in _files(store):
+        try:
+            run = _read(store, name)
+        except StoreError:
+            continue
+        found[run.run] = run
+    for run in _runs_of_manifests(store):
+        found.setdefault(run.run, run)
+    return sorted(found.values(), key=lambda run: (run.begun or run.finished, run.run))
+
+
+def last_run(store: Path, pipeline: str) -> PipelineRun | None:
+    """Return the run of a pipeline that began last, which may be running; None where the history has none."""
+    for name in reversed(_files(store)):
+        try:
+            run = _read(store, name)
+        except StoreError:
+            continue
+        if run.pipeline == pipeline:
+            return run
+    return None
+
+
+def history_problems(store: Path) -> Iterator[tuple[str, str]]:
+    """Yield path, relative to the store, and problem of each damaged file of the history."""
+    for name in _files(store):
+        try:
+            _read(store, name)
+        except StoreError as fault:
+            yield f"{FOLDER}/{name}", str(fault).partition(": ")[2].partition(";")[0]
+    folder = store / FILES
+    for name in sorted(os.listdir(folder)) if folder.is_dir() else ():
+        if _SHA256.match(name) and hashlib.sha256((folder / name).read_bytes()).hexdigest() != name:
+            yield f"{FILES}/{name}", "its content does not fit its checksum"
+
+
+def _files(store: Path) -> list[str]:
+    folder = store / FOLDER
+    return sorted(name for name in os.listdir(folder) if _NAME.match(name)) if folder.is_dir() else []
+
+
+def _read(store: Path, name: str) -> PipelineRun:
+    path = store / FOLDER / name
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        checksum = content.pop("checksum")
+        if checksum != json_checksum(content):
+            raise StoreError(f"{path}: its content does not fit its checksum", remedy=repair(store))
+        run = _ADAPTER.validate_python(content)
+    except OSError as fault:
+        raise StoreError(f"{path}: cannot be read: {fault.strerror}") from fault
+    except (ValueError, ValidationError, AttributeError, KeyError, TypeError) as fault:
+        raise StoreError(f"{path}: it is no pipeline run ({type(fault).__name__})", remedy=repair(store)) from None
+    if f"{run.run}.json" != name:
+        raise StoreError(f"{path}: it names another run", remedy=repair(store))
+    return run
+
+
+def _write(path: Path, content: bytes) -> None:
+    with write_errors(path):
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            sync_folder(path.parent.parent)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(content)
+            sync_file(temporary)
+        sync_folder(path.parent)
+
+
+def _runs_of_manifests(store: Path) -> Iterator[PipelineRun]:
+    """Yield the last runs of pipelines that the existing versions name, those of newer versions first."""
+    seen: set[str] = set()
+    for version in reversed(versions(store)):
+        try:
+            manifest = read_version(store, version)
+        except StoreError:
+            continue
+        of_stages = {name: one for name, one in _records_of_stages(manifest).items() if name not in seen}
+        for name, record in {**of_stages, **manifest.pipelines}.items():
+            seen.add(name)
+            yield _run_of_record(manifest, name, record)
+
+
+def _records_of_stages(manifest: Manifest) -> dict[str, PipelineRecord]:
+    """Return records of the pipelines that a version of format 3 names only by their stages."""
+    found: dict[str, PipelineRecord] = {}
+    for key, stage in sorted(manifest.stages.items(), key=lambda item: item[1].finished):
+        sources = {stage.summary.get("params", {}).get("source") or ""} - {""}
+        name = key.partition("/")[0]
+        before = found[name].sources if name in found else ()
+        roots = dict.fromkeys([*before, *(os.path.realpath(Path(one).expanduser()) for one in sources)])
+        found[name] = PipelineRecord("", "", {}, tuple(roots), "", "", stage.run, stage.finished)
+    return found
+
+
+def _run_of_record(manifest: Manifest, name: str, record: PipelineRecord) -> PipelineRun:
+    """Return a run as its record in a manifest and the records of its stages describe it."""
+    stages = [one for key, one in manifest.stages.items() if key.partition("/")[0] == name and "uses" in one.summary]
+    known = tuple(
+        StageRun(
+            one.stage.partition("/")[2],
+            one.summary["uses"],
+            dict(one.summary.get("inputs", {})),
+            # records of format 3 do not keep apart the parameters that were given
+            dict(one.summary.get("given", one.summary.get("params", {}))),
+            dict(one.summary.get("params", {})),
+        ).recorded(one, "ran")
+        for one in stages
+    )
+    others = {
+        root: source.settings
+        for root, source in sorted(manifest.sources.items(), key=lambda item: item[1].recorded)
+        if root not in record.sources
+    }
+    return PipelineRun(
+        run=record.run,
+        pipeline=name,
+        state="finished",
+        finished=record.recorded,
+        seconds=round(sum(one.seconds for one in known), 3),
+        kinedex=record.kinedex,
+        command=record.command,
+        path=record.path,
+        yaml=record.yaml,
+        settings=record.settings,
+        sources=record.sources,
+        other_sources=others,
+        mappings=dict(manifest.mappings),
+        takes=len(manifest.live_takes),
+        labels=sum(part.rows for part in manifest.labels),
+        version=manifest.version,
+        stages=known,
+    )
