@@ -34,6 +34,9 @@ F32 = npt.NDArray[np.float32]
 SYNTHETIC = ("walk4StepsLstart", "cartwheelLeft", "kickRight1Reps")
 """The motions that are performed where no files are given."""
 
+FILMS = ("gif", "mp4")
+"""The forms that hold pictures."""
+
 
 @dataclass(frozen=True)
 class RoundTrip:
@@ -80,6 +83,8 @@ def round_trips(source: Path, folder: Path) -> Iterator[RoundTrip]:
     motion = JointMotion(take.name, take.joints, take.positions, take.rate_hz, take.words(), take.orientation)
     joints = Take.from_positions(take.positions, take.rate_hz, orientation=take.orientation)
     for name, form in FORMS.items():
+        if name in FILMS:
+            continue
         paths = [folder / f"{name}.{ending}" for ending in form.endings]
         if form.joints is not None:
             try:

@@ -1,0 +1,236 @@
+"""Films of motions as GIF or MP4: a stick figure from the front and from the side, with a floor line and the time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageColor, ImageDraw, ImageFont
+
+from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
+from kinedex.storage.formats.motion.joint_motion import JointMotion
+
+F64 = npt.NDArray[np.float64]
+
+MOST_GIF_FRAMES = 1500
+"""Frames of a GIF, a minute at its rate; the library holds all of them in memory."""
+
+_VIEWS = (("front", 0, 2, 1.0), ("side", 2, 0, -1.0))  # axes to the right and away, and the sign of what is nearer
+_WIDE, _HIGH, _HEAD, _FOOT = 320, 400, 44, 40  # pixels of a view, and of what lies above and below the figure
+_FINE = 2  # frames are drawn this many times larger and then reduced, so that lines are smooth
+_PAPER, _FLOOR, _TEXT, _FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"
+_LEAST_HEIGHT_M, _TICK_M = 2.0, 0.5
+_GIF_HZ, _FASTEST_HZ, _USUAL_HZ = 25.0, 60.0, 30.0
+_STEADY_S = 1.0  # seconds over which the view follows a body
+_SHADES = 20  # of each colour in the palette of a GIF
+
+
+def write_gif(path: Path, motion: JointMotion) -> None:
+    """Write a motion as a GIF of 25 frames per second, or of its own rate where that is lower.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    motion : JointMotion
+        The motion; frames without any joint show the floor only.
+
+    Raises
+    ------
+    KinedexError
+        No joint is seen in any frame, or the motion is longer than a GIF of `MOST_GIF_FRAMES` frames.
+    """
+    hundredths = max(round(100 / min(motion.rate_hz, _GIF_HZ)), 1)
+    film = _Film(motion, 100 / hundredths)
+    if len(film) > MOST_GIF_FRAMES:
+        seconds = MOST_GIF_FRAMES * hundredths / 100
+        raise KinedexError(
+            f"'{motion.name}' has {len(film) * hundredths / 100:.0f} s, and a GIF at most {seconds:.0f} s; export a "
+            "shorter range, or an mp4"
+        )
+    palette = _palette()
+    frames = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in film.frames())
+    first = next(frames)
+    first.save(path, "GIF", save_all=True, append_images=frames, duration=10 * hundredths, loop=0, optimize=False)
+
+
+def write_mp4(path: Path, motion: JointMotion) -> None:
+    """Write a motion as an MP4 file (H.264) of its own rate, or of 30 frames per second where that is over 60.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    motion : JointMotion
+        The motion; frames without any joint show the floor only.
+
+    Raises
+    ------
+    KinedexError
+        PyAV is not installed, or no joint is seen in any frame.
+    """
+    try:
+        import av
+    except ImportError:
+        raise KinedexError(
+            "an mp4 is written by PyAV, which is not installed: `pip install 'kinedex[film]'`; --format gif needs "
+            "nothing more"
+        ) from None
+    from fractions import Fraction
+
+    film = _Film(motion, motion.rate_hz if motion.rate_hz <= _FASTEST_HZ else _USUAL_HZ)
+    rate = Fraction(film.rate_hz).limit_denominator(1001)
+    options = {"movflags": "faststart", "fflags": "bitexact"}  # without versions and dates: the same bytes every time
+    with av.open(str(path), "w", format="mp4", options=options) as container:
+        stream = container.add_stream("libx264", rate=rate, options={"crf": "20", "preset": "fast", "threads": "1"})
+        stream.width, stream.height, stream.pix_fmt = *film.size, "yuv420p"
+        stream.codec_context.flags |= av.codec.context.Flags.bitexact
+        for frame in film.frames():
+            container.mux(stream.encode(av.VideoFrame.from_image(frame)))
+        container.mux(stream.encode())
+
+
+def _palette() -> Image.Image:
+    """Return the colours of all lines and texts, in shades from the colour to that of the paper."""
+    colours = np.array([ImageColor.getrgb(colour) for colour in (LEFT, RIGHT, MIDDLE, _FLOOR, _TEXT, _FAINT)])
+    shades = colours[:, None] + (255.0 - colours[:, None]) * np.linspace(0.0, 1.0, _SHADES)[:, None]
+    image = Image.new("P", (1, 1))
+    image.putpalette(shades.round().astype(np.uint8).reshape(-1, 3).tobytes())
+    return image
+
+
+@dataclass(frozen=True)
+class _Film:
+    """The pictures of a motion at a rate."""
+
+    motion: JointMotion
+    rate_hz: float
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return width and height in pixels."""
+        return len(_VIEWS) * _WIDE, _HIGH
+
+    def __len__(self) -> int:
+        return int((len(self.motion.places) - 1) / self.motion.rate_hz * self.rate_hz + 1e-6) + 1
+
+    @cached_property
+    def places(self) -> F64:
+        """Return the places (T, joints, 3) of the frames that are shown, turned so that the body faces +Z at first."""
+        places = self.motion.places.astype(np.float64)
+        if not np.isfinite(places).all(axis=2).any():
+            raise KinedexError(f"'{self.motion.name}' has no joint that is seen in any of its {len(places)} frames")
+        shown = np.round(np.arange(len(self)) * (self.motion.rate_hz / self.rate_hz)).astype(np.int64)
+        x, z = self._across
+        turn = np.array([[x, 0.0, z], [0.0, 1.0, 0.0], [-z, 0.0, x]])
+        turned: F64 = places[np.minimum(shown, len(places) - 1)] @ turn.T
+        return turned
+
+    @property
+    def _across(self) -> tuple[float, float]:
+        """Return the level direction (x, z) from the right hip to the left in the first frame that has both."""
+        if {"lhip", "rhip"} <= set(self.motion.joints):
+            left, right = (self.motion.places[:, self.motion.joints.index(name)] for name in ("lhip", "rhip"))
+            ways = (left - right)[:, [0, 2]].astype(np.float64)
+            length = np.linalg.norm(ways, axis=1)
+            usable = np.flatnonzero(np.isfinite(length) & (length > 1e-3))
+            if len(usable):
+                x, z = ways[usable[0]] / length[usable[0]]
+                return float(x), float(z)
+        return 1.0, 0.0
+
+    @cached_property
+    def floor(self) -> float:
+        """Return the height below which the lowest joint hardly ever is."""
+        heights = self.places[:, :, 1]
+        seen = np.isfinite(heights).any(axis=1)
+        return float(np.percentile(np.nanmin(heights[seen], axis=1), 2))
+
+    @cached_property
+    def scale(self) -> float:
+        """Return pixels per metre: the highest joint has room, and so has a body that stands."""
+        tall = max(float(np.nanmax(self.places[:, :, 1])) - self.floor, _LEAST_HEIGHT_M)
+        reach = self.places - self.centres[:, None]
+        wide = 2.1 * float(np.nanmax(np.abs(reach[:, :, [0, 2]])))
+        return min((_HIGH - _HEAD - _FOOT) / tall, _WIDE / wide)
+
+    @cached_property
+    def centres(self) -> F64:
+        """Return the places (T, 3) that the views follow: the middle of the body, steadied over a second."""
+        seen: npt.NDArray[np.bool_] = np.any(np.isfinite(self.places), axis=(1, 2))
+        middle = (np.nanmin(self.places[seen], axis=1) + np.nanmax(self.places[seen], axis=1)) / 2
+        frames = np.arange(len(seen))
+        filled = np.stack([np.interp(frames, frames[seen], track) for track in middle.T], axis=1)
+        half = int(_STEADY_S * self.rate_hz / 2)
+        around = np.concatenate([filled[:1].repeat(half, 0), filled, filled[-1:].repeat(half, 0)])
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(around, axis=0)])
+        return np.asarray((sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1))
+
+    def frames(self) -> Iterator[Image.Image]:
+        """Yield the pictures."""
+        ground = self._ground()
+        index = {joint: i for i, joint in enumerate(self.motion.joints)}
+        sides = {"l": LEFT, "r": RIGHT}
+        bones = [
+            (index[joint], index[parent], sides.get(joint[0], MIDDLE))
+            for joint, parent in JOINT_PARENTS.items()
+            if parent in index and joint in index
+        ]
+        for i, places in enumerate(self.places):
+            image = ground.copy()
+            pen = ImageDraw.Draw(image)
+            for view, (_, across, away, sign) in enumerate(_VIEWS):
+                self._draw(pen, view, places, self.centres[i], bones, across, away, sign)
+            _write(pen, 12, _HIGH - 22, f"{i / self.rate_hz:.2f} s", 13, _TEXT)
+            yield image.reduce(_FINE)
+
+    def _ground(self) -> Image.Image:
+        """Return the picture of what no frame changes, in its fine size."""
+        image = Image.new("RGB", (self.size[0] * _FINE, self.size[1] * _FINE), _PAPER)
+        pen = ImageDraw.Draw(image)
+        _write(pen, 12, 8, self.motion.name[:60], 14, _TEXT)
+        for i, (word, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
+            x = self.size[0] - 130 + 64 * i
+            pen.line([_fine(x, 17), _fine(x + 16, 17)], fill=colour, width=3 * _FINE)
+            _write(pen, x + 21, 9, word, 12, _TEXT)
+        for view, (name, *_) in enumerate(_VIEWS):
+            _write(pen, view * _WIDE + 12, 28, name, 12, _FAINT)
+        y = _HIGH - _FOOT
+        pen.line([_fine(0, y), _fine(self.size[0], y)], fill=_FLOOR, width=_FINE)
+        return image
+
+    def _draw(
+        self, pen: ImageDraw.ImageDraw, view: int, places: F64, centre: F64,
+        bones: list[tuple[int, int, str]], across: int, away: int, sign: float,
+    ) -> None:  # fmt: skip
+        """Draw a view: marks of the floor every half metre, and the bones, the nearest last."""
+        middle = (view + 0.5) * _WIDE
+        reach = _WIDE / 2 / self.scale
+        first = int(np.ceil((centre[across] - reach) / _TICK_M))
+        for tick in range(first, int(np.floor((centre[across] + reach) / _TICK_M)) + 1):
+            x = middle + (tick * _TICK_M - centre[across]) * self.scale
+            pen.line([_fine(x, _HIGH - _FOOT), _fine(x, _HIGH - _FOOT + 5)], fill=_FLOOR, width=_FINE)
+        x = middle + (places[:, across] - centre[across]) * self.scale
+        y = _HIGH - _FOOT - (places[:, 1] - self.floor) * self.scale
+        seen = np.isfinite(x) & np.isfinite(y)
+        shown = [bone for bone in bones if seen[bone[0]] and seen[bone[1]]]
+        for a, b, colour in sorted(shown, key=lambda bone: sign * float(places[bone[0], away] + places[bone[1], away])):
+            pen.line([_fine(x[a], y[a]), _fine(x[b], y[b])], fill=colour, width=4 * _FINE)
+            for joint in (a, b):
+                (u, v), r = _fine(x[joint], y[joint]), 2.4 * _FINE
+                pen.ellipse([u - r, v - r, u + r, v + r], fill=colour)
+
+
+def _fine(x: float, y: float) -> tuple[float, float]:
+    return float(x) * _FINE, float(y) * _FINE
+
+
+def _write(pen: ImageDraw.ImageDraw, x: float, y: float, text: str, size: int, colour: str) -> None:
+    """Write a line in Pillow's own font, which is the same on all systems."""
+    pen.text(_fine(x, y), text, font=ImageFont.load_default(size * _FINE), fill=colour)
