@@ -1,6 +1,6 @@
 """`python -m studies.rates STORE`: measure how far words depend on the rate of the source.
 
-The takes of a store are written as BVH at the analysis rate (30 Hz) and read again. The positions of joints are the
+The takes of a store are written as TRC at the analysis rate (30 Hz) and read again. The positions of joints are the
 same; velocities and hysteresis were computed from all source frames before, and from every fourth of them (at 120 Hz)
 now.
 """
@@ -15,17 +15,21 @@ import numpy as np
 
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.storage.formats.motion.joint_motion import JointMotion
+from kinedex.storage.formats.motion.trc_writer import write_trc
+from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.take_export import export_take
 
 
 def compare(store: Store, where: str, folder: Path) -> str:
     """Compare the words of takes at their own rate and at the analysis rate, in one line."""
     names = store.takes(where).sort("name")["name"].to_list()
-    (folder / "bvh").mkdir()
+    (folder / "trc").mkdir()
+    joints = tuple(store.feature_set.joints)
     for name in names:
-        export_take(store, name, "bvh", folder / "bvh" / f"{name}.bvh")
-    run_pipeline("ingest", folder / "store", assignments={"source": str(folder / "bvh")})
+        places = joint_positions(store.frames(name), joints).transpose(2, 0, 1)
+        write_trc(folder / "trc" / f"{name}.trc", JointMotion(name, joints, places, store.rate_hz))
+    run_pipeline("ingest", folder / "store", assignments={"source": str(folder / "trc")})
     again = open_store(folder / "store")
     frames = same = bits = 0
     by_feature = np.zeros(len(store.feature_set.features), np.int64)

@@ -57,7 +57,11 @@ FORMS = {
     "parquet": Form("joint positions and words", ("parquet",), f"{_MOTION}.table_writer:write_parquet"),
     "npz": Form("joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.npz_writer:write_npz"),
     "bvh": Form(
-        "the channels of a BVH source", ("bvh",), channels=f"{_MOTION}.bvh_cuts:write_bvh_cut", sources=("bvh",)
+        "the channels of a BVH source, or turns of a kinematic chain that is fitted to the joints",
+        ("bvh",),
+        f"{_MOTION}.bvh_writer:write_chain_bvh",
+        channels=f"{_MOTION}.bvh_cuts:write_bvh_cut",
+        sources=("bvh",),
     ),
     "amc": Form(
         "the channels of an AMC source, and its ASF skeleton",

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.storage.disk import whole_file
-from kinedex.storage.formats.motion.bvh_writer import write_bvh
+from kinedex.storage.formats.motion.bvh_writer import write_chain_bvh
+from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.snapshot import Snapshot
 
@@ -68,21 +68,5 @@ def _positions(store: Snapshot, rows: pa.Table) -> npt.NDArray[np.float32]:
 
 
 def _write_bvh(store: Snapshot, take: str, path: Path) -> None:
-    positions = _positions(store, store.frames(take))
-    tracks = {
-        joint: places.T.astype(np.float64) for joint, places in zip(store.feature_set.joints, positions, strict=True)
-    }
-    unknown = [joint for joint in JOINT_PARENTS if joint not in tracks or not np.isfinite(tracks[joint]).any()]
-    if unknown:
-        raise KinedexError(
-            f"take '{take}' has no {', '.join(unknown)}; a BVH needs every joint (csv and parquet do not)"
-        )
-    lost = [joint for joint in JOINT_PARENTS if not np.isfinite(tracks[joint]).all()]
-    if lost:
-        gone = np.isnan(np.array([tracks[joint] for joint in lost])).any(axis=(0, 2))
-        raise KinedexError(
-            f"take '{take}' is invalid in {np.count_nonzero(gone)} of its {len(gone)} frames, where {', '.join(lost)} "
-            "have no place; a BVH needs every joint in every frame. Export csv or parquet, or ingest the take again "
-            "with a larger fill_gap_frames, which closes longer gaps"
-        )
-    write_bvh(path, tracks, store.rate_hz)
+    places = _positions(store, store.frames(take)).transpose(2, 0, 1)
+    write_chain_bvh(path, JointMotion(take, tuple(store.feature_set.joints), places, store.rate_hz))

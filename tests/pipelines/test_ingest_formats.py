@@ -147,8 +147,13 @@ def test_a_joint_that_the_skeleton_lacks_switches_its_features_off_and_the_take_
     assert verify(store) == []
 
 
-@pytest.mark.parametrize(("form", "skeleton"), [("bvh", "named"), ("csv", "named-positions")])
-def test_a_take_that_was_exported_comes_back(tmp_path: Path, source: Path, form: str, skeleton: str) -> None:
+@pytest.mark.parametrize(
+    ("form", "skeleton", "apart_m"),
+    [("bvh", "named", 0.03), ("csv", "named-positions", 1e-5)],  # a BVH holds the joints as near as its bones reach
+)
+def test_a_take_that_was_exported_comes_back(
+    tmp_path: Path, source: Path, form: str, skeleton: str, apart_m: float
+) -> None:
     bring_in(tmp_path / "store", source)
     store = open_store(tmp_path / "store")
     (tmp_path / "out").mkdir()
@@ -161,7 +166,7 @@ def test_a_take_that_was_exported_comes_back(tmp_path: Path, source: Path, form:
     assert verify(again) == []
     for take in ("wave", "x_1"):
         before, after = (joint_positions(opened.frames(take), JOINTS) for opened in (store, again))
-        np.testing.assert_allclose(after, before, atol=1e-5)
+        np.testing.assert_allclose(after, before, atol=apart_m)
 
 
 def test_positions_come_in_beside_other_formats_and_frames_in_long_gaps_have_no_word(

@@ -1,4 +1,4 @@
-"""The writer of BVH files: named joints over time, each with six channels."""
+"""The writer of BVH files from the 24 named joints: the turns of a kinematic chain, and places at the root only."""
 
 from __future__ import annotations
 
@@ -7,82 +7,122 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.body.euler import euler_angles
+from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain, forward
+from kinedex.ops.body.pose_fit import fit_poses, measured_body, start_poses
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.formats.motion.joint_motion import JointMotion
 
 F64 = npt.NDArray[np.float64]
 
+ORDER = "ZXY"
+"""The rotation channels of every joint: R = Rz · Rx · Ry."""
 
-def write_bvh(path: Path, tracks: dict[str, F64], rate_hz: float) -> None:
-    """Write a BVH file in which every joint has a turn that fits its children best, and its exact place.
+_BESIDE_M = 0.01  # joints that are nearer to another one lie on it
 
-    Places are in the parent's axes. A skeleton of bones of fixed length could not hold the named joints, between which
-    other joints of the source bend.
+_CHANNELS = " ".join(f"{axis}rotation" for axis in ORDER)
+
+
+def write_chain_bvh(path: Path, motion: JointMotion) -> None:
+    """Write the joints of a motion as a BVH file with bones of fixed length, in metres with Y up.
+
+    The joints are fitted by a kinematic chain, whose bones are the median lengths of the motion; in the rest pose the
+    body faces +Z with its arms to the sides. The root has three position and three rotation channels, every other joint
+    three rotation channels, Z, X and Y.
 
     Parameters
     ----------
     path : Path
         The file to write.
-    tracks : dict of str to float64 array (T, 3)
-        Place of every named joint in metres, without NaN.
-    rate_hz : float
-        Frames per second.
+    motion : JointMotion
+        The motion.
+
+    Raises
+    ------
+    KinedexError
+        A joint is missing, in all frames or in some.
     """
-    turns = {joint: _turns(tracks, joint) for joint in JOINT_PARENTS}
+    chain = load_kinematic_chain()
+    positions = _all_joints(chain, motion)
+    body = _with_clavicles(measured_body(chain, positions), positions)
+    poses = fit_poses(body, positions)
     lines = ["HIERARCHY"]
-    columns: list[F64] = []
-    _describe(tracks, turns, "root", 0, lines, columns)
-    lines += ["MOTION", f"Frames: {len(tracks['root'])}", f"Frame Time: {1.0 / rate_hz:.8f}"]
-    with path.open("w", encoding="ascii") as file:
+    columns: list[F64] = [poses.places]
+    _describe(body, 0, "", lines, columns, poses.turns)
+    lines += ["MOTION", f"Frames: {len(poses.places)}", f"Frame Time: {1.0 / motion.rate_hz:.8f}"]
+    with path.open("w", encoding="ascii", newline="\n") as file:
         file.write("\n".join(lines) + "\n")
-        np.savetxt(file, np.concatenate(columns, axis=1), fmt="%.6f")
+        np.savetxt(file, np.concatenate(columns, axis=1) + 0.0, fmt="%.6f")
 
 
-def _children(joint: str) -> list[str]:
-    return [name for name, parent in JOINT_PARENTS.items() if parent == joint]
+def _all_joints(chain: KinematicChain, motion: JointMotion) -> F64:
+    """Return the joints (J, 3, T) in the order of the chain; a KinedexError names those that are missing."""
+    seen = np.isfinite(motion.places.sum(axis=2))
+    known = {name: i for i, name in enumerate(motion.joints) if seen[:, i].any()}
+    unknown = [name for name in chain.joints if name not in known]
+    if unknown:
+        raise KinedexError(
+            f"take '{motion.name}' has no {', '.join(unknown)}; a BVH needs every joint (csv, npz and trc do not)"
+        )
+    order = [known[name] for name in chain.joints]
+    lost = [name for name, i in zip(chain.joints, order, strict=True) if not seen[:, i].all()]
+    if lost:
+        gone = np.isnan(motion.places[:, order].sum(axis=(1, 2)))
+        raise KinedexError(
+            f"take '{motion.name}' is invalid in {np.count_nonzero(gone)} of its {len(gone)} frames, where "
+            f"{', '.join(lost)} have no place; a BVH needs every joint in every frame. Export csv or parquet, or "
+            "ingest the take again with a larger fill_gap_frames, which closes longer gaps"
+        )
+    return np.ascontiguousarray(motion.places[:, order].transpose(1, 2, 0), np.float64)
 
 
-def _turns(tracks: dict[str, F64], joint: str) -> F64:
-    """Return the rotation (T, 3, 3) of a joint's children from frame 0 by least squares (Kabsch's algorithm)."""
-    arms = [tracks[child] - tracks[joint] for child in _children(joint)]
-    if not arms:
-        return np.broadcast_to(np.eye(3), (len(tracks[joint]), 3, 3))
-    rest = np.stack([arm[0] for arm in arms])
-    now = np.stack(arms, axis=1)
-    u, _, vt = np.linalg.svd(np.einsum("tca,cb->tab", now, rest))
-    flip = np.ones((len(u), 3))
-    flip[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    best: F64 = np.einsum("tab,tb,tbc->tac", u, flip, vt)
-    return best
+def _with_clavicles(body: ChainBody, positions: F64) -> ChainBody:
+    """Return the body with joints on the chest where the motion has them, if they are not at the neck.
+
+    The chain has the clavicles at the neck, about which they turn; so has HDM05. Elsewhere they begin beside it.
+    """
+    chain = body.chain
+    poses = start_poses(body, positions)
+    joints, turned = forward(body, poses)
+    offsets = body.offsets.copy()
+    for j, rest in enumerate(chain.rest):
+        if rest.along is None and not rest.measured and rest.start != j:
+            centre = joints[chain.centres[rest.node]]
+            own = np.median(np.einsum("tba,bt->at", turned[:, rest.node], positions[j] - centre), axis=1)
+            if np.linalg.norm(own - offsets[j]) > _BESIDE_M:
+                offsets[j] = own
+    return ChainBody(chain, offsets)
 
 
-def _describe(
-    tracks: dict[str, F64], turns: dict[str, F64], joint: str, depth: int, lines: list[str], columns: list[F64]
-) -> None:
-    """Append the lines of a joint and of all joints below it, and their columns of motion."""
-    pad, parent = "\t" * depth, JOINT_PARENTS[joint]
-    arm = tracks[joint] - tracks[parent] if parent else tracks[joint]
-    above = turns[parent] if parent else np.broadcast_to(np.eye(3), (len(arm), 3, 3))
-    place = np.einsum("tba,tb->ta", above, arm)
-    local = np.einsum("tba,tbc->tac", above, turns[joint])
-    lines += [f"{pad}{'JOINT' if parent else 'ROOT'} {joint}", f"{pad}{{"]
-    lines.append(f"{pad}\tOFFSET " + " ".join(f"{x:.6f}" for x in (place[0] if parent else np.zeros(3))))
-    lines.append(f"{pad}\tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation")
-    columns += [place, _zxy_degrees(local)]
-    children = _children(joint)
-    for child in children:
-        _describe(tracks, turns, child, depth + 1, lines, columns)
-    if not children:
-        lines += [f"{pad}\tEnd Site", f"{pad}\t{{", f"{pad}\t\tOFFSET 0.000000 0.000000 0.000000", f"{pad}\t}}"]
+def _describe(body: ChainBody, node: int, pad: str, lines: list[str], columns: list[F64], turns: F64) -> None:
+    """Append the lines of a node and of all below it, and the columns of their rotations in degrees."""
+    chain, inner = body.chain, pad + "\t"
+    root = chain.parents[node] < 0
+    offset = np.zeros(3) if root else body.offsets[chain.centres[node]]
+    lines += [f"{pad}{'ROOT' if root else 'JOINT'} {_name(body, node)}", f"{pad}{{", f"{inner}OFFSET {_text(offset)}"]
+    lines.append(f"{inner}CHANNELS {f'6 Xposition Yposition Zposition {_CHANNELS}' if root else f'3 {_CHANNELS}'}")
+    columns.append(np.rad2deg(euler_angles(turns[:, node], ORDER)))
+    for child in (k for k, parent in enumerate(chain.parents) if parent == node):
+        _describe(body, child, inner, lines, columns, turns)
+    names = {_name(body, k) for k in range(len(chain.nodes))}
+    for j in (j for j, rest in enumerate(chain.rest) if rest.node == node and chain.joints[j] not in names):
+        lines += [f"{inner}JOINT {chain.joints[j]}", f"{inner}{{", f"{inner}\tOFFSET {_text(body.offsets[j])}"]
+        lines += [f"{inner}\tCHANNELS 3 {_CHANNELS}", f"{inner}\tEnd Site", f"{inner}\t{{"]
+        lines += [f"{inner}\t\tOFFSET {_text(np.zeros(3))}", f"{inner}\t}}", f"{inner}}}"]
+        columns.append(np.zeros((len(turns), 3)))
     lines.append(f"{pad}}}")
 
 
-def _zxy_degrees(matrices: F64) -> F64:
-    """Return angles (T, 3) z, x, y in degrees with R = Rz · Rx · Ry; y is 0 where x is a right angle."""
-    sine = np.clip(matrices[:, 2, 1], -1.0, 1.0)
-    level = np.abs(sine) < 1.0 - 1e-12
-    z = np.where(
-        level, np.arctan2(-matrices[:, 0, 1], matrices[:, 1, 1]), np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
-    )
-    y = np.where(level, np.arctan2(-matrices[:, 2, 0], matrices[:, 2, 2]), 0.0)
-    degrees: F64 = np.rad2deg(np.stack([z, np.arcsin(sine), y], axis=1))
-    return degrees
+def _name(body: ChainBody, node: int) -> str:
+    """Return the joint's name in the file: that of the named joint at its place, else the node's own with a mark."""
+    chain = body.chain
+    own, centre = chain.nodes[node], chain.centres[node]
+    if own not in chain.joints:
+        return chain.joints[centre] if chain.centres.index(centre) == node else own
+    beside = np.any(body.offsets[chain.joint(own)] != body.offsets[centre])
+    return f"{own}_turn" if beside else own
+
+
+def _text(offset: F64) -> str:
+    return " ".join(f"{value + 0.0:.6f}" for value in offset)
