@@ -7,6 +7,7 @@ import re
 import tempfile
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -102,25 +103,52 @@ def null_columns(fields: Iterable[pa.Field]) -> list[str]:
     return [f"NULL::{sql_type(field.type)} AS {identifier(field.name)}" for field in fields]
 
 
-def result_rows(schema: pa.Schema, files: Sequence[tuple[Path, int]]) -> str:
+@dataclass(frozen=True)
+class ResultScan:
+    """Parquet parts of results that are read together.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        The parts.
+    width : int
+        The number of their columns, which are the first ones of the schema; the others are null.
+    origin : dict of str to str or None
+        Columns that have one value in all of these parts, and are not in them; they replace stored ones of their names.
+    """
+
+    files: tuple[Path, ...]
+    width: int
+    origin: dict[str, str | None]
+
+
+def result_rows(schema: pa.Schema, origin: Sequence[str], scans: Sequence[ResultScan]) -> str:
     """Return the SELECT that reads the rows of Parquet parts of results.
 
     Parameters
     ----------
     schema : pyarrow.Schema
-        Columns of the results; without any part the SELECT is an empty relation of this schema.
-    files : sequence of (Path, int)
-        Each part with the number of its columns; those that the schema has beyond them are null.
+        Columns of the parts; without any part the SELECT is an empty relation of these and the columns of `origin`.
+    origin : sequence of str
+        Names of the columns of texts that follow them.
+    scans : sequence of ResultScan
+        The parts.
     """
-    if not files:
-        return f"SELECT {', '.join(null_columns(schema))} WHERE false"
+    stored = [field for field in schema if field.name not in origin]
+    if not scans:
+        texts = [pa.field(name, pa.string()) for name in origin]
+        return f"SELECT {', '.join(null_columns([*stored, *texts]))} WHERE false"
     branches = []
-    for width in sorted({width for _, width in files}):
-        lacking = null_columns(list(schema)[width:])
+    for scan in scans:
+        held = frozenset(schema.names[: scan.width])
         # every column stands with its table: a bare name could be taken for an argument of a macro
-        held = [f"part.{identifier(name)}" for name in schema.names[:width]] if lacking else ["*"]
-        scan = _read_parquet([file for file, count in files if count == width])
-        branches.append(f"SELECT {', '.join([*held, *lacking])} FROM {scan} AS part")
+        columns = [
+            f"part.{identifier(field.name)}" if field.name in held else null_columns([field])[0] for field in stored
+        ]
+        for name in origin:
+            value = scan.origin[name]
+            columns.append(f"{'NULL' if value is None else quote(value)}::VARCHAR AS {identifier(name)}")
+        branches.append(f"SELECT {', '.join(columns)} FROM {_read_parquet(scan.files)} AS part")
     return "\nUNION ALL ".join(branches)
 
 

@@ -26,7 +26,8 @@ class View:
         Its name.
     origin : str
         "index" (a table of the published index), "parts" (read from the store's Parquet files), "results" (likewise,
-        the rows of all live runs), "labels" (statements of people) or "derived" (made of other views by `body`).
+        those of the current pipeline), "pipelines" (read from the manifest), "labels" (statements of people) or
+        "derived" (made of other views by `body`).
     summary : str
         Its purpose in one sentence.
     columns : tuple of Column
@@ -35,14 +36,20 @@ class View:
         A query that runs on any store.
     body : str
         The SELECT of a view that is made of others.
+    stored : tuple of Column
+        The columns of the Parquet files of a view of results.
+    stages : tuple of str
+        The kinds of stages that make the rows of a view of results.
     """
 
     name: str
-    origin: Literal["index", "parts", "labels", "results", "derived"]
+    origin: Literal["index", "parts", "labels", "results", "pipelines", "derived"]
     summary: str
     columns: tuple[Column, ...]
     example: str
     body: str = ""
+    stored: tuple[Column, ...] = ()
+    stages: tuple[str, ...] = ()
 
 
 def columns(text: str) -> tuple[Column, ...]:

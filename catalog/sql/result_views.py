@@ -1,10 +1,27 @@
-"""The views of results: what stages have stored, with the rows of all live runs."""
+"""The views of results: what stages have stored, as the current pipeline has it, or with the rows of all pipelines."""
 
 from __future__ import annotations
 
 from kinedex.catalog.sql.columns import View, columns
 
+ALL = "all_"
+"""Before the name of a view of results: the view with the same columns that shows the rows of every pipeline."""
+
+SOURCE_KINDS = ("skeleton_files", "source_files", "ingest_log")
+"""Results that belong to a source folder, whichever pipeline has ingested it."""
+
+SAVED_KINDS = ("hits",)
+"""Results that a person saves under a name, and no pipeline makes."""
+
 _RUN = "run    VARCHAR    the run of a stage that wrote the row"
+_ORIGIN = columns("""
+pipeline    VARCHAR    the pipeline that wrote the row; NULL for hits that were saved by hand
+stage    VARCHAR    its stage
+pipeline_run    VARCHAR    the run of the pipeline, as in `pipeline_runs`; NULL while the stage runs again
+""")
+ORIGIN = tuple(column.name for column in _ORIGIN)
+"""The last columns of every view of results, which are not in the parts: the store knows them of a whole part."""
+
 _TAKE = """take_id    BIGINT    id of the take
 take    VARCHAR    name of the take"""
 _RANGE = """start    INTEGER    first frame, from 0
@@ -22,13 +39,19 @@ _METHOD = (
     "'templates in a row' or 'templates in a row within keyframe hits' (method best)"
 )
 
+
+def _view(name: str, summary: str, text: str, example: str, stages: str = "") -> View:
+    """Return the view of a kind of results, with the columns of its parts and of their origin."""
+    stored = columns(f"{_RUN}\n{text}")
+    shown = (*(column for column in stored if column.name not in ORIGIN), *_ORIGIN)
+    return View(name, "results", summary, shown, example, stored=stored, stages=tuple(stages.split()))
+
+
 RESULT_VIEWS = (
-    View(
+    _view(
         "templates",
-        "results",
         "Motion templates, soft and hard, per subclass.",
-        columns(f"""{_RUN}
-subclass    VARCHAR    the subclass of the template
+        """subclass    VARCHAR    the subclass of the template
 kind    VARCHAR    soft or hard
 features    INTEGER    values in a column of the template
 columns    INTEGER    number of its columns
@@ -41,104 +64,96 @@ take_filter    VARCHAR    the SQL filter that chose the training takes
 origin    VARCHAR    learned from clips of its own class, or made of other templates, and how
 clip_costs    DOUBLE[]    median DTW cost of each clip to the others
 feature_weights    DOUBLE[]    weight of each feature; NULL: all alike
-remarks    VARCHAR[]    remarks about unusual clips"""),
+remarks    VARCHAR[]    remarks about unusual clips""",
         "SELECT subclass, kind, columns, len(clips) AS clips FROM templates ORDER BY subclass, kind",
+        stages="learn_templates",
     ),
-    View(
+    _view(
         "annotated_takes",
-        "results",
         "The takes that were annotated, also those in which nothing was found.",
-        columns(f"""{_RUN}
-{_TAKE}
+        f"""{_TAKE}
 frames         BIGINT     its length in frames
 searched       DOUBLE     share of its frames that templates were matched in, on average over the templates
-fingerprint    VARCHAR    a hash of its words and of all that they were annotated with; null where not known"""),
+fingerprint    VARCHAR    a hash of its words and of all that they were annotated with; null where not known""",
         "SELECT take FROM annotated_takes WHERE take_id NOT IN (SELECT take_id FROM annotations) ORDER BY take",
+        stages="annotate",
     ),
-    View(
+    _view(
         "not_applied",
-        "results",
         "Templates and queries that were not applied to a take, whose body lacks too many of the joints they ask for.",
-        columns(f"""{_RUN}
-{_TAKE}
+        f"""{_TAKE}
 kind    VARCHAR    template or query
 name    VARCHAR    the subclass of the template, or the name of the query
-known    DOUBLE    share of its fixed entries that the take knows: less than 0.6"""),
+known    DOUBLE    share of its fixed entries that the take knows: less than 0.6""",
         "SELECT take, kind, count(*) AS refused FROM not_applied GROUP BY take, kind ORDER BY take, kind",
+        stages="annotate rank",
     ),
-    View(
+    _view(
         "distance_curves",
-        "results",
         "The distance curve of a subclass over a take, one cost per frame; of a take that was kept, by an earlier run.",
-        columns(f"""{_RUN}
-{_TAKE}
+        f"""{_TAKE}
 class    VARCHAR    the class that the subclass belongs to
 subclass    VARCHAR    whose template was compared
 costs    FLOAT[]    for each frame, the cost of the best match that ends there; infinity where there is none
-preselected    DOUBLE    share of the frames that keyframe queries left to be searched"""),
+preselected    DOUBLE    share of the frames that keyframe queries left to be searched""",
         "SELECT take, subclass, list_min(costs) AS least FROM distance_curves ORDER BY least LIMIT 10",
+        stages="annotate",
     ),
-    View(
+    _view(
         "annotations",
-        "results",
         "The segments that the annotation found: class, range, cost.",
-        columns(f"""{_RUN}
-{_TAKE}
+        f"""{_TAKE}
 class    VARCHAR    the label
 subclass    VARCHAR    whose template came nearest
 {_SECONDS}
 cost    DOUBLE    least distance within the range, from 0
 confidence    DOUBLE    from 0 (something else would do as well) to 1
-{_METHOD}"""),
+{_METHOD}""",
         "SELECT class, count(*) AS segments, sum(stop_seconds - start_seconds) AS seconds FROM annotations "
         "WHERE method IN ('templates', 'templates within keyframe hits') GROUP BY class ORDER BY class",
+        stages="annotate",
     ),
-    View(
+    _view(
         "ranked_hits",
-        "results",
         "The best hits of each template, by rank: take, range, cost.",
-        columns(f"""{_RUN}
-template    VARCHAR    the template that was looked for
+        f"""template    VARCHAR    the template that was looked for
 rank    INTEGER    1 is the best
 {_TAKE}
 {_SECONDS}
-cost    DOUBLE    distance from the template, from 0"""),
+cost    DOUBLE    distance from the template, from 0""",
         "SELECT template, rank, take, start, stop, cost FROM ranked_hits WHERE rank <= 3 ORDER BY template, rank",
+        stages="rank",
     ),
-    View(
+    _view(
         "retrieval",
-        "results",
         "The quality of rankings: average precision and recall of each class, and confusions.",
-        columns(f"""{_RUN}
-evaluation    VARCHAR    the kind of items that were ranked: clips or takes
+        """evaluation    VARCHAR    the kind of items that were ranked: clips or takes
 fold    VARCHAR    the part of the archive that was excluded from learning; empty for none
 class    VARCHAR    the class that was looked for
 relevant    INTEGER    number of items to find
 found    INTEGER    number of these below the threshold
 average_precision    DOUBLE    1 where all that should be found comes first
 recall_at_tau    DOUBLE    share of them below the threshold
-confused_with    VARCHAR[]    classes that stand above the last right one, most frequent first"""),
+confused_with    VARCHAR[]    classes that stand above the last right one, most frequent first""",
         "SELECT class, avg(average_precision) AS average_precision FROM retrieval GROUP BY class ORDER BY class",
+        stages="evaluate_ranking",
     ),
-    View(
+    _view(
         "ground_truth",
-        "results",
         "The manual labels that annotations are compared with.",
-        columns(f"""{_RUN}
-{_TAKE}
+        f"""{_TAKE}
 class    VARCHAR    the label
 {_RANGE}
 source_start    BIGINT    start in frames of the source file
 source_stop    BIGINT    stop in frames of the source file
-origin    VARCHAR    the file that holds the label"""),
+origin    VARCHAR    the file that holds the label""",
         "SELECT class, count(*) AS segments FROM ground_truth GROUP BY class ORDER BY class",
+        stages="evaluate",
     ),
-    View(
+    _view(
         "metrics",
-        "results",
         "Precision, recall and F over frames (p1, r1, f1) and over segments (p2, r2, f2).",
-        columns(f"""{_RUN}
-evaluation    VARCHAR    the stage that evaluated
+        """evaluation    VARCHAR    the stage that evaluated
 scope    VARCHAR    pooled, class, take, fold, or group: takes with the same value of divide_by
 name    VARCHAR    of which class, take, fold or group
 p1    DOUBLE    precision by frames
@@ -153,15 +168,14 @@ frames_manual    BIGINT    frames that people have labelled
 segments_automatic_hit    BIGINT    segments of the annotation that are right
 segments_automatic    BIGINT    segments of the annotation
 segments_manual_hit    BIGINT    manual segments that were found
-segments_manual    BIGINT    manual segments"""),
-        "SELECT name, f1, f2 FROM metrics WHERE scope = 'class' ORDER BY f1",
+segments_manual    BIGINT    manual segments""",
+        "SELECT stage, name, f1, f2 FROM metrics WHERE scope = 'class' ORDER BY stage, f1",
+        stages="evaluate compare_methods",
     ),
-    View(
+    _view(
         "method_cells",
-        "results",
         "The segments that the compared methods of annotation found, one row per cell and take.",
-        columns(f"""{_RUN}
-cell    VARCHAR    hash of all that the row follows from
+        """cell    VARCHAR    hash of all that the row follows from
 split    VARCHAR    the division of the archive into training and test
 fold    VARCHAR    which division
 method    VARCHAR    the method of annotation
@@ -170,15 +184,14 @@ frames    INTEGER    its length in frames
 classes    VARCHAR[]    the labels found
 starts    INTEGER[]    first frame of each
 stops    INTEGER[]    frame after the last of each
-confidences    DOUBLE[]    of each, from 0 to 1"""),
+confidences    DOUBLE[]    of each, from 0 to 1""",
         "SELECT split, method, count(DISTINCT take) AS takes FROM method_cells GROUP BY ALL ORDER BY ALL",
+        stages="compare_methods",
     ),
-    View(
+    _view(
         "precision_recall",
-        "results",
         "Precision and recall of rankings for each stiffness of keyframe queries.",
-        columns(f"""{_RUN}
-variant    VARCHAR    which frames were ranked: those that the queries left, or all
+        """variant    VARCHAR    which frames were ranked: those that the queries left, or all
 stiffness    DOUBLE    of all gaps of the queries, where it was changed
 class    VARCHAR    the class that was looked for
 relevant    INTEGER    number of items to find
@@ -187,15 +200,14 @@ found    INTEGER    number of relevant items among these
 kept    DOUBLE    share of the frames that the queries left
 average_precision    DOUBLE    1 where all that should be found comes first
 precision    DOUBLE[]    after each rank
-recall    DOUBLE[]    after each rank"""),
+recall    DOUBLE[]    after each rank""",
         "SELECT stiffness, avg(average_precision) AS average_precision FROM precision_recall GROUP BY ALL ORDER BY ALL",
+        stages="vary_stiffness",
     ),
-    View(
+    _view(
         "queries",
-        "results",
         "Learned keyframe queries, in bits of whole words, with their margins.",
-        columns(f"""{_RUN}
-subclass    VARCHAR    whose motions it preselects
+        f"""subclass    VARCHAR    whose motions it preselects
 number    INTEGER    0 for the first query of a subclass; further ones find what it misses
 origin    VARCHAR    consensus of the runs, best run, or run
 {_QUERY}
@@ -212,74 +224,69 @@ recall    DOUBLE    likewise
 runs    INTEGER    number of runs
 settled    BOOLEAN    true if more runs had ceased to change the outcome
 matrix    DOUBLE[]    entries fixed by the runs, columns × features, from 0 (off) to 1 (on); NULL for further queries
-clips    VARCHAR[]    the training clips of the subclass"""),
+clips    VARCHAR[]    the training clips of the subclass""",
         "SELECT subclass, len(masks) AS keyframes, recall, precision FROM queries ORDER BY subclass, number",
+        stages="learn_keyframes",
     ),
-    View(
+    _view(
         "keyframe_runs",
-        "results",
         "The runs that keyframe queries were learned in, one row each.",
-        columns(f"""{_RUN}
-key    VARCHAR    hash of all that a run follows from but its number
+        f"""key    VARCHAR    hash of all that a run follows from but its number
 subclass    VARCHAR    the subclass that it learns to find
 number    INTEGER    number of the run
 fitness    DOUBLE    of its best query (thesis, Eq. 4.11)
 rank    DOUBLE    the value that queries are compared by
 evaluated    BIGINT    number of queries that were tried
 {_QUERY}
-history    DOUBLE[]    four numbers for each generation"""),
+history    DOUBLE[]    four numbers for each generation""",
         "SELECT subclass, count(*) AS runs, max(fitness) AS best FROM keyframe_runs GROUP BY subclass ORDER BY ALL",
+        stages="learn_keyframes",
     ),
-    View(
+    _view(
         "hits",
-        "results",
         "The saved hits of keyframe queries.",
-        columns(f"""{_RUN}
-saved_as    VARCHAR    the name that they were kept under: `kinedex search --save`
+        f"""saved_as    VARCHAR    the name that they were kept under: `kinedex search --save`
 query    VARCHAR    name of the query
 {_TAKE}
-{_SECONDS}"""),
+{_SECONDS}""",
         "SELECT query, count(*) AS hits, sum(stop_seconds - start_seconds) AS seconds FROM hits "
         "WHERE saved_as = 'mine' GROUP BY query ORDER BY query",
     ),
-    View(
+    _view(
         "skeleton_files",
-        "results",
         "The skeleton files that takes were read with, as they were when they were last checked.",
-        columns(f"""{_RUN}
-source_root    VARCHAR    the folder that was ingested
+        """source_root    VARCHAR    the folder that was ingested
 source    VARCHAR    the skeleton file, relative to it
 source_bytes    BIGINT    its size
 source_mtime_ns    BIGINT    its time of change, in nanoseconds since 1970
-checksum    VARCHAR    its SHA-256"""),
+checksum    VARCHAR    its SHA-256""",
         "SELECT t.name, t.skeleton_source, s.checksum FROM takes AS t JOIN skeleton_files AS s "
         "ON (s.source_root, s.source) = (t.source_root, t.skeleton_source) ORDER BY t.name LIMIT 10",
+        stages="ingest",
     ),
-    View(
+    _view(
         "source_files",
-        "results",
         "All files below the folder that a stage ingested last, and what became of each.",
-        columns(f"""{_RUN}
-source_root    VARCHAR    the folder that was ingested
+        """source_root    VARCHAR    the folder that was ingested
 source    VARCHAR    the file, relative to it; also a folder that cannot be read
 ending    VARCHAR    its ending in small letters, with the dot
 outcome    VARCHAR    in (the store has its takes), refused, skeleton, not read, passed over (no motion)
 takes    INTEGER    number of its takes in the store
-reason    VARCHAR    the fault, the way out, or the kind of a file that was passed over"""),
+reason    VARCHAR    the fault, the way out, or the kind of a file that was passed over""",
         "SELECT outcome, ending, count(*) AS files FROM source_files GROUP BY ALL ORDER BY files DESC, ending",
+        stages="ingest",
     ),
-    View(
+    _view(
         "ingest_log",
-        "results",
         "Source files, or places in them, that could not be read.",
-        columns(f"""{_RUN}
-source    VARCHAR    the source file, relative to its root
+        """source    VARCHAR    the source file, relative to its root
 stage    VARCHAR    the stage that met it
 error    VARCHAR    kind of error
 message    VARCHAR    the fault, and the way out
 file    VARCHAR    the file that is at fault, where it is another one
 line    INTEGER    its line, where there is one
-logged_at    TIMESTAMP WITH TIME ZONE    when"""),
+logged_at    TIMESTAMP WITH TIME ZONE    when""",
         "SELECT source, line, message FROM ingest_log ORDER BY source, line",
+        stages="ingest",
     ),
 )

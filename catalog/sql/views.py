@@ -171,8 +171,8 @@ class    VARCHAR    the class; of a subclass that no annotation puts into one, t
 subclasses    VARCHAR[]    the labels of clips, templates and queries in it
 clips    BIGINT    how many clips it has
 clip_seconds    DOUBLE    their duration
-annotations    BIGINT    segments that annotations give it, in all live runs
-labels    BIGINT    manual segments, in all live runs
+annotations    BIGINT    segments that the view `annotations` gives it
+labels    BIGINT    manual segments of the view `ground_truth`
 known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth: where it occurs
 """),
         "SELECT class, clips, annotations FROM classes WHERE list_contains(known_from, 'clips') ORDER BY class",
@@ -192,6 +192,24 @@ known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth:
         columns(_LABEL),
         "SELECT class, verdict, count(*) AS labels FROM labels GROUP BY class, verdict ORDER BY class, verdict",
         "SELECT * EXCLUDE (current) FROM label_history WHERE current",
+    ),
+    View(
+        "pipeline_runs",
+        "pipelines",
+        "The runs of pipelines that results stand of, and which of them is current: whose rows the views of results "
+        "show. `all_annotations`, and `all_` before any other view of results, has the rows of all pipelines.",
+        columns("""
+pipeline    VARCHAR    name of the pipeline
+pipeline_run    VARCHAR    id of the run
+finished    TIMESTAMP WITH TIME ZONE    when its last stage was done
+seconds    DOUBLE    duration of its stages
+stages    VARCHAR[]    the stages that ran in it last; others had nothing to do, or have run again since
+views    VARCHAR[]    the views of results that show its rows
+command    VARCHAR    the command that ran it
+kinedex    VARCHAR    version of kinedex
+current    BOOLEAN    true for the current pipeline: the last one run, or that of `kinedex use`
+"""),
+        "SELECT pipeline, finished, stages, views, current FROM pipeline_runs ORDER BY finished",
     ),
     *RESULT_VIEWS,
 )

@@ -126,6 +126,12 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "files": "paths of the files beside it that its parameters name",
         "remarks": "what the file alone does not reproduce, and what to do about it",
     },
+    "use": {
+        **_STORE,
+        "current": "name of the pipeline whose results the views show, or null",
+        "chosen": "true where it was chosen; false for the pipeline that was run last",
+        "pipeline_runs": "rows of the view `pipeline_runs`",
+    },
     "gc": {
         **_STORE,
         "dry_run": "true where nothing was removed",

@@ -14,6 +14,7 @@ ORIGINS = {
     "parts": "Frames",
     "derived": "Classes",
     "labels": "Labels",
+    "pipelines": "Runs of pipelines",
     "results": "Results of stages",
 }
 

@@ -13,6 +13,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import few
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
+from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use
 from kinedex.storage.store.store import Store
 
 
@@ -24,7 +25,8 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
     store : Store
         The store to read.
     wanted : str, optional
-        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage that ran last unless given.
+        "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage of the pipeline whose
+        annotations the view `annotations` shows unless given.
 
     Returns
     -------
@@ -43,14 +45,14 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
         source = shlex.quote(f"source={roots[0]}") if len(roots) == 1 else "source=…"
         command = f"kinedex run annotate --store {shlex.quote(str(store.path))} --set {source}"
         raise KinedexError(f"{store.path}: nothing was annotated; `{command}` annotates it")
-    if wanted is None:
-        return max(records, key=lambda name: (records[name].finished, name))
-    fitting = [name for name, one in records.items() if wanted in (name, name.split("/")[0], one.run)]
-    if len(fitting) != 1:
+    shown = next(name for name in pipelines_by_use(store.manifest) if name in map(pipeline_of, records))
+    asked = wanted or shown
+    fitting = [name for name, one in records.items() if asked in (name, pipeline_of(name), one.run)]
+    if not fitting:
+        raise KinedexError(f"no stage '{asked}' has annotated anything{did_you_mean(asked, records)}")
+    if len(fitting) > 1:
         raise KinedexError(
-            f"{len(fitting)} stages are '{wanted}': {few(sorted(fitting))}"
-            if fitting
-            else f"no stage '{wanted}' has annotated anything{did_you_mean(wanted, records)}"
+            f"several stages of '{asked}' have annotated takes: {few(sorted(fitting))}; choose one with --stage"
         )
     return fitting[0]
 

@@ -255,7 +255,7 @@ class Labels:
             The files are those that were exported, corrected by a person: what is the same in them is accepted, what
             was moved is corrected, what is missing is rejected (an annotation) or taken back (a label).
         stage : str, optional
-            The stage whose annotations were corrected; the one that ran last unless given.
+            The stage whose annotations were corrected; that of the current pipeline unless given.
         annotator : str, optional
             The person.
         note : str, optional

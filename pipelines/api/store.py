@@ -439,20 +439,22 @@ class Store:
         """
         return self.stored.connect(threads, memory_mb)
 
-    def results(self, kind: str, *, pipeline: str | None = None) -> pl.DataFrame:
-        """Return what pipelines have stored of one kind.
+    def results(self, kind: str, *, pipeline: str | None = None, every: bool = False) -> pl.DataFrame:
+        """Return what the current pipeline has stored of one kind: the rows of the view of this name.
 
         Parameters
         ----------
         kind : str
             The kind of result: annotations, metrics, templates, queries, hits, ranked_hits and others.
         pipeline : str, optional
-            Only the results of this pipeline.
+            Another pipeline, whose results are returned.
+        every : bool, optional
+            Return the results of all pipelines, as the view with `all_` before the name has them.
 
         Returns
         -------
         polars.DataFrame
-            The rows of the live runs; no rows, with the right columns, where there are none.
+            The rows of the latest runs; no rows, with the right columns, where there are none.
 
         Raises
         ------
@@ -464,7 +466,7 @@ class Store:
         >>> "class" in store.results("annotations").columns
         True
         """
-        return data_frame(self.stored.result(kind, pipeline=pipeline))
+        return data_frame(self.stored.result_view(kind, pipeline, every=every))
 
     # ---- search and ranking ------------------------------------------------------------------------------
 

@@ -36,7 +36,10 @@ def export(
     stage: Annotated[
         str | None,
         typer.Option(
-            "--stage", metavar="STAGE", help="PIPELINE/STAGE, PIPELINE or run; the last annotation unless given."
+            "--stage",
+            "--pipeline",
+            metavar="STAGE",
+            help="PIPELINE, PIPELINE/STAGE or run; the current pipeline unless given.",
         ),
     ] = None,
     kept: Annotated[bool, typer.Option("--labels", help="Write the labels of people in place of annotations.")] = False,

@@ -38,7 +38,12 @@ FilterOption = Annotated[str | None, typer.Option("--where", help="SQL filter ov
 AllOption = Annotated[bool, typer.Option("--all", help="All of them, where nothing else is chosen.")]
 AnnotatedBy = Annotated[
     str | None,
-    typer.Option("--stage", metavar="STAGE", help="PIPELINE/STAGE, PIPELINE or run; the last annotation unless given."),
+    typer.Option(
+        "--stage",
+        "--pipeline",
+        metavar="STAGE",
+        help="PIPELINE, PIPELINE/STAGE or run; the current pipeline unless given.",
+    ),
 ]
 
 

@@ -19,6 +19,7 @@ import polars as pl
 
 from kinedex.ops.errors import KinedexError, NewStoreError, Remedy
 from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
@@ -27,9 +28,11 @@ from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.storage.lock import Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now, versions
+from kinedex.storage.snapshot.shown_results import makes_results, pipelines_by_use
 from kinedex.storage.store.history import OWN_FIELDS
 from kinedex.storage.store.report_sums import SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
+from kinedex.storage.store.writer import StoreWriter
 
 _log = logging.getLogger("kinedex.engine")
 
@@ -174,6 +177,7 @@ def run_pipeline(
         for number in range(len(pipeline.stages)):
             steps.append(_take_step(run, planner, number))
             run = run if steps[-1].reason is None else run.begun()
+        _make_current(run)
     except BaseException as fault:
         pool.abort()
         history.fail(fault)
@@ -185,6 +189,34 @@ def run_pipeline(
         # all is done and recorded: only the workers were waited for
         pool.abort()
     return _outcome(pipeline, steps, store_path)
+
+
+def _make_current(run: _Run) -> None:
+    """Record that the pipeline was run, and report which pipeline the views of results show."""
+    name = run.pipeline.name
+    if not _makes_results(run.pipeline):
+        return
+    manifest = open_store(run.store_path, at="newest").manifest
+    if manifest.recent_pipelines[:1] != (name,):
+        with StoreWriter.open(run.store_path, manifest.feature_set, manifest.rate_hz, run.wait) as writer:
+            writer.record_run(name)
+            manifest = writer.commit()
+    others = [one for one in pipelines_by_use(manifest) if one != name]
+    use = f"kinedex use {shlex.quote(str(run.store_path))}"
+    if others and manifest.chosen_pipeline in others:
+        run.terminal.say(
+            f"the views of results show pipeline {manifest.chosen_pipeline}, which was chosen; `{use} {name}` shows "
+            f"{name}"
+        )
+    elif others:
+        run.terminal.say(
+            f"the views of results show pipeline {name}; those that begin with `all_` show {few(others)} as well, and "
+            f"`{use} {others[0]}` goes back"
+        )
+
+
+def _makes_results(pipeline: Pipeline) -> bool:
+    return makes_results(stage.uses for stage in pipeline.stages)
 
 
 def _take_step(run: _Run, planner: Planner, number: int) -> Step:
@@ -317,12 +349,23 @@ def _record(context: StageContext, step: Step, summary: Mapping[str, object], se
     }
     if files := full.get("files"):
         full[SUMS] = file_sums(context.store_path, files)
+    known = run.record
+    record = StageRecord(
+        context.key(),
+        step.fingerprint,
+        context.run,
+        now(),
+        round(seconds, 3),
+        full,
+        known.run,
+        known.command,
+        known.kinedex,
+    )
     with context.writer() as writer:
-        record = StageRecord(
-            context.key(), step.fingerprint, context.run, now(), round(seconds, 3), full, run.record.run
-        )
         writer.record_stage(record)
-        writer.record_pipeline(context.pipeline, replace(run.record, recorded=now()))
+        writer.record_pipeline(context.pipeline, replace(known, recorded=now()))
+        if step.stage is run.pipeline.stages[-1] and _makes_results(run.pipeline):
+            writer.record_run(context.pipeline)
         run.history.done(step, record, writer.commit())
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.keyframes.learning import Outcome
 from kinedex.pipelines.keyframes.runs import outcomes_of
+from kinedex.storage.snapshot.shown_results import pipeline_of, shown_pipeline
 from kinedex.storage.store.store import Store
 
 
@@ -43,7 +44,7 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     classes : sequence of str, optional
         The classes to read; all unless given.
     pipeline : str, optional
-        The pipeline that learned them, or "<pipeline>/<stage>"; the newest queries unless given.
+        The pipeline that learned them, or "<pipeline>/<stage>"; the one that the view `queries` shows unless given.
 
     Returns
     -------
@@ -59,11 +60,13 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     stages = [part.stage for part in store.manifest.results.get("queries", ())]
     if not stages:
         raise KinedexError(f"{store.path} has no learned queries; learn some: kinedex keyframes learn {store.path}")
-    fitting = [one for one in stages if pipeline is None or pipeline in (one, one.partition("/")[0])]
+    asked = pipeline or shown_pipeline(store.manifest, "queries")
+    fitting = [one for one in stages if asked in (one, pipeline_of(one))]
     if not fitting:
-        known = ", ".join(dict.fromkeys(one.partition("/")[0] for one in stages))
+        known = ", ".join(dict.fromkeys(map(pipeline_of, stages)))
         raise KinedexError(f"--pipeline {pipeline}: it has learned no queries; expected one of {known}")
-    *others, stage = fitting
+    stage = fitting[-1]
+    others = dict.fromkeys(one for one in (fitting if pipeline else stages) if one != stage)
     found = {one.subclass: one for one in outcomes_of(store.result("queries", stage=stage))}
     for name in classes or ():
         if name not in found:

@@ -92,7 +92,7 @@ def _key(row: Mapping[str, Any], name: str) -> tuple[object, ...]:
 
 
 def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
-    """Return a stage that has annotated ("<pipeline>/<stage>", the last one unless named), and its annotations."""
+    """Return a stage that has annotated, "<pipeline>/<stage>", and its annotations; unless named, the current one."""
     chosen = annotate_stage(store, stage)
     return chosen, store.result("annotations", run=store.manifest.stages[chosen].run)
 
@@ -211,7 +211,7 @@ def import_corrections(
     files : sequence of LabelFile
         The files, which `labels export` wrote and a person changed.
     stage : str, optional
-        The stage whose annotations were corrected; the one that ran last unless given.
+        The stage whose annotations were corrected; that of the current pipeline unless given.
     **more : str, optional
         `annotator` and `note`.
 

@@ -16,6 +16,7 @@ from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import Kind, learn, quantise
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
+from kinedex.storage.snapshot.shown_results import pipeline_of
 from kinedex.storage.store.store import Store
 
 TEMPLATE_ENDINGS = (".yaml", ".yml", ".csv")
@@ -37,7 +38,8 @@ def stored_templates(store: Store, stage: str | None = None) -> list[StoredTempl
     store : Store
         The store to read.
     stage : str, optional
-        Only the templates of this stage: "<pipeline>/<stage>", or the name of the pipeline alone.
+        Only the templates of this stage: "<pipeline>/<stage>", or the name of the pipeline alone; those of the
+        pipeline that the view `templates` shows unless given.
 
     Returns
     -------
@@ -57,8 +59,8 @@ def stored_templates(store: Store, stage: str | None = None) -> list[StoredTempl
         raise KinedexError(f"no templates of a stage '{stage}'{did_you_mean(stage, known)}")
     found = [
         StoredTemplate(stages[row["run"]], template_of(row))
-        for row in store.result("templates").to_pylist()
-        if stage is None or stages[row["run"]] == stage or stages[row["run"]].startswith(f"{stage}/")
+        for row in store.result("templates", pipeline=pipeline_of(stage) if stage else None).to_pylist()
+        if stage is None or stage in (stages[row["run"]], pipeline_of(stages[row["run"]]))
     ]
     return sorted(found, key=lambda each: (each.stage, each.one.subclass, each.one.kind != "soft"))
 
@@ -75,7 +77,7 @@ def choose_template(store: Store, name: str, kind: Kind = "soft", stage: str | N
     kind : {"soft", "hard"}
         The kind of template.
     stage : str, optional
-        The stage that learned it, as for `stored_templates`; needed where several stages have learned one.
+        The stage that learned it, as for `stored_templates`; needed where several stages of the pipeline have one.
 
     Returns
     -------

@@ -254,7 +254,12 @@ class StageRecord:
     summary : dict
         Facts about its results, as JSON values.
     pipeline_run : str
-        Id of the pipeline run that it ran in (`PipelineRecord.run`); empty in records of before there was a history.
+        Id of the pipeline run that it ran in (`PipelineRecord.run`); empty if an older kinedex recorded it, as are
+        `command` and `kinedex`.
+    command : str
+        The command line of the process that ran it.
+    kinedex : str
+        Version of kinedex.
     """
 
     stage: str
@@ -264,6 +269,8 @@ class StageRecord:
     seconds: float
     summary: dict[str, Any] = field(default_factory=dict)
     pipeline_run: str = ""
+    command: str = ""
+    kinedex: str = ""
 
 
 @dataclass(frozen=True)
@@ -311,6 +318,10 @@ class Manifest:
         Name of a pipeline that has results → its last run.
     mappings : dict of str to str
         Name → YAML text of skeleton mappings and vocabularies of the user's own, which every ingest adds to the others.
+    recent_pipelines : tuple of str
+        The pipelines that make results and were run to their end, the last one first.
+    chosen_pipeline : str
+        The pipeline that was made the current one by `kinedex use`; empty: the last one that was run.
     """
 
     format_version: int
@@ -332,6 +343,8 @@ class Manifest:
     sources: dict[str, Source] = field(default_factory=dict)
     pipelines: dict[str, PipelineRecord] = field(default_factory=dict)
     mappings: dict[str, str] = field(default_factory=dict)
+    recent_pipelines: tuple[str, ...] = ()
+    chosen_pipeline: str = ""
 
     @property
     def parts(self) -> tuple[AnyPart, ...]:

@@ -129,12 +129,13 @@ _SQL_TYPES = {
 }
 
 
-def _type(name: str) -> pa.DataType:
-    return pa.list_(_type(name.removesuffix("[]"))) if name.endswith("[]") else _SQL_TYPES[name]
+def arrow_type(name: str) -> pa.DataType:
+    """Return the Arrow type of a column of a view by the name of its DuckDB type."""
+    return pa.list_(arrow_type(name.removesuffix("[]"))) if name.endswith("[]") else _SQL_TYPES[name]
 
 
-# A part of results has the columns of the view that shows it; a new column comes at the end (`ResultPart.columns`).
-_RESULTS = {view.name: _fields(*((one.name, _type(one.type)) for one in view.columns)) for view in RESULT_VIEWS}
+# A new column of a part of results comes at the end (`ResultPart.columns`).
+_RESULTS = {view.name: _fields(*((one.name, arrow_type(one.type)) for one in view.stored)) for view in RESULT_VIEWS}
 
 _REQUIRED = {
     "takes": tuple(name for name in _TAKES.names if name != "known"),

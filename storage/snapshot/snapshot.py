@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.sql.result_views import ORIGIN
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
@@ -21,6 +22,7 @@ from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest, ResultPart
 from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import labels_schema, result_schema, with_columns
+from kinedex.storage.snapshot.shown_results import all_parts, origin_of, pipeline_of, shown_parts
 
 
 class Snapshot:
@@ -173,28 +175,52 @@ class Snapshot:
     def result(
         self, kind: str, run: str | None = None, pipeline: str | None = None, stage: str | None = None
     ) -> pa.Table:
-        """Return the rows of one kind of result of the live pipeline runs; an empty table where there are none.
+        """Return the rows of one kind of result as its parts have them; an empty table where there are none.
+
+        Without `run`, `pipeline` and `stage` they are those that the view of this name shows.
 
         Parameters
         ----------
         kind : str
             One of `storage.snapshot.schemas.RESULT_KINDS`.
         run : str, optional
-            Only the rows of this pipeline run.
+            Only the rows of this run of a stage.
         pipeline : str, optional
             Only the rows that stages of this pipeline wrote.
         stage : str, optional
             Only the rows of this stage, "<pipeline>/<stage>".
         """
         schema = result_schema(kind)
+        every = shown_parts if run is pipeline is stage is None else all_parts
         tables = [
             _read_part(self.checked.part(part), schema)
-            for part in self.manifest.results.get(kind, ())
+            for part in every(self.manifest, kind)
             if (run is None or part.run == run)
-            and (pipeline is None or part.stage.startswith(f"{pipeline}/"))
+            and (pipeline is None or pipeline_of(part.stage) == pipeline)
             and (stage is None or part.stage == stage)
         ]
         return pa.concat_tables(tables) if tables else schema.empty_table()
+
+    def result_view(self, kind: str, pipeline: str | None = None, *, every: bool = False) -> pa.Table:
+        """Return the rows of one kind of result with the columns of its view, those of the origin among them.
+
+        Parameters
+        ----------
+        kind : str
+            One of `storage.snapshot.schemas.RESULT_KINDS`.
+        pipeline : str, optional
+            The pipeline whose rows are returned; those that the view shows unless given.
+        every : bool, optional
+            Return the rows of all pipelines.
+        """
+        schema = result_schema(kind)
+        parts = all_parts(self.manifest, kind) if every or pipeline is not None else shown_parts(self.manifest, kind)
+        tables = [_with_origin(schema.empty_table(), dict.fromkeys(ORIGIN))]
+        for part in parts:
+            if pipeline is None or pipeline_of(part.stage) == pipeline:
+                rows = _read_part(self.checked.part(part), schema)
+                tables.append(_with_origin(rows, origin_of(self.manifest, kind, part)))
+        return pa.concat_tables(tables)
 
     def result_pieces(self, kind: str, parts: Iterable[ResultPart]) -> Iterator[pa.Table]:
         """Yield the rows of parts of one kind of result, one row group after the other."""
@@ -204,6 +230,14 @@ class Snapshot:
             with read_errors(file), pq.ParquetFile(file) as opened:
                 for group in range(opened.num_row_groups):
                     yield with_columns(opened.read_row_group(group), schema)
+
+
+def _with_origin(rows: pa.Table, origin: Mapping[str, str | None]) -> pa.Table:
+    """Return rows of results with the columns of their origin, in place of stored ones of these names."""
+    rows = rows.drop_columns([name for name in origin if name in rows.column_names])
+    for name, value in origin.items():
+        rows = rows.append_column(name, pa.repeat(pa.scalar(value, pa.string()), rows.num_rows))
+    return rows.replace_schema_metadata(None)
 
 
 def _read_part(file: Path, schema: pa.Schema) -> pa.Table:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-
-import pyarrow.parquet as pq
 
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
@@ -21,17 +19,20 @@ from kinedex.storage.index.generations import (
     read_generation,
 )
 from kinedex.storage.index.reference_tables import features_table, help_table
+from kinedex.storage.index.tables import surface
 from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.remedies import build_index, repair
 from kinedex.storage.snapshot.label_view import shown_labels
-from kinedex.storage.snapshot.parts import part_file, read_errors
-from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema, result_schema
+from kinedex.storage.snapshot.parts import part_file
+from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
+from kinedex.storage.snapshot.shown_results import pipeline_runs
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query
 from kinedex.storage.sql.read_only import UnknownName
 from kinedex.storage.sql.read_parts import check_parts
+from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select
 
-NAMES = tuple(view.name for view in VIEWS) + tuple(macro.name for macro in MACROS)
+NAMES = (*(view.name for view in VIEWS), *ALL_VIEWS, *(macro.name for macro in MACROS))
 """The names of all views and macros."""
 
 _left_open: list[Connections] = []
@@ -170,20 +171,30 @@ def _define(connection: duck.Connection, store: Snapshot, index: Generation | No
         frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
         _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
         for kind in RESULT_KINDS:
-            _view(connection, kind, duck.result_rows(result_schema(kind), _result_files(store, kind)))
+            _view(connection, kind, result_select(store, kind))
+        if complete:
+            define_all_views(connection, store, ALL_VIEWS)
+        connection.register("pipeline_runs", pipeline_runs(store.manifest))
         _define_labels(connection, store)
         for view in VIEWS:
             if view.origin != "index" and view.body:
                 _view(connection, view.name, view.body)
+        own = index is not None and index.surface == surface(store.feature_set, store.rate_hz)
         for macro in MACROS:
             # an index file of an older kinedex may hold older ones
-            if indexed or complete or not _reads_index(macro):
+            if not (own and macro.needs == "index") and (indexed or complete or not _reads_index(macro)):
                 connection.execute(macro.sql(temporary=True))
     except (duck.Error, UnicodeDecodeError) as fault:
         # a damaged name of a column may be no UTF-8, and then no message either
         store.checked.parts(store.manifest.parts)
         reason = duck.first_line(fault) if isinstance(fault, duck.Error) else str(fault)
         raise StoreError(f"{store.path}: SQL over this store does not work: {reason}") from None
+
+
+def define_all_views(connection: duck.Connection, store: Snapshot, names: Iterable[str]) -> None:
+    """Make those of some views of a connection that show the results of all pipelines, and are not there yet."""
+    for name in sorted(ALL_VIEWS.keys() & set(names)):
+        connection.execute(f"CREATE TEMP VIEW IF NOT EXISTS {name} AS {result_select(store, name)}")
 
 
 def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
@@ -263,7 +274,7 @@ def run_query(
         The query is refused, fails, or does not end in time; the message names what is missing or damaged in the
         store.
     """
-    check_parts(store, connection, text)
+    define_all_views(connection, store, check_parts(store, connection, text))
     try:
         return bounded_query(connection, text, parameters, _MACROS, files=files, timeout=timeout, max_rows=max_rows)
     except UnknownName as fault:
@@ -300,21 +311,6 @@ def _explain_unknown(store: Snapshot, fault: UnknownName) -> KinedexError:
 
 def _reads_index(macro: Macro) -> bool:
     return any(re.search(rf"\b{view}\b", macro.body) for view in INDEXED)
-
-
-def _result_files(store: Snapshot, kind: str) -> list[tuple[Path, int]]:
-    """Return the parts of a kind of result, each with the number of its columns."""
-    files = []
-    for part in store.manifest.results.get(kind, ()):
-        file = part_file(store.path, part.path)
-        files.append((file, part.columns or _columns_of(file)))
-    return files
-
-
-def _columns_of(file: Path) -> int:
-    """Return the number of columns of a part of format 3, whose manifest does not record it."""
-    with read_errors(file):
-        return len(pq.read_schema(file).names)
 
 
 def _view(connection: duck.Connection, name: str, query: str) -> None:

@@ -15,18 +15,19 @@ from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.schemas import RESULT_KINDS
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.sql.read_only import Names, names_in
+from kinedex.storage.sql.result_scans import ALL_VIEWS, result_parts
 
 _BODIES = {view.name: view.body for view in VIEWS if view.body} | {
     macro.name: macro.body if macro.table else f"SELECT {macro.body}" for macro in MACROS
 }
-_VIEWS = frozenset(view.name for view in VIEWS)
+_VIEWS = frozenset((*(view.name for view in VIEWS), *ALL_VIEWS))
 
 _read_by: dict[str, frozenset[str]] = {}
 """Views and macros → the names in their bodies, as far as they were needed before."""
 
 
-def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> None:
-    """Check the parts that a statement reads, unless they were checked before.
+def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> frozenset[str]:
+    """Check the parts that a statement reads, unless they were checked before, and return the views that it reads.
 
     Parameters
     ----------
@@ -37,6 +38,11 @@ def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> None
     text : str
         A statement that `storage.sql.read_only.checked` allows; another one is ignored here.
 
+    Returns
+    -------
+    frozenset of str
+        Names of the views; of one that may show the columns of any view, all of them.
+
     Raises
     ------
     StoreError
@@ -45,19 +51,21 @@ def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> None
     try:
         names = names_in(connection, text)
     except KinedexError:
-        return  # `checked` reports why this statement is refused
+        return frozenset()  # `checked` reports why this statement is refused
     views = _VIEWS & set(_reached(connection, names.tables | names.functions))
     parts = [part for view in sorted(views) for part in parts_of(store, view)]
     if _reads_catalogue(names):
         parts += [part for view in sorted(_VIEWS) for part in _described_by(parts_of(store, view))]
+        views = _VIEWS
     store.checked.parts(parts)
+    return frozenset(views)
 
 
 def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:
     """Return the parts that a view reads by itself; none for views of the index and for derived views."""
     manifest = store.manifest
-    if view in RESULT_KINDS:
-        return manifest.results.get(view, ())
+    if view in RESULT_KINDS or view in ALL_VIEWS:
+        return result_parts(store, view)
     return {"frames": manifest.frames, "takes": manifest.takes}.get(view, ())
 
 
@@ -85,5 +93,8 @@ def _reads_catalogue(names: Names) -> bool:
 
 def _described_by(parts: Iterable[Part | ResultPart]) -> Iterator[Part | ResultPart]:
     """Yield the parts from which DuckDB takes the columns of a view: the first one of each of its scans."""
-    scans = {(bool(part.dropped_rows), getattr(part, "columns", 0)): part for part in reversed(list(parts))}
+    scans = {
+        (bool(part.dropped_rows), getattr(part, "columns", 0), getattr(part, "stage", "")): part
+        for part in reversed(list(parts))
+    }
     return iter(scans.values())

@@ -24,9 +24,9 @@ COUNTS = (
 )
 """The facts that are numbers; "takes_restated" are those whose file has another place or time."""
 
-NAMES = ("stages_begun", "stages_done", "results", "columns", "mappings")
+NAMES = ("stages_begun", "stages_done", "results", "columns", "mappings", "current_pipeline")
 """The facts that are lists: stages whose record was removed or written, kinds of results, declared columns, skeleton
-mappings."""
+mappings, the pipeline that has become the current one."""
 
 
 class Facts:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.storage.disk import write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
@@ -47,6 +47,7 @@ from kinedex.storage.snapshot.schemas import (
     result_schema,
     with_columns,
 )
+from kinedex.storage.snapshot.shown_results import current_pipeline, pipelines_by_use
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.version_changes import Facts
@@ -434,6 +435,31 @@ class StoreWriter:
     def record_pipeline(self, name: str, record: PipelineRecord) -> None:
         """Record what a pipeline was run with, in place of its earlier record."""
         self._manifest = replace(self._manifest, pipelines={**self._manifest.pipelines, name: record})
+
+    def record_run(self, pipeline: str) -> None:
+        """Record that a pipeline that makes results was run to its end: it is the current one unless one was chosen."""
+        recent = tuple(dict.fromkeys((pipeline, *self._manifest.recent_pipelines)))
+        self._record_current(replace(self._manifest, recent_pipelines=recent))
+
+    def choose_pipeline(self, name: str | None) -> None:
+        """Make a pipeline with results the current one; None makes it the one that is run last, now and later.
+
+        Raises
+        ------
+        StoreError
+            The store has no results of a pipeline of this name.
+        """
+        known = pipelines_by_use(self._manifest)
+        if name is not None and name not in known:
+            have = f"it has results of {', '.join(known)}" if known else "it has no results of pipelines"
+            raise StoreError(f"{self.path}: no pipeline '{name}'; {have}{did_you_mean(name, known)}")
+        self._record_current(replace(self._manifest, chosen_pipeline=name or ""))
+
+    def _record_current(self, manifest: Manifest) -> None:
+        before, after = current_pipeline(self._manifest), current_pipeline(manifest)
+        if after is not None and after != before:
+            self._facts.name("current_pipeline", after)
+        self._manifest = manifest
 
     def forget_stage(self, stage: str) -> None:
         """Remove a stage's record, so that it does not count as done while it runs again."""

@@ -14,6 +14,7 @@ import duckdb
 import pyarrow as pa
 import pytest
 
+from kinedex.catalog.sql.result_views import ORIGIN
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation
@@ -186,10 +187,12 @@ def test_frames_show_live_rows_only(store: Store) -> None:
 def test_a_kind_without_results_is_an_empty_view_of_the_right_types(store: Store, kind: str) -> None:
     found = store.sql(f"FROM {kind}")
     assert found.num_rows == 0
-    assert [field.type for field in found.schema if not pa.types.is_timestamp(field.type)] == [
-        field.type for field in result_schema(kind) if not pa.types.is_timestamp(field.type)
+    stored = [field for field in result_schema(kind) if field.name not in ORIGIN]
+    assert found.schema.names == [*(field.name for field in stored), *ORIGIN]
+    types = [*(field.type for field in stored), *(pa.string() for _ in ORIGIN)]
+    assert [kind for kind in found.schema.types if not pa.types.is_timestamp(kind)] == [
+        kind for kind in types if not pa.types.is_timestamp(kind)
     ]
-    assert found.schema.names == result_schema(kind).names
 
 
 def test_results_stand_in_their_view(tmp_path: Path) -> None:
