@@ -10,6 +10,8 @@ FUZZ_SEED    ?= 0
 # The time of every file in wheel and sdist, so that two builds have the same bytes.
 EPOCH        := 1580601600
 ATTACK  ?=
+# One process more than there are cores: tests of processes that wait for each other leave a core free.
+WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
 
 .PHONY: setup demo test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
@@ -54,7 +56,7 @@ types: setup
 	$(BIN)/mypy
 
 test: lint types
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 	@$(MAKE) --no-print-directory check-kernels
 
 # The compiled kernels once with bounds checks, and once as plain Python, which warns where compiled code does not.
