@@ -10,12 +10,12 @@ ALL = "all_"
 SOURCE_KINDS = ("skeleton_files", "source_files", "ingest_log")
 """Results that belong to a source folder, whichever pipeline has ingested it."""
 
-SAVED_KINDS = ("hits",)
-"""Results that a person saves under a name, and no pipeline makes."""
+SAVED_KINDS = ("hits", "duplicates")
+"""Results that a command stores, and no pipeline makes."""
 
 _RUN = "run    VARCHAR    the run of a stage that wrote the row"
 _ORIGIN = columns("""
-pipeline    VARCHAR    the pipeline that wrote the row; NULL for hits that were saved by hand
+pipeline    VARCHAR    the pipeline that wrote the row; NULL for what a command has stored
 stage    VARCHAR    its stage
 pipeline_run    VARCHAR    the run of the pipeline, as in `pipeline_runs`; NULL while the stage runs again
 """)
@@ -251,6 +251,20 @@ query    VARCHAR    name of the query
 {_SECONDS}""",
         "SELECT query, count(*) AS hits, sum(stop_seconds - start_seconds) AS seconds FROM hits "
         "WHERE saved_as = 'mine' GROUP BY query ORDER BY query",
+    ),
+    _view(
+        "duplicates",
+        "Takes that hold the same file or motion as a longer take, as `kinedex duplicates` found them last.",
+        f"""{_TAKE}
+of_take_id    BIGINT    id of the other take, which is longer, or as long with an earlier name
+of_take    VARCHAR    its name
+same    VARCHAR    file: a copy of the same file; motion: the joints move alike
+{_SECONDS}
+share    DOUBLE    share of the take that this range is
+shift_seconds    DOUBLE    time t of the take is t + shift_seconds of the other one
+mirrored    BOOLEAN    true if left and right are exchanged
+distance_mm    DOUBLE    mean distance of the joints around the root""",
+        "SELECT take, of_take, share, mirrored FROM duplicates WHERE share > 0.9 ORDER BY take, of_take LIMIT 10",
     ),
     _view(
         "skeleton_files",

@@ -1,0 +1,215 @@
+"""The judgement that two takes hold the same motion, by the places of their joints around the root."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+NEAR_M = 0.03
+"""Two poses whose joints are nearer than this on average can be one pose, read at another rate."""
+
+GAP_FRAMES = 3
+"""Longest interruption of an interval of near poses: a fast hand between two frames of another rate."""
+
+LAG_S = 0.2
+"""Poses this far apart within a take show how much it moves."""
+
+RATIO = 0.15
+"""Largest distance of two copies, as a share of the distance of poses that are `LAG_S` apart in the interval."""
+
+FLOOR_M = 0.0001
+"""Distances below come from the rounding of numbers in files; they count as equal however still the body is."""
+
+LEAST_S = 1.0
+"""Shortest interval that two takes have in common, unless it is nearly all of the shorter take."""
+
+NEARLY_ALL = 0.9
+"""Share of the shorter take that counts as all of it."""
+
+MOST = 256
+"""Frames in which the moment between two frames is looked for."""
+
+_STEPS = 8  # of the first search for the moment between two frames, per frame
+
+
+class SameMotion(NamedTuple):
+    """An interval that two takes have in common.
+
+    Parameters
+    ----------
+    start, stop : int
+        Frames of the second take.
+    shift : float
+        Moment t of the second take is at t + shift of the first, in frames.
+    distance_m : float
+        Mean distance of the joints, metres.
+    """
+
+    start: int
+    stop: int
+    shift: float
+    distance_m: float
+
+
+def local_poses(places: F32, root: int, left: int, right: int, *, mirrored: bool = False) -> F32:
+    """Return the places of joints around the root, turned so that the hips lie along the X axis.
+
+    Parameters
+    ----------
+    places : float32 array (T, J, 3)
+        Places in metres, Y up.
+    root, left, right : int
+        The joints of the root and of the left and right hip.
+    mirrored : bool, optional
+        Exchange left and right: the joints must then be given with the names of the other side.
+
+    Returns
+    -------
+    float32 array (T, J, 3)
+        They are the same wherever the body is, and whichever way it faces; NaN where a joint has no place.
+    """
+    around = places.astype(np.float64) - places[:, root : root + 1].astype(np.float64)
+    if mirrored:
+        around[..., 0] *= -1.0
+    across = around[:, left] - around[:, right]
+    length = np.hypot(across[:, 0], across[:, 2])
+    cosine, sine = (across[:, axis] / np.where(length > 0, length, 1.0) for axis in (0, 2))
+    turned = np.empty(around.shape, np.float32)
+    turned[..., 0] = cosine[:, None] * around[..., 0] + sine[:, None] * around[..., 2]
+    turned[..., 1] = around[..., 1]
+    turned[..., 2] = cosine[:, None] * around[..., 2] - sine[:, None] * around[..., 0]
+    return turned
+
+
+def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMotion | None:
+    """Return the longest interval around an alignment in which two takes show the same motion.
+
+    Parameters
+    ----------
+    first, second : float32 array (T, J, 3)
+        Poses of the two takes from `local_poses`, over the same joints.
+    shift : int
+        Frame i of the second take is near frame i + shift of the first, up to one frame.
+    rate_hz : float
+        Frames per second of both.
+
+    Returns
+    -------
+    SameMotion or None
+        None if the interval is shorter than `LEAST_S` (and than `NEARLY_ALL` of the shorter take), or if its poses
+        differ by more than `RATIO` of what the body moves in `LAG_S`.
+    """
+    low, high = max(0, -shift), min(len(second), len(first) - shift)
+    if high - low < 2:
+        return None
+    moment = _moment(first, second, low, high, float(shift))
+    distances = _distances(first, second, low, high, moment)
+    begin, end = _longest(distances, NEAR_M, GAP_FRAMES)
+    shorter = min(len(first), len(second))
+    if end - begin < min(LEAST_S * rate_hz, NEARLY_ALL * shorter) or end - begin < 2:
+        return None
+    start, stop = low + begin, low + end
+    lag = max(1, round(LAG_S * rate_hz))
+    moved = _distances(second, second, start, stop, float(lag))
+    inside = distances[begin:end]
+    distance = float(np.nanmean(inside))
+    span = float(np.nanmean(moved)) if np.isfinite(moved).any() else 0.0
+    if not distance <= max(RATIO * span, FLOOR_M):
+        return None
+    return SameMotion(start, stop, moment, distance)
+
+
+@njit(cache=True, nogil=True)
+def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float:
+    """Return the shift, to a thousandth of a frame, at which poses differ least; distant poses count alike."""
+    best, least = shift, _cost(first, second, low, high, shift)
+    for step in range(-_STEPS, _STEPS + 1):
+        cost = _cost(first, second, low, high, shift + step / _STEPS)
+        if cost < least:
+            best, least = shift + step / _STEPS, cost
+    width = 0.5 / _STEPS
+    while width > 0.0005:
+        middle = best
+        for tried in (middle - width, middle + width):
+            cost = _cost(first, second, low, high, tried)
+            if cost < least:
+                best, least = tried, cost
+        width /= 2.0
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _cost(first: F32, second: F32, low: int, high: int, shift: float) -> float:
+    """Return the mean distance of poses, each at most `NEAR_M`, in `MOST` frames spread over the interval."""
+    stride = max(1, (high - low) // MOST)
+    weights = _weights(shift)
+    total, count = 0.0, 0
+    for t in range(low, high, stride):
+        distance = _distance(first, second, t, shift, weights)
+        total += distance if distance < NEAR_M else NEAR_M
+        count += 1
+    return total / count
+
+
+@njit(cache=True, nogil=True)
+def _distances(first: F32, second: F32, low: int, high: int, shift: float) -> F64:
+    """Return the mean distance of the joints in frames [low, high) of the second take; NaN outside of the first."""
+    weights = _weights(shift)
+    result = np.empty(high - low)
+    for t in range(low, high):
+        result[t - low] = _distance(first, second, t, shift, weights)
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _weights(shift: float) -> tuple[float, float, float, float]:
+    """Return the weights of four frames in the cubic between the middle two (Catmull and Rom)."""
+    f = shift - math.floor(shift)
+    g = 1.0 - f
+    return -0.5 * f * g * g, 1.0 - f * f * (2.5 - 1.5 * f), 1.0 - g * g * (2.5 - 1.5 * g), -0.5 * g * f * f
+
+
+@njit(cache=True, nogil=True)
+def _distance(first: F32, second: F32, t: int, shift: float, weights: tuple[float, float, float, float]) -> float:
+    """Return the mean distance of the joints in frame t of the second take; NaN outside of the first."""
+    last = len(first) - 1
+    whole = math.floor(shift)
+    at = t + whole
+    if at < 0 or at > last or (at == last and shift > whole):
+        return np.nan
+    before, after, later = max(at - 1, 0), min(at + 1, last), min(at + 2, last)
+    total, count = 0.0, 0
+    for j in range(first.shape[1]):
+        square = 0.0
+        for x in range(3):
+            place = weights[1] * first[at, j, x]
+            if shift > whole:
+                place += weights[0] * first[before, j, x] + weights[2] * first[after, j, x]
+                place += weights[3] * first[later, j, x]
+            square += (place - second[t, j, x]) ** 2
+        if square == square:
+            total += math.sqrt(square)
+            count += 1
+    return total / count if count else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _longest(distances: F64, near: float, gap: int) -> tuple[int, int]:
+    """Return the longest interval of near poses, with interruptions of at most `gap` frames."""
+    best_start, best_stop, start, end = 0, 0, -1, -1
+    for t in range(len(distances)):
+        if not distances[t] <= near:
+            continue
+        if start < 0 or t - end > gap:
+            start = t
+        end = t + 1
+        if end - start > best_stop - best_start:
+            best_start, best_stop = start, end
+    return best_start, best_stop

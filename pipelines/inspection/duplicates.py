@@ -1,0 +1,196 @@
+"""Takes that hold the same file or the same motion: also cut, moved, turned, mirrored, or at another rate."""
+
+from __future__ import annotations
+
+import shlex
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import xxhash
+
+from kinedex.ops.duplicates.alignments import find_alignments
+from kinedex.ops.duplicates.same_motion import local_poses, same_motion
+from kinedex.ops.search.runs import word_runs
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import Display
+from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.writer import StoreWriter
+
+STAGE = "duplicates/find"
+"""The stage that the rows are stored under."""
+
+CACHED_BYTES = 512 * 2**20
+"""Poses that are kept at once; takes that are compared lie near each other."""
+
+_FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
+"""The joints that poses are placed and turned by: those of the pelvis, else those of the shoulders."""
+
+F32 = npt.NDArray[np.float32]
+
+
+def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
+    """Find the takes that hold the same file or the same motion as another take.
+
+    Takes with one checksum and the same words are copies of a file. Of each, one take is compared with all others:
+    alignments come from equal sequences of runs (`ops.duplicates.alignments`), and the places of the joints decide
+    (`ops.duplicates.same_motion`).
+
+    Parameters
+    ----------
+    store : Snapshot
+        The version to look through.
+    display : Display
+        Shows progress.
+
+    Returns
+    -------
+    pyarrow.Table
+        The rows of the view `duplicates`, without `run`: by name of the take, then of the other one. A take has a row
+        for each other take that comes before it in the order of their lengths, the longest first, then of their names;
+        so one take of each group has no row.
+    """
+    rows, kept = _same_files(store)
+    rows += _same_motions(store, kept, display)
+    rows.sort(key=lambda row: (row["take"], row["of_take"], row["start"]))
+    schema = result_schema("duplicates")
+    return pa.Table.from_pylist(rows, schema=schema.remove(schema.get_field_index("run")))
+
+
+def save_duplicates(store: Snapshot, table: pa.Table, run: str) -> None:
+    """Store the duplicates as results, in place of those that were found before.
+
+    Raises
+    ------
+    StoreError
+        If another process writes to the store.
+    """
+    with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:
+        writer.put_results("duplicates", table, stage=STAGE, run=run)
+        writer.commit()
+
+
+def copies_line(store: Snapshot) -> str | None:
+    """Return a line that counts the takes whose file is a copy of another take's; None where there are none."""
+    rows, _ = _same_files(store)
+    if not rows:
+        return None
+    first = rows[0]
+    return (
+        f"{counted(len(rows), 'take')} of {len(store.take_ids):,} come from a copy of another take's file, such as "
+        f"'{first['take']}' (as '{first['of_take']}'); `kinedex duplicates {shlex.quote(str(store.path))}` lists them"
+    )
+
+
+def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the rows of copies of files, and the names of the takes that remain."""
+    rows = store.take_rows
+    persons = rows.column("person").to_pylist() if "person" in rows.column_names else [None] * rows.num_rows
+    words = store.words()
+    read = {int(take_id): xxhash.xxh3_128_digest(words.take(i).tobytes()) for i, take_id in enumerate(words.take_ids)}
+    columns = (rows.column(name).to_pylist() for name in ("name", "checksum", "take_id"))
+    facts = [(name, checksum, read[take_id]) for name, checksum, take_id in zip(*columns, strict=True)]
+    first: dict[tuple[Any, ...], str] = {}
+    found: list[dict[str, Any]] = []
+    for (name, *key), person in zip(facts, persons, strict=True):
+        other = first.setdefault((*key, person), name)
+        if other != name:
+            count = store.take_frames[store.take_id(name)]
+            found.append(_row(store, name, other, "file", (0, count), 0.0, False, 0.0))
+    return found, list(first.values())
+
+
+def _same_motions(store: Snapshot, names: list[str], display: Display) -> list[dict[str, Any]]:
+    """Return the rows of takes, of those given, that hold the same motion."""
+    words = store.words([store.take_id(name) for name in names])
+    named = {take_id: name for name, take_id in store.take_ids.items()}
+    ordered = [named[take_id] for take_id in words.take_ids.tolist()]
+    runs = word_runs(words.words, words.offsets)
+    mirrored = store.feature_set.mirrored(runs.word) if store.feature_set.mirror else None
+    found = find_alignments(runs, mirrored)
+    poses = _Poses(store)
+    best: dict[tuple[str, str, bool], dict[str, Any]] = {}
+    with display.progress("comparing takes", len(found.first)) as bar:
+        for one, two, shift, image in zip(*(column.tolist() for column in found[:4]), strict=True):
+            row = _common(store, poses, ordered[one], ordered[two], shift, image)
+            bar.advance()
+            if row is not None:
+                key = (row["take"], row["of_take"], image)
+                if key not in best or row["stop"] - row["start"] > best[key]["stop"] - best[key]["start"]:
+                    best[key] = row
+    return list(best.values())
+
+
+def _common(store: Snapshot, poses: _Poses, one: str, two: str, shift: int, image: bool) -> dict[str, Any] | None:
+    """Return the row of two takes at an alignment; None where their motion differs."""
+    frames = store.take_frames
+    lengths = {name: frames[store.take_id(name)] for name in (one, two)}
+    other, take = sorted((one, two), key=lambda name: (-lengths[name], name))
+    near = shift if other == one else -shift
+    match = same_motion(poses.of(other, False), poses.of(take, image), near, store.rate_hz)
+    if match is None:
+        return None
+    return _row(store, take, other, "motion", (match.start, match.stop), match.shift, image, match.distance_m)
+
+
+def _row(
+    store: Snapshot, take: str, other: str, same: str, interval: tuple[int, int], shift: float, image: bool, far: float
+) -> dict[str, Any]:
+    """Return a row of the view `duplicates`."""
+    start, stop = interval
+    frames = store.take_frames[store.take_id(take)]
+    return {
+        "take_id": store.take_id(take), "take": take, "of_take_id": store.take_id(other), "of_take": other,
+        "same": same, "start": start, "stop": stop,
+        "start_seconds": start / store.rate_hz, "stop_seconds": stop / store.rate_hz,
+        "share": (stop - start) / frames, "shift_seconds": shift / store.rate_hz, "mirrored": image,
+        "distance_mm": 1000.0 * far,
+    }  # fmt: skip
+
+
+class _Poses:
+    """The poses of takes, of which the last ones are kept."""
+
+    def __init__(self, store: Snapshot) -> None:
+        self._store = store
+        self._kept: OrderedDict[tuple[str, bool], F32] = OrderedDict()
+        self._bytes = 0
+
+    def of(self, take: str, mirrored: bool) -> F32:
+        """Return the poses of a take, or of its mirror image; see `local_poses`."""
+        key = (take, mirrored)
+        if key not in self._kept:
+            self._kept[key] = self._read(take, mirrored)
+            self._bytes += self._kept[key].nbytes
+            while self._bytes > CACHED_BYTES and len(self._kept) > 2:
+                self._bytes -= self._kept.popitem(last=False)[1].nbytes
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+    def _read(self, take: str, mirrored: bool) -> F32:
+        joints = list(self._store.feature_set.joints)
+        places = joint_positions(self._store.frames(take), joints).transpose(2, 0, 1)
+        frame = next(self._turned_by(joints, places), [0, 0, 0])
+        if mirrored:
+            places = places[:, [joints.index(_other_side(joint, joints)) for joint in joints]]
+        return local_poses(np.ascontiguousarray(places), *frame, mirrored=mirrored)
+
+    @staticmethod
+    def _turned_by(joints: list[str], places: F32) -> Iterator[list[int]]:
+        """Yield the joints that poses can be turned by."""
+        for names in _FRAMES:
+            if all(name in joints for name in names):
+                found = [joints.index(name) for name in names]
+                if np.isfinite(places[:, found]).any():
+                    yield found
+
+
+def _other_side(joint: str, joints: list[str]) -> str:
+    """Return the joint of the other side; a joint in the middle is its own."""
+    other = {"l": "r", "r": "l"}.get(joint[:1], "") + joint[1:]
+    return other if other in joints else joint
