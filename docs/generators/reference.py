@@ -72,6 +72,11 @@ PARTS = {
         ("a `Keyframe`", "kinedex.catalog.queries.keyframe_entries", "_KeyframeEntry"),
         ("a gap", "kinedex.catalog.queries.gap_entries", "GapEntry"),
     ),
+    "kinematics": (
+        ("", "kinedex.catalog.kinematics", "_ChainFile"),
+        ("a node", "kinedex.catalog.kinematics", "_Node"),
+        ("a joint", "kinedex.catalog.kinematics", "_Joint"),
+    ),
     "pipelines": (
         ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
@@ -88,6 +93,7 @@ WHERE = {
     "classes": "`annotate.classes`. [Classes of your own](howto/own-classes.md).",
     "queries": "`kinedex search`, `annotate.queries`, `rank.queries`. Every key is explained in "
     "[`example.yaml`](../configs/queries/example.yaml).",
+    "kinematics": "The body of BVH files that `kinedex export` writes from named joints; no command takes another one.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 
