@@ -34,8 +34,8 @@ def matrices_of(angles: F64, order: str) -> F64:
     return product
 
 
-def euler_angles(matrices: F64, order: str, first: F64 | None = None) -> F64:
-    """Return the angles whose product is a rotation, each frame's nearest to those of the frame before.
+def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
+    """Return the angles whose product is a rotation, each frame's nearest to given ones or to the frame before.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def euler_angles(matrices: F64, order: str, first: F64 | None = None) -> F64:
         Rotations.
     order : str
         A permutation of XYZ; the matrix of the first axis stands leftmost.
-    first : float64 array (3,), optional
-        Angles that those of the first frame are to be near to; 0 by default.
+    near : float64 array (T, 3), optional
+        Angles that those of each frame are to be near to; by default those of the frame before, and 0 in the first.
 
     Returns
     -------
@@ -61,18 +61,21 @@ def euler_angles(matrices: F64, order: str, first: F64 | None = None) -> F64:
     i, j, k = ("XYZ".index(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     out = np.empty((len(matrices), 3))
-    _angles(np.ascontiguousarray(matrices), i, j, k, sign, np.zeros(3) if first is None else first, out)
+    given = np.zeros((0, 3)) if near is None else np.ascontiguousarray(near, np.float64)
+    _angles(np.ascontiguousarray(matrices), i, j, k, sign, given, out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _angles(matrices: F64, i: int, j: int, k: int, sign: float, first: F64, out: F64) -> None:
+def _angles(matrices: F64, i: int, j: int, k: int, sign: float, given: F64, out: F64) -> None:
     """Decompose with the middle angle in a quarter turn, or with its other solution where that is nearer."""
     turn = 2.0 * np.pi
-    near = first.copy()
+    near = np.zeros(3)
     found, other = np.empty(3), np.empty(3)
     for t in range(len(matrices)):
         m = matrices[t]
+        if len(given):
+            near[:] = given[t]
         sine = min(1.0, max(-1.0, sign * m[i, k]))
         found[1] = np.arcsin(sine)
         if abs(sine) < 1.0 - 1e-12:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -105,15 +105,7 @@ class BvhReader(Reader):
             The file is damaged, or no mapping fits and no body is recognised; the error names the first fault.
         """
         bvh = _Motion(BvhFile(file.path, file.data))
-        persons = persons_of(bvh.file, _offsets_apart(bvh))
-        names = [person.name for person in persons]
-        person = persons[chosen_person(file.path, file.person, names)]
-        fit = mappings.exact(file.path, "bvh", person.places)
-        if fit is None or _skips_spine(person, fit):
-            fit = mappings.recognised(file.path, "bvh", _evidence(bvh, person))
-        nodes, restored = _restore(person, fit)
-        positions, turned = posed(bvh, nodes, fit.root, fit, joints)
-        fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
+        fit, positions, turned, turned_by, restored, *_ = _fitted(bvh, file.person, mappings, joints)
         warnings = [*bvh.file.warnings, *recognition_warnings(fit)]
         rate_hz = corrected_rate(file.path, bvh.file.rate_hz, positions, joints, settings, warnings)
         if restored:
@@ -135,6 +127,59 @@ class BvhReader(Reader):
             confidence=fit.confidence,
             evidence=tuple(evidence),
         )
+
+
+class FittedPerson(NamedTuple):
+    """A figure of a file with its skeleton mapping.
+
+    Attributes
+    ----------
+    fit : Fit
+        The mapping, turned where another axis than its own is up.
+    positions : float64 array (J, 3, T)
+        The named joints in the file's unit.
+    turned : float64 array (9, T)
+        Rotations of the root, row by row.
+    turned_by : tuple of str
+        The reasons to turn the mapping.
+    restored : list of str
+        Bones without length in the file that have got one.
+    nodes : tuple of Node
+        The figure's nodes, with the lengths of these bones.
+    members : tuple of int
+        The indices of the nodes in the file.
+    """
+
+    fit: Fit
+    positions: F64
+    turned: F64
+    turned_by: tuple[str, ...]
+    restored: list[str]
+    nodes: tuple[kinematics.Node, ...]
+    members: tuple[int, ...]
+
+
+def fitted_person(file: BvhFile, person: str, mappings: Mappings, joints: tuple[str, ...]) -> FittedPerson:
+    """Return a figure of a BVH file with the mapping that `BvhReader.read` finds for it.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged, has no such person, or no body is recognised.
+    """
+    return _fitted(_Motion(file), person, mappings, joints)
+
+
+def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]) -> FittedPerson:
+    persons = persons_of(bvh.file, _offsets_apart(bvh))
+    person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
+    fit = mappings.exact(bvh.path, "bvh", person.places)
+    if fit is None or _skips_spine(person, fit):
+        fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
+    nodes, restored = _restore(person, fit)
+    positions, turned = posed(bvh, nodes, fit.root, fit, joints)
+    fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
+    return FittedPerson(fit, positions, turned, turned_by, restored, nodes, person.members)
 
 
 class _Motion:

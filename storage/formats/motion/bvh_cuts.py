@@ -3,49 +3,68 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from kinedex.storage.formats.motion.bvh import Person, persons_of
-from kinedex.storage.formats.motion.bvh_parser import BvhFile, Layout
+import numpy as np
+
+from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
+from kinedex.ops.body.kinematics import Step
+from kinedex.storage.formats.motion.bvh import FittedPerson, fitted_person, persons_of
+from kinedex.storage.formats.motion.bvh_parser import BvhFile, frame_time
 from kinedex.storage.formats.motion.channel_cuts import Stamp, check_interval, check_source, stamp_of, write_bytes
+from kinedex.storage.formats.motion.channel_edits import Figure, MirrorPlane, Tokens, edited, mirror_plane, negated
 from kinedex.storage.formats.motion.figures import chosen_person
 from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.text_blocks import after_last_line
 from kinedex.storage.formats.motion.text_rows import TextRows
+
+Replacements = dict[tuple[int, int], bytes]
+"""Start and stop of a part of a text → the text in its place."""
 
 
 def write_bvh_cut(paths: Sequence[Path], cut: SourceCut) -> None:
     """Write an interval of a BVH file as a BVH file.
 
     The hierarchy, the frame time and all numbers are the text of the source; the number of frames is that of the cut.
-    Of a file of several persons the cut holds the person of the take.
+    Of a file of several persons the cut holds the person of the take. A mirrored cut has the joints of the source in
+    the same order, and each OFFSET is that of the other side: a symmetric skeleton keeps its text.
 
     Parameters
     ----------
     paths : sequence of Path
         The file to write.
     cut : SourceCut
-        The interval.
+        The interval, and the changes that are asked for.
 
     Raises
     ------
     SourceError
-        The source is damaged, was changed, or has no such frames.
+        The source is damaged, was changed, has no such frames, or no channels that can express a change.
     KinedexError
         The file cannot be written.
     """
     check_source(cut)
     source = _opened(cut.source, stamp_of(cut.source))
     check_interval(cut, len(source.rows))
-    rows = source.rows.read(cut.start, cut.stop)
-    if cut.person:
-        person = source.person(cut.person)
-        head = person_text(source.file.layout, person, len(rows))
-        rows = [b" ".join(row) + source.rows.newline for row in person_tokens(rows, person)]
-    else:
-        head = with_count(source.file.layout, len(rows))
-    write_bytes(paths[0], [head, source.rows.head[len(source.file.layout.text) :], *rows])
+    rows, newline = source.rows.read(cut.start, cut.stop), source.rows.newline
+    layout, members, changes = source.file.layout, None, {}
+    if cut.is_changed:
+        figure, members = source.figure(cut)
+        plane = mirror_plane(figure) if cut.mirror else None
+        tokens = edited(figure, cut, _tokens(rows, source.columns(members)), plane)
+        changes = {} if plane is None else _mirrored_offsets(source.file, members, plane)
+        if cut.rate_hz is not None:
+            changes[layout.frame_time] = frame_time(cut.rate_hz).encode()
+        rows = [b" ".join(row) + newline for row in tokens]
+    elif cut.person:
+        members = source.members(cut.person)
+        rows = [b" ".join(row) + newline for row in _tokens(rows, source.columns(members))]
+    gap = b"" if layout.text[layout.frames[0] - 1 : layout.frames[0]].isspace() else b" "
+    changes[layout.frames] = gap + b"%d" % len(rows)
+    write_bytes(paths[0], [*_head(source.file, members, changes), source.rows.head[len(layout.text) :], *rows])
 
 
 class BvhSource:
@@ -54,11 +73,31 @@ class BvhSource:
     def __init__(self, path: Path) -> None:
         self.file = BvhFile(path)
         self.rows = TextRows(path, len(self.file.layout.text), False, after_last_line)
+        self._fitted: dict[tuple[str, int], tuple[Mappings, FittedPerson]] = {}
 
-    def person(self, name: str | None) -> Person:
-        """Return the person of a take; a SourceError lists those of the file if it is not clear which."""
+    def members(self, person: str) -> tuple[int, ...]:
+        """Return the nodes of a person; a SourceError lists the persons of the file if it is not clear which."""
         persons = persons_of(self.file)
-        return persons[chosen_person(self.file.path, name or "", [person.name for person in persons])]
+        return persons[chosen_person(self.file.path, person, [person.name for person in persons])].members
+
+    def columns(self, members: Sequence[int]) -> tuple[int, int]:
+        """Return start and stop of the channels of some nodes, which follow each other."""
+        found = [step.column for i in members for step in self.file.nodes[i].steps]
+        return min(found, default=0), max(found, default=-1) + 1
+
+    def figure(self, cut: SourceCut) -> tuple[Figure, tuple[int, ...]]:
+        """Return the person of a cut with the skeleton mapping that fits, and its nodes in the file."""
+        mappings = cut.mappings or load_mappings("auto", tuple(JOINT_PARENTS))
+        key = (cut.person or "", id(mappings))
+        if key not in self._fitted:
+            self._fitted[key] = mappings, fitted_person(self.file, key[0], mappings, mappings.joints)
+        found = self._fitted[key][1]
+        first, _ = self.columns(found.members)
+        nodes = tuple(
+            replace(node, steps=tuple(Step(step.kind, step.column - first) for step in node.steps))
+            for node in found.nodes
+        )
+        return Figure(self.file.path, nodes, found.fit, np.pi / 180.0), found.members
 
 
 @lru_cache(maxsize=4)  # The clips of a take are cut one after the other.
@@ -66,22 +105,35 @@ def _opened(path: Path, _stamp: Stamp) -> BvhSource:
     return BvhSource(path)
 
 
-def with_count(layout: Layout, frames: int) -> bytes:
-    """Return the text before the frames with another number of frames."""
-    start, stop = layout.frames
-    gap = b"" if layout.text[start - 1 : start].isspace() else b" "
-    return layout.text[:start] + gap + b"%d" % frames + layout.text[stop:]
+def _tokens(rows: Sequence[bytes], columns: tuple[int, int]) -> Tokens:
+    """Return the numbers of some columns in every row, as text."""
+    return [row.split(maxsplit=columns[1])[columns[0] : columns[1]] for row in rows]
 
 
-def person_text(layout: Layout, person: Person, frames: int) -> bytes:
-    """Return the text before the frames with the tree of one root only."""
-    text, first = with_count(layout, frames), person.members[0]
-    starts, stops = zip(*layout.joints, strict=True)
-    return text[: min(starts)] + text[starts[first] : stops[first]] + text[max(stops) :]
+def _head(file: BvhFile, members: tuple[int, ...] | None, changes: Replacements) -> list[bytes]:
+    """Return the text before the frames with parts replaced, and with the tree of one root if its nodes are given."""
+    text, joints = file.layout.text, file.layout.joints
+    spans = [(0, len(text))]
+    if members is not None:
+        first, last = min(start for start, _ in joints), max(stop for _, stop in joints)
+        spans = [(0, first), joints[members[0]], (last, len(text))]
+    pieces = []
+    for start, stop in spans:
+        at = start
+        for (begin, end), new in sorted(changes.items()):
+            if start <= begin and end <= stop:
+                pieces += [text[at:begin], new]
+                at = end
+        pieces.append(text[at:stop])
+    return pieces
 
 
-def person_tokens(rows: Sequence[bytes], person: Person) -> list[list[bytes]]:
-    """Return the numbers of a person's channels in every row, as text."""
-    columns = [step.column for node in person.nodes for step in node.steps]
-    first, stop = min(columns, default=0), max(columns, default=-1) + 1
-    return [row.split(maxsplit=stop)[first:stop] for row in rows]
+def _mirrored_offsets(file: BvhFile, members: Sequence[int], plane: MirrorPlane) -> Replacements:
+    """Return the numbers of the OFFSETs that differ from their mirror images."""
+    changes: Replacements = {}
+    for i, image in zip(members, plane.image, strict=True):
+        own, other = (file.layout.text[slice(*file.layout.offsets[at])].split() for at in (i, members[image]))
+        other[plane.axis] = negated(other[plane.axis])
+        if [float(number) for number in own] != [float(number) for number in other]:
+            changes[file.layout.offsets[i]] = b" ".join(other)
+    return changes

@@ -453,6 +453,12 @@ def frame_rate(frame_time: str) -> float:
     return best[2] if best else 1.0 / seconds
 
 
+def frame_time(rate_hz: float) -> str:
+    """Return a frame time that `frame_rate` turns into a rate: with 8 decimals where they say enough."""
+    short = f"{1.0 / rate_hz:.8f}"
+    return short if frame_rate(short) == rate_hz else repr(1.0 / rate_hz)
+
+
 def _too_few(fault: t.Fault, columns: int, last: bool) -> str:
     cut = ": the file is cut off in the middle of a frame" if last else ""
     return f"frame {fault.start} has {fault.stop} numbers, the hierarchy has {columns} channels{cut}"

@@ -12,6 +12,7 @@ from kinedex.ops.body.euler import euler_angles
 from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain, forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body, start_poses
 from kinedex.ops.errors import KinedexError
+from kinedex.storage.formats.motion.bvh_parser import frame_time
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 
 F64 = npt.NDArray[np.float64]
@@ -50,7 +51,7 @@ def write_chain_bvh(path: Path, motion: JointMotion) -> None:
     lines = ["HIERARCHY"]
     columns: list[F64] = [poses.places]
     _describe(body, 0, "", lines, columns, poses.turns)
-    lines += ["MOTION", f"Frames: {len(poses.places)}", f"Frame Time: {1.0 / motion.rate_hz:.8f}"]
+    lines += ["MOTION", f"Frames: {len(poses.places)}", f"Frame Time: {frame_time(motion.rate_hz)}"]
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write("\n".join(lines) + "\n")
         np.savetxt(file, np.concatenate(columns, axis=1) + 0.0, fmt="%.6f")

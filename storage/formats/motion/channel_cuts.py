@@ -11,6 +11,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
 from kinedex.storage.disk import whole_file
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.sources import checksum
 
@@ -68,8 +69,8 @@ def check_interval(cut: SourceCut, frames: int) -> None:
     ParameterError
         The interval is empty, or the frames that are meant lie outside of it.
     """
-    if cut.mirror or cut.in_place or cut.rate_hz is not None:
-        raise ParameterError("mirror, rate_hz and in_place", "not asked for of a source's own channels", cut)
+    if cut.rate_hz is not None and not SLOWEST_HZ <= cut.rate_hz <= FASTEST_HZ:
+        raise ParameterError("rate_hz", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g}", cut.rate_hz)
     if not 0 <= cut.start < cut.stop:
         raise ParameterError("start and stop", "an interval of at least one frame", (cut.start, cut.stop))
     if cut.stop > frames:

@@ -51,3 +51,8 @@ class SourceCut:
     inner: tuple[int, int] | None = None
     checksum: str | None = None
     mappings: Mappings | None = None
+
+    @property
+    def is_changed(self) -> bool:
+        """True if numbers of the source change."""
+        return self.mirror or self.in_place or self.rate_hz not in (None, self.source_rate_hz)

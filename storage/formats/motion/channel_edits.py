@@ -1,0 +1,281 @@
+"""Changes of the channels of a motion file: mirrored, moved to the origin, and at another rate.
+
+Numbers that a change does not concern keep their text; a mirrored number loses or gets its minus sign.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mirrored_nodes import mirrored_nodes
+from kinedex.catalog.skeletons.skeleton_fit import Fit
+from kinedex.ops.body import kinematics as k
+from kinedex.ops.body import transforms
+from kinedex.ops.body.euler import euler_angles, matrices_of
+from kinedex.ops.body.facing_direction import placement_of, turn_about_y
+from kinedex.ops.body.mirrored_motion import mirrored_places
+from kinedex.ops.errors import KinedexError, ParameterError, SourceError
+from kinedex.storage.formats.motion.source_cut import SourceCut
+
+F64 = npt.NDArray[np.float64]
+Tokens = list[list[bytes]]
+
+_KINDS = ("Xrotation", "Yrotation", "Zrotation", "Xposition", "Yposition", "Zposition", "length")
+_LEAST_DECIMALS, _MOST_DECIMALS = 4, 12
+_PAIRS = ("hip", "shoulder")
+_DECIMALS = re.compile(rb"\.([0-9]*)")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """The nodes of the person that a cut holds, in the file's own units of length.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    nodes : tuple of Node
+        Parents first; the columns of their steps count from 0.
+    fit : Fit
+        The skeleton mapping that fits them, with the vertical axis that the file really has.
+    angle : float
+        Radians of the file's unit of angles.
+    scale : float
+        The nodes' unit of length over the file's.
+    """
+
+    path: Path
+    nodes: tuple[k.Node, ...]
+    fit: Fit
+    angle: float
+    scale: float = 1.0
+
+    @property
+    def kinds(self) -> list[int]:
+        """The effects of the columns, see `ops.body.kinematics`."""
+        found = {step.column: step.kind for node in self.nodes for step in node.steps}
+        return [found[column] for column in range(len(found))]
+
+    @property
+    def rest(self) -> F64:
+        """The offsets (N, 3) of the nodes at rest, in the world's axes."""
+        turned: list[F64] = []
+        offsets = np.zeros((len(self.nodes), 3))
+        for i, node in enumerate(self.nodes):
+            turned.append(node.frame if node.parent < 0 else turned[node.parent] @ node.frame)
+            offsets[i] = turned[i] @ node.after + (
+                node.before if node.parent < 0 else turned[node.parent] @ node.before
+            )
+        return offsets
+
+    def values(self, tokens: Tokens) -> F64:
+        """Return the numbers of some frames (T, C), in radians and the unit of the nodes."""
+        factors = [self.angle if kind <= k.ROTATE_Z else self.scale for kind in self.kinds]
+        return np.array(tokens, np.bytes_).astype(np.float64).reshape(len(tokens), -1) * factors
+
+
+@dataclass(frozen=True)
+class MirrorPlane:
+    """The plane that a body is mirrored in, and the node that each node's image is.
+
+    Attributes
+    ----------
+    axis : int
+        The axis of the file, 0, 1 or 2, across the plane.
+    image : tuple of int
+        Node → node of the other side, or itself.
+    """
+
+    axis: int
+    image: tuple[int, ...]
+
+    def flips(self, kind: int) -> bool:
+        """Return whether a channel changes its sign: turns about other axes than that across, moves along it."""
+        return (kind % 3 != self.axis) == (kind <= k.ROTATE_Z) and kind != k.STRETCH
+
+
+def mirror_plane(figure: Figure) -> MirrorPlane:
+    """Return the plane that a body is mirrored in.
+
+    Raises
+    ------
+    SourceError
+        A node has no partner on the other side, or one with other channels.
+    """
+    nodes, fit = figure.nodes, figure.fit
+    names = [node.name for node in nodes]
+    image = mirrored_nodes(figure.path, names, [node.parent for node in nodes], fit)
+    for i, other in enumerate(image):
+        kinds, others = ([_KINDS[step.kind] for step in _in_columns(nodes[at])] for at in (i, other))
+        if kinds != others:
+            raise SourceError(
+                figure.path,
+                f"cannot be mirrored: '{names[i]}' has the channels {' '.join(kinds) or 'none'}, its partner "
+                f"'{names[other]}' {' '.join(others) or 'none'}; mirror the 24 joints instead (kinedex export "
+                "--skeleton joints)",
+            )
+    axis = int(np.argmax(np.abs(fit.mapping.root_axes[0])))
+    if fit.recognised:  # the root's own axes are not known: the rest pose shows its sides
+        rest = figure.rest
+        signs = 1.0 - 2.0 * np.eye(3)
+        axis = int(np.argmin([np.abs(rest[list(image)] * sign - rest).sum() for sign in signs]))
+    return MirrorPlane(axis, image)
+
+
+def _in_columns(node: k.Node) -> list[k.Step]:
+    return sorted(node.steps, key=lambda step: step.column)
+
+
+def edited(figure: Figure, cut: SourceCut, tokens: Tokens, plane: MirrorPlane | None) -> Tokens:
+    """Return the numbers of a cut with the changes that are asked for, as text.
+
+    Parameters
+    ----------
+    figure : Figure
+        The nodes.
+    cut : SourceCut
+        The changes.
+    tokens : list of list of bytes
+        The numbers of the source in the frames of the cut.
+    plane : MirrorPlane or None
+        The plane of the mirror; None without one.
+
+    Raises
+    ------
+    KinedexError
+        A change cannot be expressed with the channels of the root.
+    """
+    turn, shift = np.eye(3), np.zeros(3)
+    if plane is not None:
+        turn = _upright(figure.fit, plane)
+    if cut.in_place:
+        first = cut.inner[0] - cut.start if cut.inner is not None else 0
+        turn, shift = _to_origin(figure, cut, tokens[first], plane, turn)
+    if plane is not None:
+        tokens = mirrored_tokens(figure, plane, tokens)
+    if shift.any() or not np.array_equal(turn, np.eye(3)):
+        tokens = _moved(figure, tokens, turn, shift)
+    if cut.rate_hz is not None and cut.rate_hz != cut.source_rate_hz:
+        tokens = _resampled(figure, tokens, cut.source_rate_hz, cut.rate_hz)
+    return tokens
+
+
+def negated(number: bytes) -> bytes:
+    """Return the text of a number with the other sign; done twice, it is the text again, but for a plus sign."""
+    return number[1:] if number.startswith(b"-") else b"-" + number.removeprefix(b"+")
+
+
+def mirrored_tokens(figure: Figure, plane: MirrorPlane, tokens: Tokens) -> Tokens:
+    """Return the numbers of the mirror image: those of the other side, some with the other sign.
+
+    With S the reflection, a node's rotation R becomes S · R · S, a product of the same turns, those about the axis
+    across the plane with the same sign and the others with the opposite one.
+    """
+    source, flips = list(range(len(figure.kinds))), [False] * len(figure.kinds)
+    for node, other in zip(figure.nodes, plane.image, strict=True):
+        for to, origin in zip(_in_columns(node), _in_columns(figure.nodes[other]), strict=True):
+            source[to.column], flips[to.column] = origin.column, plane.flips(to.kind)
+    pairs = list(zip(source, flips, strict=True))
+    return [[negated(row[column]) if flip else row[column] for column, flip in pairs] for row in tokens]
+
+
+def _upright(fit: Fit, plane: MirrorPlane) -> F64:
+    """Return the turn after the mirror that keeps up what is up: none, unless the plane is the ground."""
+    axes = np.abs(fit.mapping.axes)
+    if int(np.argmax(axes[1])) != plane.axis:
+        return np.eye(3)
+    signs = np.ones(3)
+    signs[[plane.axis, int(np.argmax(axes[0]))]] = -1.0
+    return np.diag(signs)
+
+
+def _to_origin(
+    figure: Figure, cut: SourceCut, row: list[bytes], plane: MirrorPlane | None, turn: F64
+) -> tuple[F64, F64]:
+    """Return the turn and the shift, in the file's axes, that put the body of a frame above the origin, facing +Z."""
+    joints, axes = tuple(figure.fit.joints), figure.fit.mapping.axes
+    found, _ = k.forward(figure.nodes, figure.values([row]))
+    places = figure.fit.apply(found, joints)[:, :, 0]
+    if plane is not None:
+        reflection = np.diag(1.0 - 2.0 * np.eye(3)[plane.axis])
+        places = mirrored_places(places[None], joints)[0] * [-1.0, 1.0, 1.0] @ (axes @ turn @ reflection @ axes.T).T
+    known = dict(zip(joints, places, strict=True))
+    gap = np.full(3, np.nan)
+    left, right = (np.stack([known.get(f"{side}{pair}", gap) for pair in _PAIRS]) for side in "lr")
+    try:
+        placement = placement_of(known.get("root", gap), left, right)
+    except ParameterError:
+        raise KinedexError(
+            f"{cut.source}: cannot be put at the origin: its root, or its hips and shoulders, are not known"
+        ) from None
+    back = axes.T @ turn_about_y(np.eye(3), -placement.yaw).T @ axes
+    return back @ turn, -back @ axes.T @ [placement.x, 0.0, placement.z]
+
+
+def _moved(figure: Figure, tokens: Tokens, turn: F64, shift: F64) -> Tokens:
+    """Return the numbers of a body that is turned about the origin of the file, then moved, by its root's channels."""
+    root = figure.nodes[0]
+    moves = [
+        next((step.column for step in root.steps if step.kind == kind), -1) for kind in (k.MOVE_X, k.MOVE_Y, k.MOVE_Z)
+    ]
+    turns = [step for step in root.steps if step.kind <= k.ROTATE_Z]
+    if -1 in moves or len(turns) != 3:
+        has = " ".join(_KINDS[step.kind] for step in root.steps) or "none"
+        raise SourceError(
+            figure.path,
+            f"cannot be moved or turned: its root '{root.name}' has the channels {has}, and needs three positions and "
+            "three rotations; change the 24 joints instead (kinedex export --skeleton joints)",
+        )
+    values, columns = figure.values(tokens), [step.column for step in turns]
+    order = "".join("XYZ"[step.kind] for step in turns)
+    rotated = np.einsum("ab,tbc->tac", turn, matrices_of(values[:, columns], order))
+    places = (values[:, moves] + root.before) @ turn.T + shift - root.before
+    values[:, columns] = euler_angles(rotated, order)
+    values[:, moves] = places
+    return _texts(figure, values, tokens, [*moves, *columns])
+
+
+def _resampled(figure: Figure, tokens: Tokens, before_hz: float, after_hz: float) -> Tokens:
+    """Return the numbers at another rate; frames that fall on one of the source keep its text.
+
+    Three rotations of a node are turned together, by the shortest way; one or two angles, and places, change evenly.
+    """
+    frames = len(tokens)
+    count = int(np.floor(round((frames - 1) * after_hz / before_hz, 9))) + 1
+    at = np.arange(count) * (before_hz / after_hz)
+    left = np.minimum(np.floor(np.round(at, 9)).astype(np.int64), frames - 1)
+    share = np.where(at - left < 1e-9, 0.0, at - left)
+    right = np.minimum(left + 1, frames - 1)
+    values = figure.values(tokens)
+    first, second = values[left], values[right]
+    angles = np.array([kind <= k.ROTATE_Z for kind in figure.kinds])
+    apart = second - first
+    apart[:, angles] -= 2 * np.pi * np.round(apart[:, angles] / (2 * np.pi))
+    mixed = first + share[:, None] * apart
+    for node in figure.nodes:
+        turns = [step for step in node.steps if step.kind <= k.ROTATE_Z]
+        if len(turns) == 3:
+            columns, order = [step.column for step in turns], "".join("XYZ"[step.kind] for step in turns)
+            ends = [k.quaternions(matrices_of(one[:, columns], order).reshape(-1, 9).T).T for one in (first, second)]
+            turned = transforms.rotations(transforms.slerp(ends[0], ends[1], share))
+            mixed[:, columns] = euler_angles(turned, order, first[:, columns])
+    texts = _texts(figure, mixed, [tokens[t] for t in left], range(len(angles)))
+    return [tokens[t] if part == 0.0 else text for t, part, text in zip(left, share, texts, strict=True)]
+
+
+def _texts(figure: Figure, values: F64, tokens: Tokens, columns: Sequence[int]) -> Tokens:
+    """Return rows in which some columns have other numbers, with as many decimals as the source has there."""
+    rows = [list(row) for row in tokens]
+    for column in columns:
+        factor = figure.angle if figure.kinds[column] <= k.ROTATE_Z else figure.scale
+        found = max((len(point[1]) for row in tokens if (point := _DECIMALS.search(row[column]))), default=0)
+        decimals = min(max(found, _LEAST_DECIMALS), _MOST_DECIMALS)
+        for row, value in zip(rows, (values[:, column] / factor).tolist(), strict=True):
+            row[column] = f"{value:.{decimals}f}".encode()
+    return rows
