@@ -117,3 +117,12 @@ def _of_file(found: pl.DataFrame, path: Path, noun: str) -> pl.DataFrame:
             f"{take}[{start}:{stop}]"
         )
     return found.join(asked, on=list(KEY), how="semi", maintain_order="left")
+
+
+def least_confident_first(annotations: pl.DataFrame) -> pl.DataFrame:
+    """Return annotations in the order in which a person looks at them: the least confident first.
+
+    Of the orders that were measured, this one asks a person the least (docs/studies.md). Equally confident ones have
+    the order of take and start; those without a confidence come last.
+    """
+    return annotations.sort("confidence", "take", "start", "stop", "class", nulls_last=True)

@@ -26,6 +26,7 @@ from kinedex.pipelines.report.data import (
     Template,
 )
 from kinedex.pipelines.report.reproduction import command
+from kinedex.pipelines.report.take_groups import take_groups
 from kinedex.pipelines.report.take_selection import median_take
 from kinedex.pipelines.templates.examples import interval_of
 from kinedex.storage.snapshot.manifest import StageRecord
@@ -88,18 +89,16 @@ def read_report_data(
     KinedexError
         If `curves_take` was not annotated.
     """
-    reader = Reader(store, pipeline, inputs)
-    takes = store.takes()
+    reader, takes = Reader(store, pipeline, inputs), store.takes()
     own, held = _scores(reader, "evaluation"), _scores(reader, "leave_one_out")
     pairs = data_frame(reader.curves("take, class, subclass"))
-    annotations = reader.frame("annotations")
-    annotate = reader.record("annotations")
+    annotations, annotate = reader.frame("annotations"), reader.record("annotations")
+    other_method, otherwise = reader.other_annotations(annotations)
     subclasses = _subclasses(pairs, annotations)
-    rows = _takes(takes.filter(pl.col("name").is_in(reader.frame("annotated_takes")["take"].unique().to_list())))
+    grouped_by, rows = _takes(store, takes, reader.frame("annotated_takes")["take"].to_list())
     chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
     records = tuple(record for record in reader.records() if record.stage != own_stage)
-    kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
-    drawn, others = _templates(reader, kind, {sub: label for label, subs in subclasses.items() for sub in subs})
+    drawn, others = _templates(reader, annotate, subclasses)
     column = _held_out_column(reader)
     roots = tuple(sorted(takes["source_root"].drop_nulls().unique()))
     return ReportData(
@@ -113,11 +112,13 @@ def read_report_data(
         archive_takes=takes.height,
         archive_seconds=float(takes["seconds"].sum()),
         takes=rows,
-        automatic=_segments(annotations, automatic=True),
-        manual=_segments(reader.frame("ground_truth"), automatic=False),
+        automatic=_automatic(annotations, otherwise),
+        manual=_manual(reader.frame("ground_truth")),
         delta=_number(annotate, "delta"),
         tau=_number(annotate, "tau"),
         method=", ".join(sorted(annotations["method"].drop_nulls().unique())) or None,
+        other_method=other_method,
+        grouped_by=grouped_by,
         searched_share=_number(annotate, "searched"),
         scores=(*own, *held),
         evaluation=own[0].evaluation if own else None,
@@ -162,6 +163,21 @@ class Reader:
     def frame(self, kind: str) -> pl.DataFrame:
         """Return the rows of a kind as a data frame."""
         return data_frame(self.table(kind))
+
+    def other_annotations(self, own: pl.DataFrame) -> tuple[str | None, pl.DataFrame | None]:
+        """Return the method and the annotations of the last other stage that annotated the same takes differently."""
+        method, takes = set(own["method"]), set(self.frame("annotated_takes")["take"])
+        mine = f"{self._pipeline}/{self._inputs.get('annotations')}"
+        stages = [record for key, record in self._store.manifest.stages.items() if key != mine]
+        for record in sorted(stages, key=lambda record: record.finished, reverse=True):
+            if record.summary.get("uses") != "annotate":
+                continue
+            found = data_frame(self._store.result("annotations", stage=record.stage))
+            seen = data_frame(self._store.result("annotated_takes", stage=record.stage))["take"]
+            others = set(found["method"])
+            if others and others.isdisjoint(method) and takes <= set(seen):
+                return ", ".join(sorted(others)), found.filter(pl.col("take").is_in(takes))
+        return None, None
 
     def curves(self, columns: str, take: str | None = None) -> pa.Table:
         """Return some columns of the distance curves, which are long, of all takes or of one."""
@@ -211,10 +227,14 @@ def _subclasses(pairs: pl.DataFrame, annotations: pl.DataFrame) -> dict[str, tup
     return {str(label): tuple(group["subclass"]) for (label,), group in both.group_by("class", maintain_order=True)}
 
 
-def _takes(takes: pl.DataFrame) -> tuple[TakeRow, ...]:
+def _takes(store: Store, takes: pl.DataFrame, annotated: Sequence[str]) -> tuple[str, tuple[TakeRow, ...]]:
+    """Return what the annotated takes are grouped by, and their rows."""
+    takes = takes.filter(pl.col("name").is_in(annotated))
+    named = [name for name, column in store.manifest.columns.items() if column.origin in ("pattern", "metadata")]
+    grouped_by, groups = take_groups(takes, named)
     columns = takes.select("name", "frames", "rate_hz", "actor", "warnings").sort("name")
-    return tuple(
-        TakeRow(name, frames, rate_hz, actor, tuple(warnings or ()))
+    return grouped_by, tuple(
+        TakeRow(name, frames, rate_hz, actor, tuple(warnings or ()), groups.get(name, ""))
         for name, frames, rate_hz, actor, warnings in columns.iter_rows()
     )
 
@@ -223,13 +243,26 @@ def _warnings(takes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
     return tuple((name, text) for name, texts in takes.select("name", "warnings").iter_rows() for text in texts or ())
 
 
-def _segments(frame: pl.DataFrame, *, automatic: bool) -> tuple[Segment, ...]:
-    rows = frame.sort("take", "start", "stop", "class").iter_rows(named=True)
-    if automatic:
-        return tuple(
-            Segment(row["take"], row["class"], row["start"], row["stop"], row["cost"], row["subclass"]) for row in rows
-        )
-    return tuple(Segment(row["take"], row["class"], row["start"], row["stop"]) for row in rows)
+def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[Segment, ...]:
+    """Return annotations as segments, with what another method found where it does not agree."""
+    found: dict[str, list[tuple[str, int, int]]] = {}
+    for take, *one in others.select("take", "class", "start", "stop").iter_rows() if others is not None else ():
+        found.setdefault(take, []).append(tuple(one))
+    segments = []
+    for row in frame.sort("take", "start", "stop", "class").iter_rows(named=True):
+        take, label, start, stop = row["take"], row["class"], row["start"], row["stop"]
+        there = [name for name, begin, end in found.get(take, ()) if begin < stop and start < end]
+        doubted = None if others is None or label in there else ", ".join(sorted(set(there))) or "nothing"
+        cost, sure = (None if value is None or np.isnan(value) else value for value in (row["cost"], row["confidence"]))
+        segments.append(Segment(take, label, start, stop, cost, row["subclass"], sure, doubted))
+    return tuple(segments)
+
+
+def _manual(frame: pl.DataFrame) -> tuple[Segment, ...]:
+    return tuple(
+        Segment(*row)
+        for row in frame.sort("take", "start", "stop", "class").select("take", "class", "start", "stop").iter_rows()
+    )
 
 
 def _curves_take(
@@ -258,8 +291,12 @@ def _curves(reader: Reader, take: str | None) -> tuple[Curve, ...]:
     return tuple(sorted(curves, key=lambda curve: (curve.label, curve.subclass)))
 
 
-def _templates(reader: Reader, kind: str, labels: Mapping[str, str]) -> tuple[tuple[Template, ...], int]:
-    """Read the templates of one kind, and count the others."""
+def _templates(
+    reader: Reader, annotate: StageRow | None, subclasses: Mapping[str, Sequence[str]]
+) -> tuple[tuple[Template, ...], int]:
+    """Read the templates of the kind that annotated, and count the others."""
+    kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
+    labels = {subclass: label for label, own in subclasses.items() for subclass in own}
     rows = reader.table("templates").to_pylist()
     templates = [
         Template(

@@ -13,14 +13,28 @@ from jinja2 import Environment
 from markupsafe import Markup
 
 from kinedex.pipelines.console.wording import counted, digits
+from kinedex.pipelines.evaluation.confusion import confusion
+from kinedex.pipelines.evaluation.grid import Segment as Annotated
+from kinedex.pipelines.evaluation.test_takes import TestTake
+from kinedex.pipelines.report.archive_strip import archive_strip
 from kinedex.pipelines.report.cards import Card, card, readable, rules
 from kinedex.pipelines.report.curves import HEIGHT, CurveFigure, curve_figure, y_ticks
 from kinedex.pipelines.report.data import ReportData, Score, Segment
-from kinedex.pipelines.report.motions import Motions, motions_json
+from kinedex.pipelines.report.method_figures import ConfusionTable, confusion_table
+from kinedex.pipelines.report.motions import Motions, motions_json, script_json
+from kinedex.pipelines.report.overview import (
+    BARS,
+    class_findings,
+    group_findings,
+    most_doubtful,
+    surest,
+    totals,
+)
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
-from kinedex.pipelines.report.take_selection import Choice, choose_takes
-from kinedex.pipelines.report.timelines import Timeline, timeline
+from kinedex.pipelines.report.segment_list import LOOKS, SEGMENTS, Key, in_order, segment_list
+from kinedex.pipelines.report.take_selection import Choice, choose_takes, findings_of
+from kinedex.pipelines.report.timelines import Timeline, overlap, timeline
 
 DELTA_SHOWN = 0.05
 """The δ of the quantised view where the δ of the annotation is not stored."""
@@ -43,7 +57,13 @@ class Gaps:
 def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes: int = 40) -> Choice:
     """Choose the takes whose timelines a report shows; the parameters are those of `annotation_page`."""
     f1 = {name: score.f1 for name, score in data.take_scores().items() if score.f1 is not None}
-    return choose_takes([take.name for take in data.takes], f1, wanted=takes, max_takes=max_takes)
+    names = [take.name for take in data.takes]
+    return choose_takes(names, f1, findings=findings_of(data.automatic), wanted=takes, max_takes=max_takes)
+
+
+def hits_to_play(data: ReportData) -> list[Segment]:
+    """Return the segments that a page must play: those that move on the first screen, and those to look at first."""
+    return [*surest(data.automatic), *most_doubtful(data.automatic), *in_order(data.automatic)[:LOOKS]]
 
 
 def annotation_page(
@@ -52,6 +72,7 @@ def annotation_page(
     takes: Sequence[str] | None = None,
     max_takes: int = 40,
     motions: Motions | None = None,
+    near: Mapping[Key, int] | None = None,
 ) -> str:
     """Render the page.
 
@@ -60,11 +81,13 @@ def annotation_page(
     data : ReportData
         The content.
     takes : sequence of str or None
-        Takes whose timelines are shown; None chooses by F (frames).
+        Takes whose timelines are shown; None chooses by F (frames), or by what was found (`choose_takes`).
     max_takes : int
         Largest number of timelines where they are chosen.
     motions : Motions or None
         Motions of the player; None for a page without player.
+    near : mapping of (take, class, start, stop) to int, or None
+        Place of the nearest example of a segment in `motions.near`.
 
     Returns
     -------
@@ -79,53 +102,144 @@ def annotation_page(
         If `max_takes` is not positive.
     """
     labels = data.labels()
-    slots = {label: colour_slot(i) for i, label in enumerate(labels)}
+    slots = class_slots(data)
     choice = shown_takes(data, takes, max_takes)
-    delta = DELTA_SHOWN if data.delta is None else data.delta
     light, dark = colour_rules(len(labels))
-    figure = curves_of(data, slots)
     return (
         _environment()
         .get_template("report.html.j2")
         .render(
             data=data,
             main=data.pooled(data.evaluation),
-            held=data.pooled(data.held_out),
             labels=labels,
             slots=slots,
-            by_class=data.scores_of(data.evaluation, "class"),
-            by_take=lowest(data.scores_of(data.evaluation, "take"), ROWS),
-            unseen=unseen(data),
-            takes_scored=len(data.scores_of(data.evaluation, "take")),
             rows_shown=ROWS,
-            cards_open=CARDS,
-            by_fold=data.scores_of(data.held_out, "fold"),
-            weakest=weakest(data),
             choice=choice,
             motions=motions,
             motions_json=motions_json(motions),
-            timelines=timelines_of(data, choice.shown, slots),
-            delta=delta,
-            cards=cards_of(data, delta),
-            rules=rules(data.feature_set),
-            figure=figure,
-            y_ticks=y_ticks(figure) if figure else (),
-            height=HEIGHT,
+            near=near or {},
             gaps=gaps(data),
-            take_seconds={take.name: take.seconds for take in data.takes},
             light=light,
             dark=dark,
+            **_findings(data, slots, motions, near or {}),
+            **_measures(data, labels),
+            **_figures(data, slots, choice, near or {}),
         )
     )
 
 
-def timelines_of(data: ReportData, names: Sequence[str], slots: Mapping[str, int]) -> list[Timeline]:
+def class_slots(data: ReportData) -> dict[str, int]:
+    """Return the colour of each class, in the order of `data.labels()`; classes that occur get the first colours."""
+    labels = data.labels()
+    occurring = {segment.label for segment in (*data.automatic, *data.manual)}
+    ordered = sorted(labels, key=lambda label: label not in occurring)
+    places = {label: place for place, label in enumerate(ordered)}
+    return {label: colour_slot(places[label]) for label in labels}
+
+
+def _findings(
+    data: ReportData, slots: Mapping[str, int], motions: Motions | None, near: Mapping[Key, int]
+) -> dict[str, object]:
+    """Return what was found, for the first screen, the tables and the list of segments."""
+    confirmed = confirmations(data)
+    rates = {take.name: take.rate_hz for take in data.takes}
+    by_class = class_findings(data)
+    archive = archive_strip(data.takes, data.automatic, slots)
+    found = findings_of(data.automatic)
+    return {
+        "totals": totals(data),
+        "archive": archive,
+        "archive_json": script_json(archive.takes),
+        "take_rows": sorted(
+            data.takes, key=lambda take: (-found[take.name].segments if take.name in found else 0, take.name)
+        )[:ROWS],
+        "segments_file": SEGMENTS,
+        "class_rows": by_class,
+        "bars": BARS,
+        "longest": max((row.seconds for row in by_class), default=0.0),
+        "groups": group_findings(data),
+        "findings": found,
+        "surest": surest(data.automatic),
+        "doubtful": most_doubtful(data.automatic),
+        "segments": segment_list(data, slots, motions, near, confirmed),
+        "confirmed": confirmed,
+        "rates": rates,
+    }
+
+
+def _measures(data: ReportData, labels: Sequence[str]) -> dict[str, object]:
+    """Return the measures of agreement with the ground truth."""
+    return {
+        "held": data.pooled(data.held_out),
+        "by_class": data.scores_of(data.evaluation, "class"),
+        "by_take": lowest(data.scores_of(data.evaluation, "take"), ROWS),
+        "takes_scored": len(data.scores_of(data.evaluation, "take")),
+        "by_fold": data.scores_of(data.held_out, "fold"),
+        "unseen": unseen(data),
+        "weakest": weakest(data),
+        "confusion": confusion_of(data, labels),
+        "take_seconds": {take.name: take.seconds for take in data.takes},
+    }
+
+
+def _figures(data: ReportData, slots: Mapping[str, int], choice: Choice, near: Mapping[Key, int]) -> dict[str, object]:
+    """Return timelines, templates and curves."""
+    delta = DELTA_SHOWN if data.delta is None else data.delta
+    figure = curves_of(data, slots)
+    return {
+        "timelines": timelines_of(data, choice.shown, slots, near),
+        "delta": delta,
+        "cards": cards_of(data, delta),
+        "cards_open": CARDS,
+        "rules": rules(data.feature_set),
+        "figure": figure,
+        "y_ticks": y_ticks(figure) if figure else (),
+        "height": HEIGHT,
+    }
+
+
+def confirmations(data: ReportData) -> dict[Key, bool] | None:
+    """Return for each automatic segment whether the ground truth has its class there; None without ground truth."""
+    judged = set(data.take_scores()) | {one.take for one in data.manual}
+    if not judged:
+        return None
+    manual = by_take(data.manual)
+    return {
+        one.key: any(one.label == other.label and overlap(one, other) for other in manual.get(one.take, ()))
+        for one in data.automatic
+    }
+
+
+def confusion_of(data: ReportData, labels: Sequence[str]) -> ConfusionTable | None:
+    """Lay out the confusion of classes over the takes with ground truth; None without any."""
+    judged = set(data.take_scores()) | {one.take for one in data.manual}
+    automatic, manual = by_take(data.automatic), by_take(data.manual)
+    takes = [
+        TestTake(take.name, take.group, (), take.frames,
+                 tuple((one.label, one.start, one.stop) for one in manual.get(take.name, ())))
+        for take in data.takes
+        if take.name in judged
+    ]  # fmt: skip
+    if not takes or not data.manual:
+        return None
+    outcome = {
+        take.name: [Annotated(one.label, one.start, one.stop, 1.0) for one in automatic.get(take.name, ())]
+        for take in takes
+    }
+    numbers = {label: place + 1 for place, label in enumerate(labels)}
+    return confusion_table(confusion(outcome, takes, labels), numbers)
+
+
+def timelines_of(
+    data: ReportData, names: Sequence[str], slots: Mapping[str, int], near: Mapping[Key, int]
+) -> list[Timeline]:
     """Lay out the timelines of some takes."""
     rows = {take.name: take for take in data.takes}
     scores = data.take_scores()
     automatic, manual = by_take(data.automatic), by_take(data.manual)
     return [
-        timeline(rows[name], automatic.get(name, []), manual.get(name, []), slots, scores.get(name)) for name in names
+        timeline(rows[name], automatic.get(name, []), manual.get(name, []), slots, scores.get(name), near)
+        for name in names
     ]
 
 
@@ -203,6 +317,7 @@ def _environment() -> Environment:
         "span": span,
         "thousands": thousands,
         "compact_json": compact_json,
+        "minutes": minutes,
         "readable": readable,
         "counted": counted,
         "breakable": breakable,
@@ -227,6 +342,11 @@ def span(seconds: float) -> str:
     if seconds < 3600:
         return f"{seconds / 60:.1f} min"
     return f"{seconds / 3600:.1f} h"
+
+
+def minutes(seconds: float) -> str:
+    """Format a length of time in minutes, or in seconds below one."""
+    return f"{seconds:.0f} s" if seconds < 60 else f"{seconds / 60:,.1f} min"
 
 
 def thousands(value: float) -> str:

@@ -26,13 +26,17 @@ class FeatureNames:
 
 @dataclass(frozen=True)
 class TakeRow:
-    """One annotated take; `frames` and `rate_hz` are those of the analysis."""
+    """One annotated take; `frames` and `rate_hz` are those of the analysis.
+
+    `group` is its value of what `ReportData.grouped_by` names.
+    """
 
     name: str
     frames: int
     rate_hz: float
     actor: str | None = None
     warnings: tuple[str, ...] = ()
+    group: str = ""
 
     @property
     def seconds(self) -> float:
@@ -44,7 +48,8 @@ class TakeRow:
 class Segment:
     """An interval `[start, stop)` of analysis frames of a take with a class.
 
-    Only automatic segments have `cost` and `subclass`.
+    Only automatic segments have `cost`, `subclass` and `confidence`, from 0 to 1. Where another method did not find the
+    class, `doubted` has the classes that it found there, or "nothing"; None if it agrees or the store has no other.
     """
 
     take: str
@@ -53,6 +58,13 @@ class Segment:
     stop: int
     cost: float | None = None
     subclass: str | None = None
+    confidence: float | None = None
+    doubted: str | None = None
+
+    @property
+    def key(self) -> tuple[str, str, int, int]:
+        """Return take, class, start and stop."""
+        return self.take, self.label, self.start, self.stop
 
 
 @dataclass(frozen=True)
@@ -146,9 +158,10 @@ class ReportData:
     `takes` are the annotated takes sorted by name; `archive_takes` and `archive_seconds` count the whole store.
     `evaluation` and `held_out` name the evaluations of `scores` that are the main one and leave one actor out (or one
     of another column of takes, `held_out_column`); `learned_from` holds that column's values among the example clips.
-    `subclasses` maps a class to the subclasses that were searched for it; empty where that is not stored.
-    `curves` belong to the take `curves_take`. `not_applied` has each template and query with the takes that it was not
-    applied to.
+    `subclasses` maps a class to the subclasses that were searched for it; empty where that is not stored. `grouped_by`
+    names what the takes are grouped by, empty for nothing. `other_method` is the method that `doubted` of segments is
+    about. `curves` belong to the take `curves_take`. `not_applied` has each template and query with the takes that it
+    was not applied to.
     """
 
     title: str
@@ -166,6 +179,8 @@ class ReportData:
     delta: float | None = None
     tau: float | None = None
     method: str | None = None
+    other_method: str | None = None
+    grouped_by: str = ""
     searched_share: float | None = None
     scores: tuple[Score, ...] = ()
     evaluation: str | None = None

@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -22,9 +23,16 @@ from kinedex.storage.store.store import Store
 MOST_BYTES = 12_000_000
 """Largest size of the motions of a page unless more are requested; the page then has less than 20 MB."""
 
+MARGIN = 15
+"""Frames before and after an interval of a take that is not embedded as a whole."""
+
+FINEST_M = 0.002
+"""The unit of coordinates in metres, a quarter of a pixel of the player, unless a take needs a greater one."""
+
 UNSEEN = -32_768
 """The number that stands for an unknown coordinate."""
 
+_TOGETHER = 16  # takes that are read at once
 _STEP = 2  # every second frame: 15 per second; the player interpolates
 _MOST = 32_000
 
@@ -66,17 +74,89 @@ class Motion:
 
 @dataclass(frozen=True)
 class Motions:
-    """The motions of a page, the joints in their order, the parent of each (−1 for none), and a remark."""
+    """The motions of a page.
+
+    Attributes
+    ----------
+    motions : tuple of Motion
+        Takes and pieces of takes.
+    joints : tuple of str
+        The joints in their order.
+    parents : tuple of int
+        The joint that each one hangs from, −1 for none.
+    remark : str
+        A sentence about the takes that are embedded.
+    near : tuple of (int, tuple of int)
+        Nearest examples: the index of a motion, and its analysis frames at the stored frames of the interval, the
+        first one and the difference from each to the next.
+    """
 
     motions: tuple[Motion, ...]
     joints: tuple[str, ...]
     parents: tuple[int, ...]
     remark: str
+    near: tuple[tuple[int, tuple[int, ...]], ...] = ()
 
-    @property
-    def takes(self) -> frozenset[str]:
-        """Return the names of the takes."""
-        return frozenset(motion.take for motion in self.motions)
+    def has(self, take: str, start: int, stop: int) -> bool:
+        """Return whether an interval of a take can be played."""
+        return self._find(take, start, stop) is not None
+
+    def _find(self, take: str, start: int, stop: int) -> int | None:
+        """Return the index of the motion that covers an interval, None for none."""
+        return next(
+            (
+                place
+                for place in self._of_take.get(take, ())
+                if self.motions[place].first <= start and stop <= self.motions[place].first + self.motions[place].frames
+            ),
+            None,
+        )
+
+    @cached_property
+    def _of_take(self) -> dict[str, list[int]]:
+        """Return the indices of the motions of each take."""
+        found: dict[str, list[int]] = {}
+        for place, one in enumerate(self.motions):
+            found.setdefault(one.take, []).append(place)
+        return found
+
+    def with_pieces(
+        self, store: Store, intervals: Iterable[tuple[str, int, int]], margin: int = MARGIN, most: int | None = None
+    ) -> Motions:
+        """Add the motions of further intervals.
+
+        Parameters
+        ----------
+        store : Store
+            The store of the takes.
+        intervals : iterable of (take, start, stop)
+            The intervals; those that can be played already are skipped.
+        margin : int
+            Frames to add before and after each.
+        most : int or None
+            Bytes that all motions of the page may take; the first intervals that fit are added. None for no limit.
+        """
+        missing = {one: None for one in intervals if not self.has(*one)}
+        packed = dict(_pieces(store, self.joints, list(missing), margin))
+        size = sum(len(one.data) for one in self.motions)
+        found = [*self.motions]
+        for one in missing:
+            size += len(packed[one].data)
+            if most is not None and size > most:
+                break
+            found.append(packed[one])
+        return replace(self, motions=tuple(found))
+
+    def with_near(self, store: Store, examples: Iterable[tuple[str, int, int, npt.NDArray[np.int64]]]) -> Motions:
+        """Return the motions with nearest examples, each a take, start and stop, and its frames from its start on."""
+        examples = list(examples)
+        found = self.with_pieces(store, (one[:3] for one in examples), margin=0)
+        near = []
+        for take, start, stop, frames in examples:
+            place = found._find(take, start, stop)
+            assert place is not None
+            near.append((place, tuple(np.diff(start + frames[::_STEP], prepend=0).tolist())))
+        return replace(found, near=tuple(near))
 
 
 def embed(
@@ -120,14 +200,37 @@ def embed(
     parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
     packed: list[Motion] = []
     size = 0
-    for name in chosen:
-        positions = [joint_positions(store.frames(part), joints) for part in parts[name]]
-        motion = pack(name, np.concatenate(positions, axis=2), store.rate_hz)
+    for motion in _whole(store, joints, {name: parts[name] for name in chosen}):
         if wanted == "auto" and size + len(motion.data) > MOST_BYTES:
             break
         packed.append(motion)
         size += len(motion.data)
     return Motions(tuple(packed), joints, parents, _remark(packed, len(takes), wanted, size, f"{stage}.embed"))
+
+
+def _whole(store: Store, joints: Sequence[str], takes: Mapping[str, Sequence[str]]) -> Iterator[Motion]:
+    """Yield the motions of takes, each with the takes of the store that it joins, in their order."""
+    names = list(takes)
+    for first in range(0, len(names), _TOGETHER):
+        some = names[first : first + _TOGETHER]
+        read = store.frames_of({part for name in some for part in takes[name]})
+        positions = {part: joint_positions(table, joints) for part, table in read}
+        for name in some:
+            yield pack(name, np.concatenate([positions[part] for part in takes[name]], axis=2), store.rate_hz)
+
+
+def _pieces(
+    store: Store, joints: Sequence[str], intervals: Sequence[tuple[str, int, int]], margin: int
+) -> Iterator[tuple[tuple[str, int, int], Motion]]:
+    """Yield intervals with their motions, take by take."""
+    of_take: dict[str, list[tuple[str, int, int]]] = {}
+    for one in intervals:
+        of_take.setdefault(one[0], []).append(one)
+    for take, table in store.frames_of(of_take):
+        for one in of_take[take]:
+            first, last = max(0, one[1] - margin), min(table.num_rows, one[2] + margin)
+            positions = joint_positions(table.slice(first, last - first).combine_chunks(), joints)
+            yield one, pack(take, positions, store.rate_hz, first, table.num_rows)
 
 
 def pack(
@@ -151,7 +254,7 @@ def pack(
     kept = np.asarray(positions, np.float64)[:, :, ::_STEP]
     known = np.isfinite(kept)
     largest = float(np.abs(kept[known]).max()) if known.any() else 0.0
-    unit_m = max(0.001, largest / _MOST)
+    unit_m = max(FINEST_M, largest / _MOST)
     whole = np.where(known, np.round(np.where(known, kept, 0.0) / unit_m), UNSEEN).astype(np.int16)
     rows = whole.reshape(-1, whole.shape[2])
     steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, as that of the player does
@@ -161,10 +264,13 @@ def pack(
 
 
 def motions_json(motions: Motions | None) -> Markup:
-    """Return the motions as JSON for a script element, in which no tag can begin."""
-    if motions is None:
-        return Markup("")
-    text = json.dumps(asdict(motions), ensure_ascii=False, separators=(",", ":"))
+    """Return the motions as JSON for a script element."""
+    return Markup("") if motions is None else script_json(asdict(motions))
+
+
+def script_json(content: object) -> Markup:
+    """Return JSON for a script element, in which no tag can begin."""
+    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c"))
 
 

@@ -14,7 +14,7 @@ from kinedex.pipelines.report.data import Score, Segment, TakeRow
 class Bar:
     """One segment: its place in percent, whether the other side agrees, its tooltip, and its analysis frames.
 
-    `agrees` is None where the take has no ground truth.
+    `agrees` is None where the take has no ground truth. `near` is the place of its nearest example in the page's list.
     """
 
     left: float
@@ -23,6 +23,8 @@ class Bar:
     tip: str
     start: int = 0
     stop: int = 0
+    confidence: float | None = None
+    near: int | None = None
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Timeline:
     score: Score | None
     lanes: tuple[Lane, ...]
     axis: Axis
-    has_manual: bool
+    judged: bool
 
 
 def timeline(
@@ -53,6 +55,7 @@ def timeline(
     manual: Sequence[Segment],
     slots: Mapping[str, int],
     score: Score | None = None,
+    near: Mapping[tuple[str, str, int, int], int] | None = None,
 ) -> Timeline:
     """Lay out one take.
 
@@ -68,6 +71,8 @@ def timeline(
         Colour of each class; its order is the order of the lanes.
     score : Score or None
         Row of the take in the evaluation.
+    near : mapping of (take, class, start, stop) to int
+        Place of the nearest example of a segment in the page's list.
 
     Returns
     -------
@@ -84,16 +89,22 @@ def timeline(
             Lane(
                 label=label,
                 slot=slots[label],
-                automatic=tuple(bar(s, take, "automatic", theirs if judged else None) for s in ours),
+                automatic=tuple(bar(s, take, "automatic", theirs if judged else None, near) for s in ours),
                 manual=tuple(bar(s, take, "manual", ours) for s in theirs),
-                description=f"{label}: {counted(len(ours), 'automatic segment')}, "
-                f"{counted(len(theirs), 'manual segment')}",
+                description=f"{label}: {counted(len(ours), 'automatic segment')}"
+                + (f", {counted(len(theirs), 'manual segment')}" if judged else ""),
             )
         )
-    return Timeline(take, score, tuple(lanes), time_axis(max(take.seconds, 1e-6)), bool(manual))
+    return Timeline(take, score, tuple(lanes), time_axis(max(take.seconds, 1e-6)), judged)
 
 
-def bar(segment: Segment, take: TakeRow, origin: str, others: Sequence[Segment] | None) -> Bar:
+def bar(
+    segment: Segment,
+    take: TakeRow,
+    origin: str,
+    others: Sequence[Segment] | None,
+    near: Mapping[tuple[str, str, int, int], int] | None = None,
+) -> Bar:
     """Place one segment, and describe it in its tooltip."""
     agrees = None if others is None else any(overlap(segment, other) for other in others)
     return Bar(
@@ -103,6 +114,8 @@ def bar(segment: Segment, take: TakeRow, origin: str, others: Sequence[Segment] 
         tip=tip(segment, take.rate_hz, origin, agrees),
         start=segment.start,
         stop=segment.stop,
+        confidence=segment.confidence,
+        near=(near or {}).get(segment.key) if origin == "automatic" else None,
     )
 
 
@@ -117,8 +130,12 @@ def tip(segment: Segment, rate_hz: float, origin: str, agrees: bool | None) -> s
     text = f"{segment.label}, {origin}: {seconds}, frames [{segment.start}, {segment.stop})"
     if segment.cost is not None:
         text += f", cost {segment.cost:.3f}"
+    if segment.confidence is not None:
+        text += f", confidence {segment.confidence:.2f}"
     if segment.subclass is not None and segment.subclass != segment.label:
         text += f", as {segment.subclass}"
+    if segment.doubted is not None:
+        text += f"; another method found {segment.doubted}"
     if agrees is False:
         text += "; no manual segment here" if origin == "automatic" else "; not found"
     return text

@@ -7,12 +7,15 @@ from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.report.annotation_data import read_report_data
-from kinedex.pipelines.report.annotation_page import annotation_page, pages_digest, shown_takes
+from kinedex.pipelines.report.annotation_page import annotation_page, hits_to_play, pages_digest, shown_takes
 from kinedex.pipelines.report.motions import embed
+from kinedex.pipelines.report.nearest_examples import with_hits
 from kinedex.pipelines.report.page_files import write_page
+from kinedex.pipelines.report.segment_list import SEGMENTS, csv_lines, in_order
 from kinedex.storage.store.store import Store
 
 
@@ -24,8 +27,9 @@ class Params(BaseModel):
     title: str | None = Field(default=None, description="Title of the page; by default the archive's folder names it.")
     takes: list[str] | None = Field(
         default=None,
-        description="The takes whose timelines are shown, in this order; by default all, or a choice of the worst, "
-        "the middle and the best by F1.",
+        description="The takes whose timelines are shown, in this order; by default all, or a choice: with ground "
+        "truth the worst, the middle and the best by F (frames), else those with the most segments and those that "
+        "deserve a look.",
     )
     max_takes: int = Field(default=40, ge=1, description="How many timelines at most where `takes` is not given.")
     embed: Literal["auto", "all", "none"] | list[str] = Field(
@@ -34,7 +38,7 @@ class Params(BaseModel):
         "the page below 20 MB), all that have a timeline, none, or a list of names.",
     )
     curves_take: str | None = Field(
-        default=None, description="The take whose distance curves are shown; by default the median by F1."
+        default=None, description="The take whose distance curves are shown; by default the median by F (frames)."
     )
 
 
@@ -56,7 +60,7 @@ class Report(Stage[Params]):
         return pages_digest()
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Write `report.html` into the pipeline's report folder.
+        """Write `report.html` into the pipeline's report folder, and `report.segments.csv` with all segments.
 
         A missing input is stated in a sentence on the page.
 
@@ -77,10 +81,16 @@ class Report(Stage[Params]):
         )
         path = context.report_file("report.html")
         motions = embed(store, shown_takes(data, params.takes, params.max_takes).shown, params.embed)
-        size = write_page(annotation_page(data, takes=params.takes, max_takes=params.max_takes, motions=motions), path)
-        context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {len(motions.motions)} takes)")
+        takes, near = len(motions.motions), None
+        if params.embed != "none":
+            motions, near = with_hits(store, motions, hits_to_play(data), in_order(data.automatic), data.templates)
+        page = annotation_page(data, takes=params.takes, max_takes=params.max_takes, motions=motions, near=near)
+        size = write_page(page, path)
+        table = context.report_file(SEGMENTS)
+        write_page("".join(csv_lines(data)), table)
+        context.say(f"report: {path.resolve()} ({size / 1e6:.1f} MB, motion of {counted(takes, 'take')})")
         return {
-            "files": [path.relative_to(context.store_path).as_posix()],
+            "files": [file.relative_to(context.store_path).as_posix() for file in (path, table)],
             "bytes": size,
             "takes": len(data.takes),
             "curves_take": data.curves_take,

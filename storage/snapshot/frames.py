@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -94,14 +94,42 @@ def read_frames(files: CheckedFiles, manifest: Manifest, take_id: int, start: in
     return table.slice(first + start, stop - start).combine_chunks()
 
 
+def read_takes(files: CheckedFiles, manifest: Manifest, take_ids: Iterable[int]) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the rows of live takes with their ids, in the order of the parts; every row group is read once."""
+    asked = set(take_ids)
+    for part in manifest.frames:
+        wanted = np.array(sorted(asked.intersection(part.live)), np.int64)
+        if not len(wanted):
+            continue
+        path = files.part(part)
+        with read_errors(path), pq.ParquetFile(path) as file:
+            held: dict[int, list[pa.Table]] = {}
+            for group in _groups(file, int(wanted[0]), int(wanted[-1])):
+                table = file.read_row_group(group)
+                ids = table.column("take_id").to_numpy()
+                for take_id in wanted[(wanted >= ids[0]) & (wanted <= ids[-1])].tolist():
+                    first, last = np.searchsorted(ids, take_id, "left"), np.searchsorted(ids, take_id, "right")
+                    if first < last:
+                        held.setdefault(take_id, []).append(table.slice(first, last - first))
+                for take_id in [one for one in held if one < ids[-1]]:
+                    yield take_id, pa.concat_tables(held.pop(take_id)).combine_chunks()
+            for take_id, tables in held.items():
+                yield take_id, pa.concat_tables(tables).combine_chunks()
+
+
+def _groups(file: pq.ParquetFile, lowest: int, highest: int) -> list[int]:
+    """Return the row groups that can hold takes from lowest to highest."""
+    column = file.schema_arrow.get_field_index("take_id")
+    groups = []
+    for group in range(file.num_row_groups):
+        known = file.metadata.row_group(group).column(column).statistics
+        if known is None or not known.has_min_max or (known.min <= highest and known.max >= lowest):
+            groups.append(group)
+    return groups
+
+
 def _read(files: CheckedFiles, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
     """Read the row groups that can hold takes from lowest to highest; the parts are sorted by take."""
     path = files.part(part)
     with read_errors(path), pq.ParquetFile(path) as file:
-        column = file.schema_arrow.get_field_index("take_id")
-        groups = []
-        for group in range(file.num_row_groups):
-            known = file.metadata.row_group(group).column(column).statistics
-            if known is None or not known.has_min_max or (known.min <= highest and known.max >= lowest):
-                groups.append(group)
-        return file.read_row_groups(groups, columns)
+        return file.read_row_groups(_groups(file, lowest, highest), columns)

@@ -17,7 +17,7 @@ from kinedex.catalog.sql.result_views import ORIGIN
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
-from kinedex.storage.snapshot.frames import read_frames, read_words
+from kinedex.storage.snapshot.frames import read_frames, read_takes, read_words
 from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest, ResultPart
 from kinedex.storage.snapshot.parts import read_errors
@@ -158,6 +158,23 @@ class Snapshot:
         if not 0 <= start <= end <= count:
             raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
         return read_frames(self.checked, self.manifest, take_id, start, end)
+
+    def frames_of(self, takes: Iterable[str]) -> Iterator[tuple[str, pa.Table]]:
+        """Yield the names and the frames of many takes, in the order in which they lie in the store.
+
+        Parameters
+        ----------
+        takes : iterable of str
+            Names of takes.
+
+        Raises
+        ------
+        StoreError
+            No take has one of the names.
+        """
+        names = {self.take_id(take): take for take in takes}
+        for take_id, table in read_takes(self.checked, self.manifest, names):
+            yield names[take_id], table
 
     def labels(self, *, history: bool = False) -> pa.Table:
         """Return the labels of the store, in the order in which they were put.

@@ -97,14 +97,14 @@ class Reading(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        if tag not in {"meta", "img", "br", "hr", "rect", "path", "wbr"}:
+        if tag not in {"meta", "img", "br", "hr", "input", "rect", "path", "wbr"}:
             self.open.append(tag)
         self.references += [
             value or "" for name, value in attrs if name in {"src", "href", "xlink:href", "data", "srcset"}
         ]
 
     def handle_endtag(self, tag: str) -> None:
-        if tag not in {"meta", "img", "br", "hr", "path", "wbr"} and self.open and self.open[-1] == tag:
+        if tag not in {"meta", "img", "br", "hr", "input", "path", "wbr"} and self.open and self.open[-1] == tag:
             self.open.pop()
 
     def handle_data(self, data: str) -> None:

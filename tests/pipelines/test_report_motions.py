@@ -16,7 +16,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.report import motions
 from kinedex.pipelines.report.annotation_page import annotation_page
-from kinedex.pipelines.report.motions import UNSEEN, Motion, embed, motions_json, pack
+from kinedex.pipelines.report.motions import FINEST_M, UNSEEN, Motion, embed, motions_json, pack
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
@@ -37,7 +37,7 @@ def test_a_motion_comes_back_to_half_a_unit(frames: int, reach: float, seed: int
     positions = random.uniform(-reach, reach, (24, 3, frames)).astype(np.float32)
     positions[random.integers(24), :, random.integers(frames)] = np.nan
     motion = pack("take", positions, 30.0)
-    assert motion.unit_m == pytest.approx(max(0.001, np.nanmax(np.abs(positions[:, :, ::2])) / 32_000))
+    assert motion.unit_m == pytest.approx(max(FINEST_M, np.nanmax(np.abs(positions[:, :, ::2])) / 32_000))
     np.testing.assert_allclose(unpacked(motion), positions[:, :, ::2], atol=0.51 * motion.unit_m)
 
 
@@ -58,7 +58,7 @@ def test_as_many_takes_are_carried_as_fit_and_the_rest_is_named(store: Store, mo
     assert [motion.take for motion in all_of_them.motions] == names
     assert "for every take" in all_of_them.remark
     positions = joint_positions(store.frames(names[0]), all_of_them.joints)
-    np.testing.assert_allclose(unpacked(all_of_them.motions[0]), positions[:, :, ::2], atol=0.00051)
+    np.testing.assert_allclose(unpacked(all_of_them.motions[0]), positions[:, :, ::2], atol=0.51 * FINEST_M)
     room = sum(len(motion.data) for motion in all_of_them.motions[:2])
     monkeypatch.setattr(motions, "MOST_BYTES", room)
     some = embed(store, names)
@@ -77,7 +77,7 @@ def test_takes_laid_end_to_end_move_one_after_the_other(store: Store) -> None:
         [joint_positions(store.frames(name), embed(store, [one]).joints) for name in (one, two)], axis=2
     )
     assert (laid_out.take, laid_out.frames) == ("both", parts.shape[2])
-    np.testing.assert_allclose(found, parts[:, :, ::2], atol=0.00051)
+    np.testing.assert_allclose(found, parts[:, :, ::2], atol=0.51 * FINEST_M)
     assert "--set compare_methods.embed=all" in embed(store, {"both": (one,)}, "none", "compare_methods").remark
 
 

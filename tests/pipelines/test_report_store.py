@@ -176,7 +176,7 @@ def test_an_empty_store_has_a_report_too(tmp_path: Path) -> None:
 def test_the_stage_writes_the_page_beside_the_results(store: Path) -> None:
     summary = Report().run(context(store, INPUTS), Report.parameters(title="A study"))
     path = store / "results" / "reports" / "study" / "report.html"
-    assert summary["files"] == ["results/reports/study/report.html"]
+    assert summary["files"] == [f"results/reports/study/report.{ending}" for ending in ("html", "segments.csv")]
     assert summary["bytes"] == path.stat().st_size
     text = Reading(path.read_text(encoding="utf-8")).text
     assert "A study" in text

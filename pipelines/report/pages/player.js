@@ -10,6 +10,7 @@
   const source = document.getElementById("motions"), player = document.getElementById("player");
   if (!source || !player || !window.DecompressionStream) return;
   const { joints, parents, motions, near = [] } = JSON.parse(source.textContent);
+  for (const one of near) { let sum = 0; one[1] = one[1].map(step => sum += step); }
   const canvas = player.querySelector("canvas"), pen = canvas.getContext("2d");
   const [what, now, play, time, speed, loop, close] =
     [".title", ".now", ".play", "input[type=range]", "select", ".loop", ".close"].map(name => player.querySelector(name));
@@ -185,7 +186,7 @@
       for (const [line] of heads) line.remove();
       headed = detail.take;
       heads = plots(detail.take).map(([plot, left, width]) => {
-        const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
+        const line = document.createElementNS(plot.namespaceURI, "line");
         line.setAttribute("class", "playhead");
         line.setAttribute("y1", "0");
         line.setAttribute("y2", "100%");
