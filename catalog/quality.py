@@ -64,7 +64,7 @@ class Figure:
         return (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
 
 
-_LOOK = "compare the picture of `kinedex inspect` with the joints of the skeleton mapping"
+_LOOK = "compare the picture of `kinedex inspect --picture FILE` with the joints of the skeleton mapping"
 _PROPORTIONS = f"a joint may be mapped wrongly, or the figure is stylised: {_LOOK}"
 _RATE = "if the rate is wrong, give it by --rate"
 

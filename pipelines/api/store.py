@@ -593,6 +593,7 @@ class Store:
         queries: Query | Iterable[Query] | None = None,
         where: str | None = None,
         workers: int | None = None,
+        mirror: bool = False,
     ) -> pl.DataFrame:
         """Rank the places of the store by how well templates fit them.
 
@@ -613,17 +614,19 @@ class Store:
             A SQL filter over the columns of takes.
         workers : int, optional
             The number of threads; that of the cores unless given. The hits do not depend on it.
+        mirror : bool, optional
+            True ranks by the mirror images of the templates, too: the same motions of the other side of the body.
 
         Returns
         -------
         polars.DataFrame
             One row per hit, the best of each template first: template, rank, take_id, take, start, stop (frames),
-            start_seconds, stop_seconds, cost.
+            start_seconds, stop_seconds, cost; with `mirror` also mirrored, which is true of hits by an image.
 
         Raises
         ------
         KinedexError
-            A template cannot be found or is wildcards alone, or no take is selected.
+            A template cannot be found or is wildcards alone, no take is selected, or features cannot be mirrored.
         ParameterError
             The number of hits or the threshold is out of range.
 
@@ -656,6 +659,7 @@ class Store:
             top=top,
             where=where,
             workers=workers,
+            mirror=mirror,
         )
         for remark in found.remarks:
             warnings.warn(remark, stacklevel=2)

@@ -51,23 +51,24 @@ def inspect(
         bool, typer.Option("--features", help="Also list how often each feature holds, and which lack a joint.")
     ] = False,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Picture to write; STEM.png in this folder unless given.")
+        Path | None, typer.Option(metavar="FILE", help="Picture (PNG) of a few frames to write; none unless given.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a motion file holds, and draw a few of its frames."""
+    """Show what a motion file holds, and draw a few of its frames on request."""
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
 
     found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model), person)
-    path = picture or Path(f"{file.stem}.png")
-    drawn = write_picture(found, path)
+    drawn = picture is not None and write_picture(found, picture)
     if drawn:
-        found.add("picture", str(path))
+        found.add("picture", str(picture))
+    elif picture is not None:
+        found.add("picture", "none, because no places of joints are known")
     if as_json and found.fault is None:
         facts = [{"name": name, "value": text} for name, text in found.lines]
-        print_json({"file": file, "facts": facts, "features": found.features, "picture": path if drawn else None})
+        print_json({"file": file, "facts": facts, "features": found.features, "picture": picture if drawn else None})
     elif not as_json:
         show(found, make_console(), features)
     if found.fault is not None:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from kinedex.pipelines.ranking.ranking import Ranking
 
 
+NEAREST = 5
+"""Places that are shown of a template without a hit."""
+
 ExampleOption = Annotated[str | None, typer.Option(help="Rank by an example: a take, or an interval of it.")]
 QueriesOption = Annotated[
     str | None,
@@ -58,6 +61,9 @@ def rank(
     stage: StageOption = None,
     queries: QueriesOption = None,
     where: WhereOption = None,
+    mirror: Annotated[
+        bool, typer.Option("--mirror", help="Rank by mirror images, too; the column mirrored tells their hits.")
+    ] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
@@ -78,24 +84,28 @@ def rank(
     begin = time.perf_counter()
     found = rank_store(
         opened, chosen, queries=asked, kind=kind_of(kind), stage=stage, delta=delta, tau=tau, top=top, where=where,
-        workers=workers,
+        workers=workers, mirror=mirror, nearest=min(top, NEAREST),
     )  # fmt: skip
     seconds = time.perf_counter() - begin
     rankings, table = found.rankings, found.table()
     if as_json:
         document = {"store": store, "templates": [one.name for one in rankings], "tau": tau, "delta": delta}
         document |= {"frames": rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
-        print_json({**document, "hits": table.drop_columns(["run"])})
+        hits, near = (rows.drop_columns(["run"]) for rows in (table, found.nearest_table()))
+        print_json({**document, "hits": hits, "nearest": near})
         return
-    for remark in found.remarks:
+    for remark in (*found.remarks, *found.misses(tau)):
         typer.echo(remark, err=True)
     plain = form == "table" and output is None
     hidden = ["run", "take_id"] if len(rankings) > 1 else ["run", "template", "take_id"]
+    if plain and not table.num_rows and found.nearest_table().num_rows:
+        print_message(f"No hit below {tau:g}; the nearest places, which are none:")
+        table = found.nearest_table()
     show_table(table.drop_columns(hidden) if plain else table, form, output)
     if output is not None:
         print_path(output)
     if plain:
-        print_message(_summary(rankings, table.num_rows, tau, queries is not None, seconds))
+        print_message(_summary(rankings, sum(len(one.hits) for one in rankings), tau, queries is not None, seconds))
 
 
 def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:

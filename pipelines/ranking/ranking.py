@@ -48,13 +48,14 @@ class RankedTemplate:
 
 @dataclass(frozen=True)
 class Hit:
-    """A range of frames [start, stop) of a take that a template fits, with the distance as `cost`."""
+    """A range of frames [start, stop) of a take that a template, or its mirror image, fits at a distance `cost`."""
 
     take_id: int
     take: str
     start: int
     stop: int
     cost: float
+    mirrored: bool = False
 
 
 @dataclass(frozen=True)

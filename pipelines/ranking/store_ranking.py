@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import floor
 
 import pyarrow as pa
 
@@ -12,6 +13,7 @@ from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.ranking.both_sides import rank_both_sides
 from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, partly_known, rank_takes, ranking_table
 from kinedex.pipelines.search.not_applied import known_of, remarks_on
 from kinedex.pipelines.templates.stored_templates import choose_templates
@@ -19,6 +21,9 @@ from kinedex.storage.store.store import Store
 
 DELTA, TAU, TOP = 0.1, 0.1, 20
 """Thresholds of a ranking, as configs/pipelines/retrieval.yaml has them, and a screen of hits."""
+
+FARTHEST = 1.0
+"""The cost of a place where every fixed entry of a template is wrong."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +39,36 @@ class StoreRanking:
     remarks : tuple of str
         Templates that were excluded or not applied to some takes, and those that were ranked in all frames though
         others have queries.
+    mirror : bool
+        True where mirror images of the templates were searched, too.
+    nearest : tuple of Ranking
+        The places nearest to the templates that have no hit, where they were asked for.
     """
 
     rankings: tuple[Ranking, ...]
     rate_hz: float
     remarks: tuple[str, ...] = ()
+    mirror: bool = False
+    nearest: tuple[Ranking, ...] = ()
 
     def table(self) -> pa.Table:
-        """Return the hits as results of the kind `ranked_hits`."""
-        return ranking_table(self.rankings, self.rate_hz)
+        """Return the hits as results of the kind `ranked_hits`, with a column `mirrored` if images were searched."""
+        return self._rows(self.rankings)
+
+    def nearest_table(self) -> pa.Table:
+        """Return the nearest places in the same form."""
+        return self._rows(self.nearest)
+
+    def _rows(self, rankings: Sequence[Ranking]) -> pa.Table:
+        table = ranking_table(rankings, self.rate_hz)
+        if not self.mirror:
+            return table
+        sides = [hit.mirrored for ranking in rankings for hit in ranking.hits]
+        return table.append_column("mirrored", pa.array(sides, pa.bool_()))
+
+    def misses(self, tau: float) -> list[str]:
+        """Return a sentence on each template without a hit below tau: its nearest place and the τ that it takes."""
+        return [_miss(one, tau, self.rate_hz) for one in self.nearest]
 
 
 def rank_store(
@@ -57,6 +83,8 @@ def rank_store(
     top: int | None = TOP,
     where: str | None = None,
     workers: int | None = None,
+    mirror: bool = False,
+    nearest: int = 0,
 ) -> StoreRanking:
     """Rank the places of an archive by how well templates fit them.
 
@@ -84,6 +112,10 @@ def rank_store(
         A SQL filter over the columns of takes.
     workers : int, optional
         The number of threads; that of the cores unless given.
+    mirror : bool
+        True searches the mirror images of the templates, too: the same motions of the other side of the body.
+    nearest : int
+        So many places are returned for each template that has no hit.
 
     Returns
     -------
@@ -93,7 +125,8 @@ def rank_store(
     Raises
     ------
     KinedexError
-        A template cannot be found or is wildcards alone, no query is for any of the templates, or no take is selected.
+        A template cannot be found or is wildcards alone, no query is for any of the templates, no take is selected, or
+        features cannot be mirrored.
     """
     names = None if templates is None else [one for one in templates if isinstance(one, str)]
     given = [one for one in templates or () if not isinstance(one, str)]
@@ -101,8 +134,23 @@ def rank_store(
     ranked, remarks = ranked_templates([*found, *given], delta, queries, strict=templates is not None)
     known = known_of(store.known, store.takes(where)["take_id"].to_list()) if store.known else {}
     remarks += remarks_on(partly_known(ranked, store.feature_set, known), known)
-    rankings = rank_takes(store, ranked, tau, top, where, workers)
-    return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks))
+    ranking = rank_both_sides if mirror else rank_takes
+    rankings = ranking(store, ranked, tau, top, where, workers)
+    missed = [own for own, one in zip(ranked, rankings, strict=True) if not one.hits]
+    near = ranking(store, missed, FARTHEST, nearest, where, workers) if nearest and missed and tau < FARTHEST else []
+    return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks), mirror, tuple(near))
+
+
+def _miss(one: Ranking, tau: float, rate_hz: float) -> str:
+    """Return the sentence on a template without a hit below tau, of which the nearest places are known."""
+    if not one.hits:
+        return f"'{one.name}' fits nowhere below {FARTHEST:g}"
+    best = one.hits[0]
+    enough = min((floor(best.cost * 100) + 1) / 100, FARTHEST)  # two digits, above the cost
+    return (
+        f"no hit of '{one.name}' below {tau:g}; the nearest place costs {best.cost:.3f}: {best.take} at "
+        f"{best.start / rate_hz:.2f} s; --tau {enough:g} makes it a hit"
+    )
 
 
 def ranked_templates(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking import ranking
+from kinedex.pipelines.ranking.both_sides import mirrored_template, rank_both_sides
 from kinedex.pipelines.ranking.ranking import Hit, RankedTemplate, rank_takes, ranking_table
 from kinedex.pipelines.ranking.ranking_evaluation import (
     Judged,
@@ -326,3 +329,46 @@ def test_two_queries_of_one_name_both_say_where_to_look(store: Store, tmp_path: 
         file.write_text(f'c: {{keyframes: [{{set: {word_set}, pattern: "{"*" * count}"}}]}}\n')
     with pytest.raises(KinedexError, match=r"two .* named 'c' \(the second one in .*two.yaml\); give one.*`class: c`"):
         read_query_files(files, store.feature_set)
+
+
+def test_a_mirrored_template_finds_the_other_side(store: Store):
+    words = store.words([store.take_id("x_c")]).take(0)[10:40]
+    image = store.feature_set.mirrored(words)
+    every = np.full(len(words), (1 << 40) - 1, np.uint64)
+    one = RankedTemplate("c", QuantisedTemplate(every, image))
+    assert mirrored_template(mirrored_template(one, store.feature_set), store.feature_set).template.value.tolist() == (
+        image.tolist()
+    )
+    (whole,) = rank_both_sides(store, [one], 0.4, workers=1)
+    assert (whole.hits[0].take, whole.hits[0].start, whole.hits[0].mirrored, whole.hits[0].cost) == ("x_c", 10, True, 0)
+    assert {hit.mirrored for hit in whole.hits} == {True, False}
+    for top in (1, 2, 5, len(whole.hits), len(whole.hits) + 3):
+        assert rank_both_sides(store, [one], 0.4, top, workers=1)[0].hits == whole.hits[:top]
+    image_alone = mirrored_template(one, store.feature_set)
+    sides = [*rank_takes(store, [one], 0.4, workers=1), *rank_takes(store, [image_alone], 0.4, workers=1)]
+    places = {(hit.take, hit.start, hit.stop, hit.cost) for side in sides for hit in side.hits}
+    assert {(hit.take, hit.start, hit.stop, hit.cost) for hit in whole.hits} <= places
+    for hit in whole.hits:
+        others = [other for other in whole.hits if other.take == hit.take and other is not hit]
+        assert all(hit.stop <= other.start or other.stop <= hit.start for other in others)
+
+
+def test_without_a_hit_the_nearest_places_are_shown(store: Store, tmp_path: Path):
+    body = "".join(f"    {number}: '{'01' * 8}'\n" for number in range(1, 21))
+    (tmp_path / "odd.yaml").write_text(f"odd:\n  rows:\n{body}")
+    asked = ["rank", str(store.path), str(tmp_path / "odd.yaml"), "--tau", "0.001", "--mirror"]
+    found = CliRunner().invoke(app, asked)
+    assert found.exit_code == 0, found.output
+    miss = r"no hit of 'odd' below 0.001; the nearest place costs .*; --tau ([\d.]+) makes it a hit"
+    tau = re.search(miss, found.stderr)
+    assert tau is not None
+    assert "No hit below 0.001; the nearest places, which are none:" in found.output
+    assert "0 hits below 0.001" in found.output
+    again = CliRunner().invoke(app, [*asked[:4], tau[1], "--json"])
+    document = json.loads(again.stdout)
+    assert document["hits"]
+    assert document["nearest"] == []
+    document = json.loads(CliRunner().invoke(app, [*asked, "--json"]).stdout)
+    assert document["hits"] == []
+    assert len(document["nearest"]) == 5
+    assert {"mirrored", "cost"} <= document["nearest"][0].keys()
