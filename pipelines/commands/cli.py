@@ -10,6 +10,7 @@ from contextlib import suppress
 from kinedex.pipelines.commands import (  # noqa: F401
     changes,
     duplicates,
+    export,
     history,
     keyframes,
     labels,

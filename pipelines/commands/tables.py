@@ -1,4 +1,4 @@
-"""Commands that ask a store: sql, takes, export."""
+"""Commands that ask a store: sql, takes."""
 
 from __future__ import annotations
 
@@ -153,27 +153,3 @@ def takes(
         partial = table.num_rows - table.column("known").null_count
         lacking = f"; {counted(partial, 'body', 'bodies')} without some joints (column known)" if partial else ""
         print_message(f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes{lacking}")
-
-
-@command(ASK)
-def export(
-    store: StorePath,
-    take: Annotated[str, typer.Argument(help="Name of the take.")],
-    form: Annotated[
-        str, typer.Option("--format", help="bvh, csv or parquet; the ending of the output unless given, else csv.")
-    ] = "",
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; TAKE.FORMAT in this folder unless given.")
-    ] = None,
-    at: AtOption = None,
-) -> None:
-    """Write the joint positions of a take as BVH, CSV or Parquet.
-
-    Positions are in metres; Y is up.
-    """
-    from kinedex.storage.store.take_export import export_take
-
-    form = form or (output.suffix.lstrip(".").lower() if output else "") or "csv"
-    path = output or Path(f"{Path(take).name}.{form}")
-    export_take(open_for_reading(store, at), take, form, path)
-    print_path(path)

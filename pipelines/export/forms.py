@@ -6,10 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.storage.formats.motion.joint_motion import JointMotion
-from kinedex.storage.formats.motion.source_cut import SourceCut
+
+if TYPE_CHECKING:
+    from kinedex.storage.formats.motion.joint_motion import JointMotion
+    from kinedex.storage.formats.motion.source_cut import SourceCut
 
 _MOTION = "kinedex.storage.formats.motion"
 

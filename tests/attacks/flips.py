@@ -35,11 +35,12 @@ from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.api.store import Store as Archive
 from kinedex.pipelines.evaluation.written_evaluations import read_run
+from kinedex.pipelines.export.request import How
+from kinedex.pipelines.export.single import export_take
 from kinedex.pipelines.report.annotation_data import read_report_data
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.manifest import read_version, versions
 from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.take_export import export_take
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
 from tests.attacks.outcome import Options, Outcome
@@ -187,7 +188,7 @@ def _sql(query: str) -> Question:
 
 def _exported(store: Store, take: str) -> bytes:
     file = store.path.parent / "exported.csv"
-    export_take(store, take, "csv", file)
+    export_take(store, take, How("csv"), file)
     return file.read_bytes()
 
 

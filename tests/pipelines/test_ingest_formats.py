@@ -15,11 +15,12 @@ from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.export.request import How
+from kinedex.pipelines.export.single import export_take
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.body_models import BODY
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.take_export import export_take
 from kinedex.storage.store.verification import verify
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small, still
@@ -158,7 +159,7 @@ def test_a_take_that_was_exported_comes_back(
     store = open_store(tmp_path / "store")
     (tmp_path / "out").mkdir()
     for take in ("wave", "x_1"):
-        export_take(store, take, form, tmp_path / "out" / f"{take}.{form}")
+        export_take(store, take, How(form, joints=True), tmp_path / "out" / f"{take}.{form}")
     (tmp_path / "out" / "ground_truth.csv").write_text("take,class,start,stop\n")
     assert bring_in(tmp_path / "again", tmp_path / "out", rate_hz=30.0)[0]["left_out"] == 0
     again = open_store(tmp_path / "again")

@@ -1,0 +1,135 @@
+"""The export of a data set: clips of a store as files in a folder, with the record of where each comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.export.folder import Folder, Written
+from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
+from kinedex.pipelines.export.plan import Progress, planned
+from kinedex.pipelines.export.request import How, What
+from kinedex.pipelines.export.work import Done, Job, batches_of_jobs, write_batch
+from kinedex.storage.store.store import Store
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A data set that was written.
+
+    Attributes
+    ----------
+    folder : Path
+        Its folder.
+    rows : list of dict
+        The rows of `metadata.csv`.
+    written, reused : int
+        Clips that were written, and that were there already.
+    excluded : dict of str to str
+        File of a clip that could not be written → the reason.
+    remarks : tuple of str
+        Remarks about what was left out.
+    """
+
+    folder: Path
+    rows: list[dict[str, Any]]
+    written: int
+    reused: int
+    excluded: dict[str, str]
+    remarks: tuple[str, ...]
+
+
+def export_data_set(
+    store: Store, what: What, how: How, folder: Path, *, executor: Executor, progress: Progress
+) -> Exported:
+    """Write the clips of a request to a folder, with `metadata.csv` and `dataset.json`.
+
+    The same request writes the same bytes. Clips that are there already as they would be written are not written
+    again, so that an export that was stopped goes on where it was.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    what : What
+        The intervals that are cut out.
+    how : How
+        The form of the clips and what is done to them.
+    folder : Path
+        The folder: new, empty, or that of an earlier export.
+    executor : Executor
+        Spreads the clips over workers.
+    progress : callable
+        Shows how far the export is.
+
+    Raises
+    ------
+    KinedexError
+        Nothing is selected, no clip can be written, the folder holds other files, or it cannot be written.
+    """
+    plan = planned(store, what, how, progress)
+    with Folder(folder) as target:
+        finished, rest = _finished(target, plan.jobs)
+        target.begin(dict.fromkeys(job.clip.folder for job in plan.jobs))
+        done = {id(one.job): one for one in finished}
+        with progress("clips", len(rest)) as bar:
+            batches = batches_of_jobs(store, folder, how, plan.mappings, rest)
+            for results in executor.map(write_batch, batches):
+                for one in results:
+                    target.add(one.files)
+                done |= {id(job): one for one, job in _matched(results, rest)}
+                bar.advance(len(results))
+        every = [done[id(job)] for job in plan.jobs]
+        written = [one for one in every if one.files]
+        excluded = {one.job.files[0]: one.fault for one in every if not one.files}
+        if not written:
+            raise KinedexError(f"none of {counted(len(every), 'clip')} can be written; the first: {every[0].fault}")
+        facts = Facts(store, what, how, excluded, plan.remarks)
+        rows = metadata_rows(facts, written)
+        files = [file.file for one in written for file in one.files]
+        target.finish(files, data_set_text(facts, rows, written), metadata_text(rows))
+    return Exported(folder, rows, len(written) - len(finished), len(finished), excluded, plan.remarks)
+
+
+def _matched(results: Sequence[Done], rest: Sequence[Job]) -> Iterable[tuple[Done, Job]]:
+    """Pair what workers have done with the jobs of this process."""
+    jobs = {job.files: job for job in rest}
+    return ((one, jobs[one.job.files]) for one in results)
+
+
+def _finished(target: Folder, jobs: Sequence[Job]) -> tuple[list[Done], list[Job]]:
+    """Divide jobs into those whose files are there already, and the others."""
+    finished, rest = [], []
+    for job in jobs:
+        sums = target.checksums([(file, job.fingerprint) for file in job.files])
+        if sums is None:
+            rest.append(job)
+        else:
+            files = zip(job.files, sums, strict=True)
+            finished.append(Done(job, tuple(Written(file, job.fingerprint, checksum) for file, checksum in files)))
+    return finished, rest
+
+
+def summary_lines(done: Exported, how: How) -> list[str]:
+    """Return what an export has made, in lines for a person."""
+    seconds = sum(row["seconds"] for row in done.rows)
+    reused = f" ({done.reused:,} of them were there already)" if done.reused else ""
+    lines = [f"{counted(len(done.rows), 'clip')}, {seconds / 60:.1f} minutes, in {done.folder}{reused}"]
+    if how.split is not None:
+        wanted = dict(zip(how.folders, (share / sum(how.shares) for share in how.shares), strict=True))
+        reached = split_facts(done.rows, how)
+        lines += [
+            f"{name}: {counted(facts['clips'], 'clip')}, {facts['share']:.1%} of the time (asked: {wanted[name]:.0%})"
+            for name, facts in reached.items()
+        ]
+    lines += done.remarks
+    if done.excluded:
+        first = next(iter(done.excluded.values()))
+        failed = counted(len(done.excluded), "clip")
+        lines.append(f"{failed} could not be written and stand in dataset.json (excluded); the first: {first}")
+    return lines

@@ -1,0 +1,193 @@
+"""The record of a data set: `metadata.csv`, one row per clip, and `dataset.json`, which adds how it was made."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+from kinedex.pipelines.export.folder import FORMAT
+from kinedex.pipelines.export.forms import FORMS
+from kinedex.pipelines.export.motions import frames_at, source_frames
+from kinedex.pipelines.export.request import CLIPS, How, What
+from kinedex.pipelines.export.work import Done
+from kinedex.storage.formats.csv_cells import csv_line
+from kinedex.storage.provenance import kinedex_version, running_command
+from kinedex.storage.store.store import Store
+
+_LICENCES = ("licence", "license")
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Facts for the record of a data set, besides its clips.
+
+    Attributes
+    ----------
+    store : Store
+        The store.
+    what : What
+        The intervals that were asked for.
+    how : How
+        The form of the clips and what was done to them.
+    excluded : dict of str to str
+        File of a clip that could not be written → the reason.
+    remarks : tuple of str
+        Remarks about what was left out.
+    """
+
+    store: Store
+    what: What
+    how: How
+    excluded: Mapping[str, str]
+    remarks: tuple[str, ...]
+
+
+def metadata_rows(facts: Facts, done: Sequence[Done]) -> list[dict[str, Any]]:
+    """Return the rows of `metadata.csv`: one for each clip, with the columns of its take behind its own.
+
+    A column of takes, or of the SQL query, whose name is one of the others' begins with `take_` or `sql_`.
+
+    Parameters
+    ----------
+    facts : Facts
+        The store and the request.
+    done : sequence of Done
+        The clips that were written.
+    """
+    return [_row(facts, one) for one in done]
+
+
+def _row(facts: Facts, done: Done) -> dict[str, Any]:
+    job, store, how = done.job, facts.store, facts.how
+    clip, take, interval = job.clip, job.row, job.clip.interval
+    first, last = source_frames(take, clip.first, clip.last)
+    inner = source_frames(take, clip.start, clip.stop)
+    own = float(take["source_rate_hz"]) if job.channels else store.rate_hz
+    outer, meant = ((first, last), inner) if job.channels else ((clip.first, clip.last), (clip.start, clip.stop))
+    rate = how.rate_hz or own
+    count = frames_at(outer[1] - outer[0], own, rate)
+    edges = [min(count, round((edge - outer[0]) * rate / own)) for edge in meant]
+    record = store.manifest.stages.get(interval.stage or "")
+    row: dict[str, Any] = {
+        "file": done.files[0].file,
+        "sha256": done.files[0].sha256,
+        "split": None if clip.folder == CLIPS else clip.folder,
+        "class": clip.label,
+        "take": clip.take,
+        "start": clip.start,
+        "stop": clip.stop,
+        "seconds": round((clip.stop - clip.start) / store.rate_hz, 6),
+        "mirrored": clip.mirrored,
+        "rate_hz": rate,
+        "frames": count,
+        "inner_start": edges[0],
+        "inner_stop": edges[1],
+        "outer_start": clip.first,
+        "outer_stop": clip.last,
+        "confidence": interval.confidence,
+        "actor": take["actor"],
+        "licence": next((take[name] for name in take if name.lower() in _LICENCES), None),
+        "origin": interval.origin,
+        "stage": interval.stage,
+        "run": interval.run,
+        "pipeline_run": getattr(record, "pipeline_run", None) or None,
+        "from": "channels" if job.channels else "joints",
+        "source": take["source"],
+        "source_sha256": take["checksum"],
+        "source_start": inner[0],
+        "source_stop": inner[1],
+    }
+    more = {name: take[name] for name in store.manifest.columns if name.lower() not in _LICENCES}
+    for prefix, columns in (("take_", more), ("sql_", interval.more)):
+        for name, value in columns.items():
+            row[f"{prefix}{name}" if name in row else name] = value
+    return row
+
+
+def metadata_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the content of `metadata.csv`; no cell is one that a spreadsheet would compute."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return csv_line(names) + "".join(csv_line([_cell(row.get(name)) for name in names]) for row in rows)
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return json.dumps(value, default=str) if isinstance(value, list | dict) else value
+
+
+def data_set_text(facts: Facts, rows: Sequence[Mapping[str, Any]], done: Sequence[Done]) -> str:
+    """Return the content of `dataset.json`: how the data set was made, its splits and classes, and all clips.
+
+    Parameters
+    ----------
+    facts : Facts
+        The store and the request.
+    rows : sequence of dict
+        The rows of `metadata.csv`.
+    done : sequence of Done
+        The clips, in the order of the rows.
+    """
+    store, how = facts.store, facts.how
+    clips = [{**row, "files": [asdict(file) for file in one.files]} for row, one in zip(rows, done, strict=True)]
+    classes = sorted(
+        {(one.job.clip.interval.label, one.job.clip.label) for one in done if one.job.clip.mirrored}, key=str
+    )
+    content = {
+        "format": FORMAT,
+        "kinedex": kinedex_version(),
+        "command": running_command(),
+        "store": {
+            "version": store.manifest.version,
+            "rate_hz": store.rate_hz,
+            "feature_set": store.feature_set.name,
+            "feature_set_digest": store.feature_set.digest,
+        },
+        "form": {"name": how.form, "meaning": FORMS[how.form].meaning, "unit": "m", "up": "y"},
+        "joints": list(store.feature_set.joints),
+        "what": _plain(asdict(facts.what)),
+        "how": _plain(asdict(how)),
+        "splits": split_facts(rows, how),
+        "mirrored_classes": {before: after for before, after in classes if before is not None},
+        "remarks": list(facts.remarks),
+        "excluded": [{"file": file, "reason": reason} for file, reason in facts.excluded.items()],
+        "clips": clips,
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False, default=_json) + "\n"
+
+
+def split_facts(rows: Sequence[Mapping[str, Any]], how: How) -> dict[str, dict[str, Any]]:
+    """Return for each split its clips, seconds, share of the seconds, classes, and the values of the split's column.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        The rows of `metadata.csv`.
+    how : How
+        The request, with the column.
+    """
+    whole = sum(row["seconds"] for row in rows)
+    found = {}
+    for folder in how.folders:
+        inside = [row for row in rows if (row["split"] or CLIPS) == folder]
+        seconds = sum(row["seconds"] for row in inside)
+        found[folder] = {
+            "clips": len(inside),
+            "seconds": round(seconds, 3),
+            "share": round(seconds / whole, 4) if whole else 0.0,
+            "classes": dict(sorted(Counter(row["class"] or "" for row in inside).items())),
+        }
+    return found
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
+
+
+def _json(value: object) -> object:
+    return value.isoformat() if isinstance(value, date | datetime) else str(value)

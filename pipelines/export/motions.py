@@ -1,0 +1,153 @@
+"""The motion of a clip: its joints from the store, or the interval of its source file, with the changes asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin, turned_quaternions
+from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
+from kinedex.ops.body.resample import resample
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.annotation.labels import source_frame
+from kinedex.pipelines.export.clips import Clip
+from kinedex.pipelines.export.request import How
+from kinedex.storage.formats.motion.joint_motion import JointMotion
+from kinedex.storage.formats.motion.source_cut import SourceCut
+from kinedex.storage.snapshot.frames import words_of
+from kinedex.storage.snapshot.parts import joint_positions
+
+F64 = npt.NDArray[np.float64]
+
+_PAIRS = ("hip", "shoulder")
+
+
+def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, rate_hz: float) -> JointMotion:
+    """Return the motion of a clip's joints.
+
+    Between two frames places are interpolated; a word is that of the nearest frame. A twin's words are those of the
+    clip with left and right exchanged; it has none where the feature set does not name their pairs.
+
+    Parameters
+    ----------
+    frames : pyarrow.Table
+        All frames of the take.
+    clip : Clip
+        The clip.
+    how : How
+        The changes that are asked for.
+    features : FeatureSet
+        The features of the store.
+    rate_hz : float
+        Frames per second of the store.
+
+    Raises
+    ------
+    KinedexError
+        The body's place or direction is not known in the frame that should lie at the origin.
+    """
+    rows = frames.slice(clip.first, clip.last - clip.first).combine_chunks()
+    places: F64 = joint_positions(rows, features.joints).transpose(2, 0, 1).astype(np.float64)
+    parts = rows.column("root_orientation").combine_chunks().flatten()
+    turns: F64 = np.stack([part.to_numpy(zero_copy_only=False) for part in parts], axis=1).astype(np.float64)
+    words: npt.NDArray[np.uint64] | None = words_of(rows)
+    if clip.mirrored:
+        places, turns = mirrored_places(places, features.joints), mirrored_quaternions(turns)
+        words = features.mirrored(words) if words is not None and features.mirror else None
+    if how.in_place:
+        start = clip_placement(places[clip.start - clip.first], features.joints, clip)
+        places, turns = start_at_origin(places, start), turned_quaternions(turns, -start.yaw)
+    if how.rate_hz is not None and how.rate_hz != rate_hz:
+        nearest = np.floor(np.arange(frames_at(len(places), rate_hz, how.rate_hz)) * (rate_hz / how.rate_hz) + 0.5)
+        words = None if words is None else words[np.minimum(nearest.astype(np.int64), len(words) - 1)]
+        sampled = resample(places.transpose(1, 2, 0), turns.T, rate_hz, how.rate_hz)
+        places, turns = sampled.positions.transpose(2, 0, 1), sampled.orientation.T
+    stored, turned = (np.ascontiguousarray(one, np.float32) for one in (places, turns))
+    return JointMotion(clip.name, tuple(features.joints), stored, how.rate_hz or rate_hz, words, turned)
+
+
+def frames_at(frames: int, before_hz: float, after_hz: float) -> int:
+    """Return the number of frames that so many become at another rate (`ops.body.resample`)."""
+    if before_hz == after_hz or frames < 2:
+        return frames
+    return int(np.floor(round((frames - 1) * after_hz / before_hz, 9))) + 1
+
+
+def clip_placement(places: F64, joints: tuple[str, ...], clip: Clip) -> Placement:
+    """Return the place and the direction of a body in one frame, from its root, hips and shoulders.
+
+    Parameters
+    ----------
+    places : float64 array (J, 3)
+        Places of the joints in the frame, in metres.
+    joints : tuple of str
+        Their names.
+    clip : Clip
+        The clip, for the message.
+
+    Raises
+    ------
+    KinedexError
+        They are not known there.
+    """
+    known = dict(zip(joints, places, strict=True))
+    gap = np.full(3, np.nan)
+    left, right = (np.stack([known.get(f"{side}{pair}", gap) for pair in _PAIRS]) for side in "lr")
+    try:
+        return placement_of(known.get("root", gap), left, right)
+    except ParameterError:
+        raise KinedexError(
+            f"frame {clip.start} of '{clip.take}' has no root, or neither hips nor shoulders, and cannot be put at the "
+            "origin"
+        ) from None
+
+
+def source_cut(row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | None, mappings: Mappings) -> SourceCut:
+    """Return the cut of a clip from the source of its take.
+
+    Parameters
+    ----------
+    row : mapping of str to object
+        The row of the take.
+    clip : Clip
+        The clip.
+    how : How
+        The changes that are asked for.
+    skeleton : Path or None
+        The skeleton file of an AMC file.
+    mappings : Mappings
+        Skeleton mappings of the store.
+    """
+    first, last = source_frames(row, clip.first, clip.last)
+    return SourceCut(
+        Path(row["source_root"]) / row["source"],
+        skeleton,
+        row.get("person") or None,
+        first,
+        last,
+        float(row["source_rate_hz"]),
+        mirror=clip.mirrored,
+        rate_hz=how.rate_hz,
+        in_place=how.in_place,
+        inner=source_frames(row, clip.start, clip.stop),
+        checksum=row["checksum"],
+        mappings=mappings,
+    )
+
+
+def source_frames(row: Mapping[str, Any], start: int, stop: int) -> tuple[int, int]:
+    """Return the frames of a take's source at analysis frames [start, stop); the whole source for the whole take."""
+    count = int(row["source_frames"])
+    if stop == row["frames"]:
+        last = count
+    else:
+        last = source_frame(stop, float(row["source_rate_hz"]), float(row["rate_hz"]), count)
+    first = source_frame(start, float(row["source_rate_hz"]), float(row["rate_hz"]), count)
+    return min(first, count - 1), max(last, min(first, count - 1) + 1)

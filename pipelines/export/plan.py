@@ -1,0 +1,208 @@
+"""The plan of an export: which clips it will write, from what, and into which files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
+from kinedex.catalog.skeletons.own_mappings import with_own
+from kinedex.ops.distances.near_duplicates import F32, motion_outline, near_duplicates
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.engine.context import ProgressBar
+from kinedex.pipelines.export.choice import at_most_per_class, balanced_clips, split_clips
+from kinedex.pipelines.export.clips import Clip, clips_of, with_names, with_twins
+from kinedex.pipelines.export.forms import form_named
+from kinedex.pipelines.export.motions import clip_placement
+from kinedex.pipelines.export.request import How, What
+from kinedex.pipelines.export.selection import selected_intervals
+from kinedex.pipelines.export.work import Job
+from kinedex.pipelines.ingestion.chosen_mappings import stored_files
+from kinedex.storage.provenance import kinedex_version
+from kinedex.storage.snapshot.frames import read_takes
+from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.storage.store.store import Store
+
+Progress = Callable[[str, int], ProgressBar]
+"""Function of a description and a number of steps that returns a progress bar."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The clips that an export will write.
+
+    Attributes
+    ----------
+    jobs : tuple of Job
+        The clips, by take and frames.
+    remarks : tuple of str
+        Remarks about what was left out.
+    mappings : Mappings
+        Skeleton mappings of the store.
+    """
+
+    jobs: tuple[Job, ...]
+    remarks: tuple[str, ...]
+    mappings: Mappings
+
+
+def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
+    """Return the plan of an export.
+
+    Intervals are chosen; short ones and near-duplicates are left out; each class is cut down to `how.per_class`; the
+    rest is split, and balanced within each split; then twins are added.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    what : What
+        The intervals that are cut out.
+    how : How
+        The form of the clips and what is done to them.
+    progress : callable
+        Shows how far the comparison of clips is.
+
+    Raises
+    ------
+    KinedexError
+        Nothing is selected, or sources that are to be cut are missing.
+    """
+    selected = selected_intervals(store, what)
+    remarks = list(selected.remarks)
+    clips = clips_of(store, selected.intervals, how)
+    if len(clips) < len(selected.intervals):
+        left = len(selected.intervals) - len(clips)
+        remarks.append(f"{counted(left, 'interval')} shorter than {how.min_length:g} s or covered by another clip")
+    if how.distinct is not None:
+        whole = len(clips)
+        clips = _distinct(store, clips, how.distinct, progress)
+        remarks.append(f"{counted(whole - len(clips), 'near-duplicate')} of {counted(whole, 'clip')} left out")
+    clips = balanced_clips(split_clips(store, at_most_per_class(clips, how), how), how)
+    if how.mirror:
+        known = {name for name in store.take_rows.column("class").to_pylist() if name}
+        clips = with_twins(clips, known | {clip.label for clip in clips if clip.label})
+    return Plan(jobs_of(store, with_names(clips, what.kind == "takes"), how), tuple(remarks), store_mappings(store))
+
+
+def store_mappings(store: Store) -> Mappings:
+    """Return the skeleton mappings that are shipped, and those that a store holds."""
+    joints = store.feature_set.joints
+    own = stored_files(store.path, store.manifest.mappings)
+    shipped = load_mappings("auto", joints)
+    return with_own(shipped, own, joints) if own else shipped
+
+
+def _distinct(store: Store, clips: Sequence[Clip], most: float, progress: Progress) -> list[Clip]:
+    """Return clips without those that show what an earlier one shows.
+
+    A clip whose body has no place or direction at its start is compared with none.
+    """
+    by_take: dict[int, list[int]] = {}
+    for number, clip in enumerate(clips):
+        by_take.setdefault(store.take_ids[clip.take], []).append(number)
+    outlines: dict[int, F32] = {}
+    joints = store.feature_set.joints
+    with progress("clips compared", len(clips)) as bar:
+        for take_id, frames in read_takes(store.checked, store.manifest, [*by_take]):
+            places = joint_positions(frames, joints).transpose(2, 0, 1).astype(np.float64)
+            for number in by_take[take_id]:
+                clip = clips[number]
+                try:
+                    start = clip_placement(places[clip.start], joints, clip)
+                except KinedexError:
+                    continue
+                outlines[number] = motion_outline(places[clip.start : clip.stop], start)
+            bar.advance(len(by_take[take_id]))
+    numbers = sorted(outlines)
+    seconds = [(clips[number].stop - clips[number].start) / store.rate_hz for number in numbers]
+    same = near_duplicates([outlines[number] for number in numbers], seconds, most)
+    left_out = {number for number, earlier in zip(numbers, same, strict=True) if earlier >= 0}
+    return [clip for number, clip in enumerate(clips) if number not in left_out]
+
+
+def jobs_of(store: Store, clips: Sequence[Clip], how: How) -> tuple[Job, ...]:
+    """Return the jobs of clips.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    clips : sequence of Clip
+        The clips, with the names of their files.
+    how : How
+        The form of the clips and what is done to them.
+
+    Raises
+    ------
+    KinedexError
+        The form cannot be made of some takes, or their sources are missing; the message lists all of them.
+    """
+    form = form_named(how.form)
+    rows = {row["name"]: row for row in store.take_rows.to_pylist()}
+    takes = list(dict.fromkeys(clip.take for clip in clips))
+    cut = {take for take in takes if not how.joints and form.channels and rows[take]["format"] in form.sources}
+    others = [take for take in takes if take not in cut]
+    if others and form.joints is None:
+        kinds = " and ".join(form.sources)
+        found = (
+            "not of the 24 joints" if how.joints else f"{counted(len(others), 'take')} come of others: {few(others)}"
+        )
+        raise KinedexError(
+            f"the form '{how.form}' is cut out of {kinds} files; {found}. Choose another --format, such as npz"
+        )
+    skeletons = _skeletons(store, rows, cut)
+    _require_sources(rows, cut, skeletons)
+    jobs = []
+    for clip in clips:
+        row, channels = rows[clip.take], clip.take in cut
+        endings = form.endings if channels else form.endings[:1]
+        files = tuple(f"{clip.folder}/{clip.name}.{ending}" for ending in endings)
+        skeleton = skeletons.get(clip.take)
+        jobs.append(Job(clip, files, _fingerprint(store, clip, how, row, channels), row, channels, skeleton))
+    return tuple(jobs)
+
+
+def _skeletons(store: Store, rows: dict[str, dict[str, Any]], cut: set[str]) -> dict[str, Path]:
+    """Return the skeleton file of each take that has one."""
+    known = {row["source"]: row["source_root"] for row in store.result("skeleton_files").to_pylist()}
+    found = {}
+    for take in cut:
+        if name := rows[take]["skeleton_source"]:
+            beside = Path(rows[take]["source_root"]) / name
+            found[take] = beside if beside.is_file() or name not in known else Path(known[name]) / name
+    return found
+
+
+def _require_sources(rows: dict[str, dict[str, Any]], cut: set[str], skeletons: dict[str, Path]) -> None:
+    missing = sorted(
+        {
+            str(file)
+            for take in cut
+            for file in (Path(rows[take]["source_root"]) / rows[take]["source"], skeletons.get(take))
+            if file is not None and not file.is_file()
+        }
+    )
+    if missing:
+        raise KinedexError(
+            f"{counted(len(missing), 'source file is', 'source files are')} not there, of which clips are to be cut; "
+            "bring them back, or export the 24 joints, which the store itself holds: --joints, or another --format\n  "
+            + "\n  ".join(missing)
+        )
+
+
+def _fingerprint(store: Store, clip: Clip, how: How, row: dict[str, Any], channels: bool) -> str:
+    """Return a hash of all that the content of a clip's files follows from."""
+    content = [
+        kinedex_version(), how.form, channels, store.feature_set.digest, store.rate_hz, row["checksum"], row["recipe"],
+        row.get("person"), clip.name, clip.start, clip.stop, clip.first, clip.last,
+        clip.mirrored, how.rate_hz, how.in_place,
+    ]  # fmt: skip
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()

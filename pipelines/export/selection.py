@@ -1,0 +1,261 @@
+"""The intervals of takes that a request means: whole takes, annotations, labels, saved hits, ranges, rows of SQL."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.pipelines.annotation.labels import annotate_stage
+from kinedex.pipelines.annotation.tables import annotated_takes
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.export.request import What
+from kinedex.storage.formats.csv_cells import unguarded
+from kinedex.storage.store.store import Store
+
+_KNOWN = ("take", "start", "stop", "class", "subclass", "confidence")
+_PLACE = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(s?)")
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval [start, stop) of a take in analysis frames, and the statement that it was chosen by.
+
+    Attributes
+    ----------
+    take : str
+        Name of the take.
+    start, stop : int
+        The frames.
+    label : str or None
+        The class.
+    confidence : float or None
+        The confidence of the statement.
+    origin : str
+        Source of the interval: take, annotation, label, hit, range or sql.
+    stage : str or None
+        The stage "<pipeline>/<stage>" that found it.
+    run : str or None
+        Id of the run of that stage.
+    more : dict
+        Further columns of a SQL query.
+    """
+
+    take: str
+    start: int
+    stop: int
+    label: str | None = None
+    confidence: float | None = None
+    origin: str = "take"
+    stage: str | None = None
+    run: str | None = None
+    more: dict[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def place(self) -> tuple[str, int, int, str]:
+        """The take, the frames and the class: two intervals with the same are one."""
+        return self.take, self.start, self.stop, self.label or ""
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The intervals of a request, by take, start, stop and class, each once; and remarks about what is missing."""
+
+    intervals: tuple[Interval, ...]
+    remarks: tuple[str, ...]
+
+
+def selected_intervals(store: Store, what: What) -> Selected:
+    """Find the intervals that a request means.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    what : What
+        The request.
+
+    Raises
+    ------
+    KinedexError
+        The request names what the store does not have, or means nothing; the message tells which of its conditions
+        leaves nothing.
+    """
+    for name in what.takes:
+        store.take_id(name)
+    lengths = {row["name"]: int(row["frames"]) for row in store.takes_table(what.where).to_pylist()}
+    if what.where is not None and not lengths:
+        raise KinedexError(f"the filter `{what.where}` selects no take of {store.path}")
+    remarks: list[str] = []
+    found = list(_SOURCES[what.kind](store, what, remarks))
+    if not found:
+        raise KinedexError(f"{store.path}: nothing to export: {_NONE[what.kind]}")
+    steps: list[tuple[str, Callable[[Interval], bool]]] = [
+        ("of the takes that are named", lambda one: not what.takes or one.take in what.takes),
+        (f"of takes that the filter `{what.where}` selects", lambda one: what.where is None or one.take in lengths),
+    ]
+    if what.classes:
+        shown = ", ".join(what.classes)
+        steps.append(
+            (f"of class {shown}", lambda one: {one.label, one.more.get("subclass")} & {*what.classes} != set())
+        )
+    if what.min_confidence is not None:
+        least = what.min_confidence
+        steps.append((f"with a confidence of {least:g} or more", lambda one: (one.confidence or 0.0) >= least))
+    for words, fits in steps:
+        rest = [one for one in found if fits(one)]
+        if not rest:
+            raise KinedexError(_nothing_left(store, what, found, words))
+        found = rest
+    return Selected(tuple(_inside(store, found)), tuple(remarks))
+
+
+def _nothing_left(store: Store, what: What, found: list[Interval], words: str) -> str:
+    classes = sorted({one.label for one in found if one.label})
+    hint = did_you_mean(what.classes[0], classes) if what.classes and words.startswith("of class") else ""
+    return f"{store.path}: nothing to export: none of {counted(len(found), 'interval')} is {words}{hint}"
+
+
+def _inside(store: Store, found: Iterable[Interval]) -> list[Interval]:
+    """Return intervals in their order, each once; an error names one that is not inside its take."""
+    lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
+    once: dict[tuple[str, int, int, str], Interval] = {}
+    for one in sorted(found, key=lambda one: (one.place, -(one.confidence or 0.0))):
+        if one.take not in lengths:
+            raise KinedexError(f"no take is named '{one.take}'{did_you_mean(one.take, lengths)}")
+        if not 0 <= one.start < one.stop <= lengths[one.take]:
+            raise KinedexError(
+                f"{one.take}[{one.start}:{one.stop}] is no interval of this take, which has frames 0 to "
+                f"{lengths[one.take]}"
+            )
+        once.setdefault(one.place, one)
+    return list(once.values())
+
+
+def _takes(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    for row in store.take_rows.to_pylist():
+        yield Interval(row["name"], 0, int(row["frames"]), row["class"])
+
+
+def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    stage = annotate_stage(store, what.pipeline)
+    annotated_takes(store, stage)  # an error if takes were replaced since
+    run = store.manifest.stages[stage].run
+    for row in store.result("annotations", run=run).to_pylist():
+        yield Interval(
+            row["take"], row["start"], row["stop"], row["class"], row["confidence"], "annotation", stage, run,
+            {"subclass": row["subclass"]},
+        )  # fmt: skip
+
+
+def _labels(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    rows = [row for row in store.labels().to_pylist() if row["verdict"] == "positive"]
+    lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
+    gone = [row for row in rows if row["stop"] > lengths.get(row["take"], 0)]
+    if gone:
+        names = sorted({row["take"] for row in gone})
+        remarks.append(f"{counted(len(gone), 'label')} excluded, whose takes are gone or shorter now: {few(names)}")
+    changed = sorted({row["take"] for row in rows if row["checksum"] != store.checksums.get(row["take"])})
+    if changed := [name for name in changed if name in lengths]:
+        remarks.append(f"labels may have moved, since files were changed after they were labelled: {few(changed)}")
+    for row in rows:
+        if row["stop"] <= lengths.get(row["take"], 0):
+            confidence = row["confidence"]
+            yield Interval(row["take"], row["start"], row["stop"], row["class"], confidence, "label")
+
+
+def _hits(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    rows = store.result("hits").to_pylist()
+    names = sorted({row["saved_as"] for row in rows})
+    if what.name not in names:
+        shown = did_you_mean(str(what.name), names) if names else "; `kinedex search … --save NAME` saves hits"
+        raise KinedexError(f"{store.path}: no hits were saved as '{what.name}'{shown}")
+    for row in rows:
+        if row["saved_as"] == what.name:
+            yield Interval(row["take"], row["start"], row["stop"], row["query"], None, "hit", None, row["run"])
+
+
+def _ranges(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    path = Path(what.name or "")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from None
+    except UnicodeDecodeError as fault:
+        raise SourceError(path, f"is not UTF-8 text (byte {fault.start})") from None
+    head = text.partition("\n")[0]
+    lines = csv.reader(io.StringIO(text, newline=""), delimiter=";" if ";" in head and "," not in head else ",")
+    names = [cell.strip().lower() for cell in next(lines, [])]
+    if missing := [name for name in ("take", "start", "stop") if name not in names]:
+        raise SourceError(path, f"has no column '{missing[0]}'; a file of ranges has take,start,stop[,class]", line=1)
+    for cells in lines:
+        if not any(cell.strip() for cell in cells):
+            continue
+        row = dict(zip(names, map(unguarded, cells), strict=False))
+        try:
+            yield _row(store, row, "range")
+        except KinedexError as fault:
+            raise SourceError(path, str(fault), line=lines.line_num) from None
+
+
+def _sql(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    table = store.sql(str(what.name))
+    if "take" not in table.column_names:
+        raise KinedexError(
+            f"--sql: the result has no column 'take'{did_you_mean('take', table.column_names)}; it needs take, and may "
+            "have start, stop, class, confidence and others, which become columns of metadata.csv"
+        )
+    if ("start" in table.column_names) != ("stop" in table.column_names):
+        raise KinedexError(
+            "--sql: the result has one of the columns start and stop; it needs both, or none for whole takes"
+        )
+    for row in table.to_pylist():
+        yield _row(store, row, "sql")
+
+
+def _row(store: Store, row: dict[str, Any], origin: str) -> Interval:
+    """Return the interval of a row of a file or of SQL."""
+    take = str(row["take"])
+    length = store.take_frames[store.take_id(take)]
+    start, stop = _frame(store, row.get("start"), "start", 0), _frame(store, row.get("stop"), "stop", length)
+    if not 0 <= start < stop <= length:
+        raise KinedexError(f"{take}[{start}:{stop}] is no interval of this take, which has frames 0 to {length}")
+    label = row.get("class")
+    more = {name: value for name, value in row.items() if name not in _KNOWN or name == "subclass"}
+    confidence = row.get("confidence")
+    try:
+        certain = None if confidence in (None, "") else float(str(confidence))
+    except ValueError:
+        raise KinedexError(f"confidence must be a number, got '{confidence}'") from None
+    return Interval(take, start, stop, None if label in (None, "") else str(label), certain, origin, more=more)
+
+
+def _frame(store: Store, value: object, name: str, default: int) -> int:
+    if value is None:
+        return default
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    match = _PLACE.fullmatch(str(value).strip())
+    if match is None or (not match[2] and not float(match[1]).is_integer()):
+        raise KinedexError(f"{name} must be a frame (45) or seconds (1.5s), got '{value}'")
+    return math.floor(float(match[1]) * store.rate_hz + 0.5) if match[2] else int(float(match[1]))
+
+
+_SOURCES: dict[str, Callable[[Store, What, list[str]], Iterator[Interval]]] = {
+    "takes": _takes, "annotations": _annotations, "labels": _labels, "hits": _hits, "ranges": _ranges, "sql": _sql,
+}  # fmt: skip
+
+_NONE = {
+    "takes": "the store has no takes",
+    "annotations": "the annotation found no segment",
+    "labels": "nobody has labelled anything; `kinedex labels --help` shows how labels come in",
+    "hits": "the search found nothing",
+    "ranges": "the file has no rows",
+    "sql": "the query returns no rows",
+}

@@ -1,0 +1,181 @@
+"""The writing of clips, take by take, in this process or in workers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.export.clips import Clip
+from kinedex.pipelines.export.folder import Written, sha256_of
+from kinedex.pipelines.export.forms import FORMS
+from kinedex.pipelines.export.motions import clip_motion, source_cut
+from kinedex.pipelines.export.request import How
+from kinedex.storage.disk import whole_file
+from kinedex.storage.snapshot.frames import read_takes
+from kinedex.storage.store.store import Store
+
+
+@dataclass(frozen=True)
+class Job:
+    """A clip to be written.
+
+    Attributes
+    ----------
+    clip : Clip
+        The clip.
+    files : tuple of str
+        Its files, relative to the folder of the data set.
+    fingerprint : str
+        Hash of all that their content follows from.
+    row : dict
+        The row of the take.
+    channels : bool
+        True for a cut of the source's own channels, False for the 24 joints.
+    skeleton : Path or None
+        The skeleton file of an AMC file.
+    """
+
+    clip: Clip
+    files: tuple[str, ...]
+    fingerprint: str
+    row: dict[str, Any]
+    channels: bool
+    skeleton: Path | None
+
+
+@dataclass(frozen=True)
+class Done:
+    """A job that was done: its files, or the fault for which the clip is excluded."""
+
+    job: Job
+    files: tuple[Written, ...] = ()
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The jobs of a task, all of the clips of some takes that lie beside each other in the store."""
+
+    store: Store
+    folder: Path
+    how: How
+    mappings: Mappings
+    jobs: tuple[Job, ...]
+
+    @property
+    def subject(self) -> str:
+        """The takes, for messages."""
+        return ", ".join(dict.fromkeys(job.clip.take for job in self.jobs))
+
+
+def write_batch(batch: Batch) -> list[Done]:
+    """Write the clips of a batch; each take is read once.
+
+    Raises
+    ------
+    KinedexError
+        A file cannot be written; the message is about the disk. The fault of a single clip excludes that clip.
+    """
+    done = []
+    by_take: dict[int, list[Job]] = {}
+    for job in batch.jobs:
+        if job.channels:
+            done.append(_done(batch, job, None))
+        else:
+            by_take.setdefault(job.row["take_id"], []).append(job)
+    for take_id, frames in read_takes(batch.store.checked, batch.store.manifest, [*by_take]):
+        done += [_done(batch, job, frames) for job in by_take[take_id]]
+    return done
+
+
+def _done(batch: Batch, job: Job, frames: pa.Table | None) -> Done:
+    paths = [batch.folder / file for file in job.files]
+    try:
+        write_files(batch, job, paths, frames)
+    except UnwritableError as fault:
+        # neither can the next one
+        raise UnwritableError(f"{fault}; mend that, then run the same command again: it goes on where it was") from None
+    except KinedexError as fault:
+        return Done(job, fault=str(fault))
+    sums = [sha256_of(path) or "" for path in paths]
+    return Done(job, tuple(Written(file, job.fingerprint, one) for file, one in zip(job.files, sums, strict=True)))
+
+
+class UnwritableError(KinedexError):
+    """The disk refuses a file, whatever its content is."""
+
+
+def write_files(batch: Batch, job: Job, paths: Sequence[Path], frames: pa.Table | None) -> None:
+    """Write the files of a clip, each whole or not at all.
+
+    Parameters
+    ----------
+    batch : Batch
+        The batch of the job.
+    job : Job
+        The clip.
+    paths : sequence of Path
+        Its files.
+    frames : pyarrow.Table or None
+        All frames of the take; not needed for a cut of channels.
+
+    Raises
+    ------
+    UnwritableError
+        A file cannot be written.
+    KinedexError
+        The clip cannot be written in this form.
+    """
+    store, how = batch.store, batch.how
+    form = FORMS[how.form]
+    try:
+        if job.channels:
+            form.cut_channels(paths, source_cut(job.row, job.clip, how, job.skeleton, batch.mappings))
+            return
+        assert frames is not None
+        motion = clip_motion(frames, job.clip, how, store.feature_set, store.rate_hz)
+        with whole_file(paths[0]) as unfinished:
+            form.write_joints(unfinished, motion)
+    except KinedexError as fault:
+        if any(str(fault).startswith(f"{path}: cannot be written") for path in paths):
+            raise UnwritableError(str(fault)) from None
+        raise
+    except OSError as fault:
+        raise UnwritableError(f"{paths[0]}: cannot be written: {fault.strerror}") from None
+
+
+def batches_of_jobs(store: Store, folder: Path, how: How, mappings: Mappings, jobs: Sequence[Job]) -> Iterator[Batch]:
+    """Yield jobs in batches of takes that lie beside each other in the store.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    folder : Path
+        The folder of the data set.
+    how : How
+        The changes that are asked for.
+    mappings : Mappings
+        Skeleton mappings of the store.
+    jobs : sequence of Job
+        The clips to be written.
+    """
+    part_of = {take: number for number, part in enumerate(store.manifest.frames) for take in part.live}
+    order = sorted(jobs, key=lambda job: (part_of[job.row["take_id"]], job.row["take_id"]))
+    batch: list[Job] = []
+    for place, job in enumerate(order):
+        batch.append(job)
+        last = place + 1 == len(order) or order[place + 1].row["take_id"] != job.row["take_id"]
+        if last and (len(batch) >= CLIPS_A_TASK or place + 1 == len(order)):
+            yield Batch(store, folder, how, mappings, tuple(batch))
+            batch = []
+
+
+CLIPS_A_TASK = 50
+"""A task has about so many clips: as many are written again after a kill, for each worker."""
