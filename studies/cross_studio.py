@@ -122,14 +122,14 @@ def begin_of(template: QuantisedTemplate, words: U64, end: int) -> int:
 
 
 def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str:
-    """List the labels of a manual segment in per cent of its frames, the most first; of best with confidences."""
+    """List the labels of a manual segment in per cent of its frames, the most first; of best with margins."""
     counts: Counter[str] = Counter()
     sure: dict[str, list[float]] = {}
     for one in annotate_words(annotator, words)[0].segments:
         within = min(one.stop, manual.stop) - max(one.start, manual.start)
         if within > 0:
             counts[annotator.classes[one.class_index]] += within
-            sure.setdefault(annotator.classes[one.class_index], []).append(one.confidence)
+            sure.setdefault(annotator.classes[one.class_index], []).append(one.margin)
     length = manual.stop - manual.start
     parts = []
     for name, count in counts.most_common(3):

@@ -23,7 +23,7 @@ from rich.table import Table
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.annotation.background import SPLITS, background
-from kinedex.ops.annotation.decoding import Decoding, Explained, confidences, explain, lay_columns
+from kinedex.ops.annotation.decoding import Decoding, Explained, explain, lay_columns, margins
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.templates.templates import Learned, learn_soft
 from kinedex.ops.words import NO_WORD, U64, TakeWords
@@ -126,13 +126,13 @@ class Trial:
         return [(label, self.fold.learned[label]) for label in self.labels if label in self.fold.learned]
 
     def explained(self, setting: Setting) -> Iterator[tuple[LaidOut, list[Explained], F64]]:
-        """Yield each take with its explanation and the confidences."""
+        """Yield each take with its explanation and the margins."""
         templates = [one.template for _, one in self.known]
         usual = self.fold.usual(setting.splits)
         columns, classes = lay_columns(templates, usual, setting.decoding), np.arange(len(templates))
         for take in self.takes:
             found = explain(templates, usual, take.words, setting.decoding, columns=columns)
-            yield take, found, confidences(found, templates, classes, usual, take.words, setting.decoding, columns)
+            yield take, found, margins(found, templates, classes, usual, take.words, setting.decoding, columns)
 
     def best(self, setting: Setting) -> Counts:
         """Count the labels of the best explanation."""

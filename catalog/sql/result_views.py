@@ -107,8 +107,9 @@ class    VARCHAR    the label
 subclass    VARCHAR    whose template came nearest
 {_SECONDS}
 cost    DOUBLE    least distance within the range, from 0
-confidence    DOUBLE    from 0 (something else would do as well) to 1
-{_METHOD}""",
+confidence    DOUBLE    probability that the label is right, calibrated on examples; null where it cannot be known
+{_METHOD}
+margin    DOUBLE    from 0 (something else would do as well) to 1""",
         "SELECT class, count(*) AS segments, sum(stop_seconds - start_seconds) AS seconds FROM annotations "
         "WHERE method IN ('templates', 'templates within keyframe hits') GROUP BY class ORDER BY class",
         stages="annotate",
@@ -184,7 +185,7 @@ frames    INTEGER    its length in frames
 classes    VARCHAR[]    the labels found
 starts    INTEGER[]    first frame of each
 stops    INTEGER[]    frame after the last of each
-confidences    DOUBLE[]    of each, from 0 to 1""",
+confidences    DOUBLE[]    margin of each, from 0 to 1""",
         "SELECT split, method, count(DISTINCT take) AS takes FROM method_cells GROUP BY ALL ORDER BY ALL",
         stages="compare_methods",
     ),

@@ -34,8 +34,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 STANDING_OUT = 0.05
-"""Value per frame, in nats per feature, that makes a segment stand out from the background by 1 − 1 / e. Chosen so that
-confidences are shares of right labels, about: see `studies.decoding`."""
+"""Value per frame, in nats per feature, that makes a segment stand out from the background by 1 − 1 / e."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +191,7 @@ def explain(
     ]
 
 
-def confidences(
+def margins(
     found: Sequence[Explained],
     templates: Sequence[Template],
     classes: I64,
@@ -201,24 +200,24 @@ def confidences(
     decoding: Decoding,
     columns: Columns | None = None,
 ) -> F64:
-    """Return how sure labels are: of what only their class can explain, and better than the background does.
+    """Return how far segments stand out from the other classes and from the background.
 
     Parameters
     ----------
     found, templates, classes, usual, words, decoding, columns
-        As in `margins`.
+        As in `exclusive_shares`.
 
     Returns
     -------
     float64 array (S,)
-        From 0 to 1: `margins` times 1 − exp(−v / `STANDING_OUT`), v being the value of a segment per frame.
+        From 0 to 1: `exclusive_shares` times 1 − exp(−v / `STANDING_OUT`), v being the value of a segment per frame.
     """
     a_frame = np.array([one.value / (one.stop - one.start) for one in found])
-    sure = margins(found, templates, classes, usual, words, decoding, columns)
-    return sure * -np.expm1(-a_frame / STANDING_OUT)
+    alone = exclusive_shares(found, templates, classes, usual, words, decoding, columns)
+    return alone * -np.expm1(-a_frame / STANDING_OUT)
 
 
-def margins(
+def exclusive_shares(
     found: Sequence[Explained],
     templates: Sequence[Template],
     classes: I64,

@@ -39,8 +39,10 @@ class Segment:
         The least distance in the segment.
     subclass : int
         The index of the curve that attains it.
-    confidence : float
+    margin : float
         From 0 (something else explains the frames as well) to 1 (nothing else comes near).
+    value : float
+        The value that the frames add to an explanation of the take, where the method has one; NaN otherwise.
     """
 
     start: int
@@ -48,7 +50,8 @@ class Segment:
     class_index: int
     cost: float
     subclass: int
-    confidence: float = field(default=1.0, compare=False)
+    margin: float = field(default=1.0, compare=False)
+    value: float = field(default=np.nan, compare=False)
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,7 @@ def annotate(matches: Matches, classes: I64, offsets: I64, threshold: float | F6
     offsets : int64 array (T + 1,)
         The first frame of each take, and the end. No path and no segment crosses the border of a take.
     threshold : float or float64 array (P,)
-        τ of all classes or of each, which the confidence is measured against where no other class is nearer: 1 − cost /
+        τ of all classes or of each, which the margin is measured against where no other class is nearer: 1 − cost /
         rival, the rival being the mean over the segment's frames of the nearest other class's modified curve, or the
         class's own τ where that is less.
 
@@ -278,7 +281,7 @@ def grow_runs(
         The class, the half-open range of frames, and the first frame of the least cost of each segment.
     costs : float64 array (R,)
         That cost.
-    confidences : float64 array (R,)
+    margins : float64 array (R,)
     """
     places, found = np.empty((256, 4), np.int64), 0
     for island in range(len(islands)):

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.ops.annotation.confidence import Confidence
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
@@ -53,6 +54,8 @@ class Annotator:
         Shorter segments are dropped.
     remarks : tuple of str
         Templates that are excluded, or that fit almost anything.
+    confidence : Confidence, optional
+        The probability that labels are right; segments have none without it.
     """
 
     feature_set: FeatureSet
@@ -64,6 +67,13 @@ class Annotator:
     method: AnnotationMethod
     min_frames: int = 0
     remarks: tuple[str, ...] = ()
+    confidence: Confidence | None = None
+
+    @property
+    def shapes(self) -> tuple[list[int], list[float]]:
+        """The number of columns of each template, and the share of the features that are fixed in a column."""
+        features = len(self.feature_set.features)
+        return [len(one) for one in self.templates], [one.fixed / features for one in self.templates]
 
     @cached_property
     def margins(self) -> tuple[tuple[tuple[int, int], ...], ...]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
+from kinedex.ops.annotation.confidence import evidence_of
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
@@ -42,6 +44,8 @@ class TakeAnnotation:
         Its distance curves, where they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional
         False for the templates that are not applied, as the take lacks too many of their features; None: all are.
+    confidences : tuple of float, optional
+        The probability that each segment has the right label; None where the annotator has no confidence.
     """
 
     take_id: int
@@ -49,6 +53,7 @@ class TakeAnnotation:
     preselected: F64
     curves: F32 | None
     applied: npt.NDArray[np.bool_] | None = None
+    confidences: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ def annotate_words(
         One for each take, in their order. Takes that lack features are annotated with what they know.
     """
     if words.known is None:
-        return _annotate_alike(annotator, words, store_curves, store)
+        return _with_confidences(annotator, words, _annotate_alike(annotator, words, store_curves, store))
     found: dict[int, TakeAnnotation] = {}
     for mask in words.masks:
         places, own = words.knowing(mask)
@@ -135,7 +140,18 @@ def annotate_words(
         alike = _annotate_alike(partial, own, store_curves, store) if partial is not None else _nothing(own)
         made = alike if whole else [_of_all_templates(one, annotator, chosen, store_curves) for one in alike]
         found.update(zip(places.tolist(), made, strict=True))
-    return [found[place] for place in range(len(words))]
+    return _with_confidences(annotator, words, [found[place] for place in range(len(words))])
+
+
+def _with_confidences(annotator: Annotator, words: TakeWords, found: list[TakeAnnotation]) -> list[TakeAnnotation]:
+    """Return annotations with the confidence of each segment, where the annotator has one."""
+    if annotator.confidence is None:
+        return found
+    segments = [one.segments for one in found]
+    classes = np.array([one.class_index for own in segments for one in own], np.int64)
+    evidence = evidence_of(annotator.confidence.prior.evidence, segments, words.offsets, *annotator.shapes)
+    sure = iter(annotator.confidence.of(evidence, classes).tolist())
+    return [replace(one, confidences=tuple(islice(sure, len(one.segments)))) for one in found]
 
 
 def _nothing(words: TakeWords) -> list[TakeAnnotation]:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.plugins import Plugins
 from kinedex.ops.annotation.background import background
-from kinedex.ops.annotation.decoding import Decoding, confidences, explain, lay_columns
+from kinedex.ops.annotation.decoding import Decoding, explain, lay_columns, margins
 from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode
@@ -193,14 +193,14 @@ class BestMethod:
         within = None
         if not all(own is whole or np.array_equal(own, whole) for own in ranges):
             within = [_ranges_by_take(own, words.offsets) for own in ranges]
-        takes, sure = [], []
+        takes, standing_out = [], []
         laid = words.words if self.known is None else compacted(words.words, self.known, MOST_FEATURES)
         for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
             own = laid[start:stop]
             allowed = None if within is None else [by_take[take] for by_take in within]
             found = explain(self.templates, self.usual, own, self.decoding, allowed, columns)
-            sure.append(
-                confidences(found, self.templates, self.class_index, self.usual, own, self.decoding, columns).tolist()
+            standing_out.append(
+                margins(found, self.templates, self.class_index, self.usual, own, self.decoding, columns).tolist()
             )
             takes.append(found)
         every = [
@@ -210,13 +210,13 @@ class BestMethod:
         ]
         costs = least_costs(self.quantised, words.words, ranges, *np.array(every, np.int64).reshape(-1, 3).T)
         costs[np.isinf(costs)] = np.nan
-        cost = iter(costs.tolist())
+        cost, index = iter(costs.tolist()), self.class_index.tolist()
         return [
             [
-                Segment(one.start, one.stop, int(self.class_index[one.template]), next(cost), one.template, confidence)
-                for one, confidence in zip(found, own, strict=True)
+                Segment(one.start, one.stop, index[one.template], next(cost), one.template, margin, one.value)
+                for one, margin in zip(found, own, strict=True)
             ]
-            for found, own in zip(takes, sure, strict=True)
+            for found, own in zip(takes, standing_out, strict=True)
         ]
 
 

@@ -12,6 +12,7 @@ from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence, Target, calibrate_confidence
 from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters, MethodParameters, least_frames
 from kinedex.pipelines.annotation.threshold_calibration import Calibration, calibrate
 from kinedex.pipelines.engine.executors import Executor
@@ -162,6 +163,15 @@ def calibrated_thresholds(
     """
     if params.tau != CALIBRATED or not params.annotation_method.uses_thresholds:
         return Calibration({}, {}, ())
+    learn = _learning(store, params, templates, executor)
+    actors = dict(store.takes().select("name", "actor").iter_rows())
+    return calibrate(clips(), actors, classes, params.delta, learn, executor, rejected())
+
+
+def _learning(
+    store: Store, params: MethodParameters, templates: TemplateParameters, executor: Executor
+) -> Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]:
+    """Return a function that learns templates of clips by the recipe of an archive."""
     weights = feature_weights(templates.weights, store.feature_set)
 
     def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
@@ -169,8 +179,54 @@ def calibrated_thresholds(
         found = [one for task in learn_templates(some, kinds, features, executor, weights) for one in task]
         return completed(found, templates, store.feature_set, kinds, where_possible=True)
 
-    actors = dict(store.takes().select("name", "actor").iter_rows())
-    return calibrate(clips(), actors, classes, params.delta, learn, executor, rejected())
+    return learn
+
+
+def calibrated_confidence(
+    store: Store,
+    params: MethodParameters,
+    templates: TemplateParameters,
+    classes: Classes,
+    clips: Sequence[TrainingClips],
+    takes: pl.DataFrame,
+    calibration: Calibration,
+    executor: Executor,
+    queries: Sequence[KeyframeQuery] = (),
+    learned: Sequence[KeyframeQuery] = (),
+) -> CalibratedConfidence:
+    """Learn how confident the labels of an annotation are, from examples that are left out.
+
+    Parameters
+    ----------
+    store : Store
+        The store, which has the actors of the clips.
+    params : MethodParameters
+        The method and its parameters.
+    templates : TemplateParameters
+        The parameters that templates are learned with.
+    classes : Classes
+        The classes to label with.
+    clips : sequence of TrainingClips
+        The examples.
+    takes : polars.DataFrame
+        Rows of the takes to annotate, of which lengths and actors matter.
+    calibration, executor, queries, learned
+        See `prepare_annotator`; thresholds and queries are those of all examples.
+    """
+
+    def make(some: Sequence[SubclassTemplate], words: Sequence[U64]) -> Annotator:
+        return prepare_annotator(store, params, some, classes, lambda: words, calibration, queries, learned)
+
+    return calibrate_confidence(
+        clips,
+        dict(store.takes().select("name", "actor").iter_rows()),
+        classes,
+        params.method,
+        Target(takes["frames"].to_list(), takes["actor"].to_list()),
+        _learning(store, params, templates, executor),
+        make,
+        executor,
+    )
 
 
 def annotated_classes(store: Store, params: AnnotationParameters, stage: str) -> Classes:

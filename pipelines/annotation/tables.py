@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import repeat
 
 import numpy as np
 import polars as pl
@@ -86,11 +87,12 @@ def annotations_table(
             "start_seconds": segment.start / rate_hz,
             "stop_seconds": segment.stop / rate_hz,
             "cost": None if np.isnan(segment.cost) else segment.cost,
-            "confidence": segment.confidence,
+            "confidence": confidence,
             "method": annotator.label,
+            "margin": segment.margin,
         }
         for one in sorted(found, key=lambda one: names[one.take_id])
-        for segment in one.segments
+        for segment, confidence in zip(one.segments, one.confidences or repeat(None), strict=False)
     ]
     return pa.Table.from_pylist(rows, schema=result_schema("annotations"))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
+from kinedex.pipelines.annotation.confidence_calibration import uncalibrated
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.annotation.tables import annotations_table
@@ -72,7 +74,8 @@ def annotate(
     -------
     polars.DataFrame
         One row per annotated segment, by take name and start: take, take_id (null outside of a store), class, subclass,
-        start, stop (frames, stop excluded), start_seconds, stop_seconds, cost, confidence, method.
+        start, stop (frames, stop excluded), start_seconds, stop_seconds, cost, confidence (not calibrated: that of
+        other archives; the pipeline calibrates it), method, margin.
 
     Raises
     ------
@@ -108,6 +111,7 @@ def annotate(
         clips=lambda: _clips_of(given) or chosen.every_word(),
         min_frames=least_frames(min_seconds, chosen.rate_hz),
     )
+    annotator = replace(annotator, confidence=uncalibrated(method, len(annotator.classes)))
     for remark in [*annotator.remarks, *annotator.remarks_on(chosen.known())]:
         warnings.warn(remark, stacklevel=2)
     return _table(chosen.annotate(annotator), annotator, chosen)

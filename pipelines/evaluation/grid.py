@@ -158,7 +158,7 @@ def annotate_task(task: Task) -> SegmentsByTake:
     annotator = task.annotator
     return {
         task.test_takes[one.take_id].name: tuple(
-            Segment(annotator.classes[segment.class_index], segment.start, segment.stop, float(segment.confidence))
+            Segment(annotator.classes[segment.class_index], segment.start, segment.stop, float(segment.margin))
             for segment in one.segments
         )
         for one in annotate_words(annotator, together)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import polars as pl
@@ -17,10 +17,12 @@ from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored
+from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import (
     annotation_classes,
+    calibrated_confidence,
     calibrated_thresholds,
     learned_queries,
     own_thresholds,
@@ -72,11 +74,14 @@ class Annotate(Stage[AnnotationParameters]):
             classes = annotation_classes(store, params.classes, templates)
             queries, keyframes = queries_of(store, params), context.inputs.get("keyframes")
             learned = learned_queries(store, context.key(keyframes)) if keyframes is not None else []
-            annotator, calibration = _prepared(context, store, params, templates, classes, queries, learned)
+            annotator, calibration, confidence = _prepared(
+                context, store, params, templates, classes, queries, learned, takes
+            )
             known = known_of(store.known, takes["take_id"].to_list())
             remarks = [*annotator.remarks, *calibration.remarks, *params.without_effect(), *annotator.remarks_on(known)]
             for remark in remarks:
                 context.say(remark)
+            context.say(confidence.remark)
             _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)
             writer.commit()
@@ -103,6 +108,8 @@ class Annotate(Stage[AnnotationParameters]):
             "tau": params.tau,
             "tau_by_class": _rounded(own_thresholds(params, calibration, annotator)),
             "calibration_f": _rounded(calibration.scores),
+            "confidence_segments": confidence.segments,
+            "confidence_right": confidence.right,
             "remarks": remarks,
         }
 
@@ -115,20 +122,26 @@ def _prepared(
     classes: Classes,
     queries: Sequence[KeyframeQuery],
     learned: Sequence[KeyframeQuery],
-) -> tuple[Annotator, Calibration]:
-    """Return the annotator, and the thresholds that were calibrated for it."""
+    takes: pl.DataFrame,
+) -> tuple[Annotator, Calibration, CalibratedConfidence]:
+    """Return the annotator, and the thresholds and the confidence that were calibrated for it."""
     made_with = context.params_of("templates", TemplateParameters)
+    examples = cache(lambda: training_material(store, made_with).clips)
     calibration = calibrated_thresholds(
         store,
         params,
         made_with,
         classes,
-        lambda: training_material(store, made_with).clips,
+        examples,
         context.executor,
         lambda: rejected_examples(store, made_with),
     )
     clips = partial(template_words, store, templates)
-    return prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned), calibration
+    annotator = prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned)
+    confidence = calibrated_confidence(
+        store, params, made_with, classes, examples(), takes, calibration, context.executor, queries, learned
+    )
+    return replace(annotator, confidence=confidence.confidence), calibration, confidence
 
 
 def _rounded(values: Mapping[str, float]) -> dict[str, float]:

@@ -92,7 +92,8 @@ def test_annotations_are_those_of_the_pipeline(store: kinedex.Store, demo: Path,
     assert outside["take_id"].null_count() == outside.height
     assert outside.drop("take_id").equals(found.drop("take_id"))
     if method == "thesis":
-        assert found.drop("take_id").equals(stored.drop("run", "take_id").select(found.drop("take_id").columns))
+        same = found.drop("take_id", "confidence")  # the pipeline calibrates confidence on the examples of the store
+        assert same.equals(stored.select(same.columns))
         truth = demo / "archive" / "takes" / "ground_truth.csv"
         evaluation = kinedex.evaluate(found, truth, takes=store)
         pooled = store.results("metrics").filter(evaluation="annotate", scope="pooled")

@@ -14,7 +14,7 @@ from kinedex.ops.annotation.decoding import (
     STANDING_OUT,
     Decoding,
     Explained,
-    confidences,
+    exclusive_shares,
     explain,
     margins,
 )
@@ -129,7 +129,7 @@ def test_rivals_are_the_best_explanation_by_the_other_classes(
     templates, classes = [template(one) for one in columns], np.arange(len(columns)) % 2
     taken, usual = np.array(words, np.uint64), np.array(postures)
     found = explain(templates, usual, taken, decoding)
-    sure = margins(found, templates, classes, usual, taken, decoding)
+    sure = exclusive_shares(found, templates, classes, usual, taken, decoding)
     for one, confidence in zip(found, sure.tolist(), strict=True):
         others = [other for other, label in zip(columns, classes, strict=True) if label != classes[one.template]]
         within = as_bits(words[one.start : one.stop])
@@ -147,7 +147,7 @@ def test_of_templates_that_fit_equally_the_first_is_taken() -> None:
     assert found == Explained(0, 2, 0, pytest.approx(value))
 
 
-def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> None:
+def test_an_exclusive_share_is_what_the_next_best_class_lacks_of_the_value() -> None:
     columns = [(0.9, 0.5, 0.5), (0.9, 0.9, 0.5), (0.8, 0.5, 0.5), (0.1, 0.1, 0.1)]
     templates = [template([one]) for one in columns]
     words = np.array([0b011] * 6, np.uint64)
@@ -159,8 +159,9 @@ def test_a_margin_is_the_share_of_the_value_that_the_next_best_class_lacks() -> 
     values = 6 * np.array(ratios) - 0.1
     expected = 1 - values / values[1]
     # without class 0, which has templates 0 and 1, template 2 is next; where each is a class of its own, template 0
-    assert margins(found, templates, np.array([0, 0, 1, 2]), usual, words, decoding) == pytest.approx([expected[2]])
-    assert margins(found, templates, np.arange(4), usual, words, decoding) == pytest.approx([expected[0]])
+    for classes, rival in (([0, 0, 1, 2], 2), ([0, 1, 2, 3], 0)):
+        shares = exclusive_shares(found, templates, np.array(classes), usual, words, decoding)
+        assert shares == pytest.approx([expected[rival]])
 
 
 def test_a_label_is_as_sure_as_it_stands_out_from_other_classes_and_from_the_background() -> None:
@@ -169,15 +170,15 @@ def test_a_label_is_as_sure_as_it_stands_out_from_other_classes_and_from_the_bac
     decoding = Decoding(entry=0.01, stay=0.0)
     for one in (clear, faint):
         found = explain([one], EVEN, words, decoding)
-        (sure,) = confidences(found, [one], np.array([0]), EVEN, words, decoding)
+        (sure,) = margins(found, [one], np.array([0]), EVEN, words, decoding)
         # nothing else explains the frames, so the margin is 1
         assert sure == pytest.approx(1 - math.exp(-found[0].value / 6 / STANDING_OUT))
     both = [clear, template([(0.95, 0.95, 0.5)])]
     found = explain(both, EVEN, words, decoding)
     classes = np.array([0, 1])
-    (sure,), (margin,) = (how(found, both, classes, EVEN, words, decoding) for how in (confidences, margins))
+    (sure,), (margin,) = (how(found, both, classes, EVEN, words, decoding) for how in (margins, exclusive_shares))
     assert 0 < sure < margin < 1
-    assert confidences([], both, classes, EVEN, words, decoding).tolist() == []
+    assert margins([], both, classes, EVEN, words, decoding).tolist() == []
 
 
 @pytest.mark.parametrize(

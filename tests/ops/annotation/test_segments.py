@@ -44,7 +44,7 @@ def segments_of(modified: list[list[float]], classes: list[int], tau: float = IN
 def assert_equal(found: list[Segment], expected: list[tuple[int, int, int, float, int, float]]) -> None:
     assert [(s.start, s.stop, s.class_index, s.subclass) for s in found] == [(*s[:3], s[4]) for s in expected]
     assert [s.cost for s in found] == pytest.approx([s[3] for s in expected], abs=1e-9)
-    assert [s.confidence for s in found] == pytest.approx([s[5] for s in expected], abs=1e-9)
+    assert [s.margin for s in found] == pytest.approx([s[5] for s in expected], abs=1e-9)
 
 
 @given(curves(), st.data())

@@ -73,7 +73,7 @@ def test_labelled_together_motions_in_a_row_are_told_apart():
     lengths = np.cumsum([0, *(len(motion(name)) for name in names)]).tolist()
     expected = [(lengths[i], lengths[i + 1], name) for i, name in enumerate(names) if name != "rest"]
     assert [(s.start, s.stop, ("kick", "walk")[s.class_index]) for s in found.segments] == expected
-    assert all(segment.cost == 0 and segment.confidence > 0.5 for segment in found.segments)
+    assert all(segment.cost == 0 and segment.margin > 0.5 for segment in found.segments)
     assert made.label == "templates in a row"
 
 
@@ -258,7 +258,7 @@ def test_segments_are_those_of_whole_curves_labelled_frame_by_frame(
         labels = [(s.start, s.stop, s.class_index, s.subclass) for s in take.segments]
         assert labels == [(*s[:3], s[4]) for s in expected]
         assert [s.cost for s in take.segments] == pytest.approx([s[3] for s in expected], abs=1e-9)
-        assert [s.confidence for s in take.segments] == pytest.approx([s[5] for s in expected], abs=1e-9)
+        assert [s.margin for s in take.segments] == pytest.approx([s[5] for s in expected], abs=1e-9)
 
 
 def template_ranges_of(one: Annotator, words: TakeWords) -> list[np.ndarray]:

@@ -178,7 +178,8 @@ def test_what_has_changed_is_annotated_again(tmp_path: Path):
     assert line.run(Annotate, store_curves=False)["kept_takes"] == 2
     line.run(Annotate)
     line.run(LearnTemplates, methods=["soft"], where="class IS NOT NULL AND actor = 'ann'")
-    assert line.run(Annotate)["kept_takes"] == 2  # the clips of both are the same, and so are the templates
+    # the clips of both are the same, and so are the templates; but fewer examples make labels less certain
+    assert line.run(Annotate)["kept_takes"] == 0
     write_store(line.store, [clip("walk", "ann", 1, frames_a_pose=9)])
     line.run(LearnTemplates, methods=["soft"])
     assert line.run(Annotate)["kept_takes"] == 0

@@ -1,0 +1,101 @@
+"""Reliability: do segments of a confidence hold as often as it says, and does it sort right ones from wrong ones?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.evaluation.confidence_intervals import wilson
+
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""The edges of five buckets of confidence."""
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """The segments whose confidence is in [low, high), or [low, high] in the last bucket.
+
+    Attributes
+    ----------
+    low, high : float
+        The edges.
+    count, right : int
+        The number of segments, and of right ones.
+    confidence : float
+        Their mean confidence; NaN where there is none.
+    share : float
+        The share of right ones; NaN where there is none.
+    interval : (float, float)
+        The Wilson interval of the share, at 95 %, as if segments were independent.
+    """
+
+    low: float
+    high: float
+    count: int
+    right: int
+    confidence: float
+    share: float
+    interval: tuple[float, float]
+
+
+def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -> list[Bucket]:
+    """Sort segments into buckets of confidence.
+
+    Parameters
+    ----------
+    confidences : float64 array (S,)
+        From the first edge to the last.
+    right : bool array (S,)
+        True where the label is right.
+    edges : sequence of float
+        Ascending edges of the buckets.
+    """
+    _check(confidences, right)
+    places = np.clip(np.searchsorted(np.asarray(edges), confidences, side="right") - 1, 0, len(edges) - 2)
+    found = []
+    for place, (low, high) in enumerate(pairwise(edges)):
+        own, truth = confidences[places == place], right[places == place]
+        mean, share = (float(one.mean()) if len(own) else float("nan") for one in (own, truth))
+        count, hits = len(own), int(truth.sum())
+        found.append(Bucket(low, high, count, hits, mean, share, wilson(hits, count)))
+    return found
+
+
+def auroc(scores: F64, right: Bool) -> float:
+    """Return the probability that a right segment has a higher score than a wrong one; equal ones count half.
+
+    It is the area under the receiver operating characteristic (Hanley and McNeil, 1982), NaN where all segments are
+    right or all are wrong.
+
+    Parameters
+    ----------
+    scores : float64 array (S,)
+        Higher for segments that are rather right.
+    right : bool array (S,)
+        True where the label is right.
+    """
+    _check(scores, right)
+    _, inverse, counts = np.unique(scores, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(counts) - (counts - 1) / 2)[inverse]
+    hits = int(right.sum())
+    pairs = hits * (len(right) - hits)
+    return float((ranks[right].sum() - hits * (hits + 1) / 2) / pairs) if pairs else float("nan")
+
+
+def brier(confidences: F64, right: Bool) -> float:
+    """Return the mean squared difference of confidence and truth, 0 at best (Brier, 1950); NaN without segments."""
+    _check(confidences, right)
+    return float(np.mean((confidences - right) ** 2)) if len(right) else float("nan")
+
+
+def _check(scores: F64, right: Bool) -> None:
+    if len(scores) != len(right):
+        raise ParameterError("right", f"one value for each of {len(scores)} segments", len(right))

@@ -1,0 +1,286 @@
+"""The confidence of annotations, calibrated on examples: those of some actors, annotated with templates of the others'.
+
+Labels of the takes to annotate have no part in it. The examples of a few actors at a time are left out (of a few
+takes, where the actors to annotate are those of the examples), laid end to end to takes about as long as those to
+annotate, and annotated as these will be. Of each segment it is then known whether its label is right: whether most of
+its frames are of examples of its class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.classes import Classes
+from kinedex.ops.annotation.confidence import PRIORS, UNKNOWN, Confidence, evidence_of, learn_confidence
+from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+FOLDS = 5
+"""Examples are left out in so many parts, at most."""
+
+MOST_CLIPS = 24
+"""Of each subclass so many examples take part, at most, spread evenly over their names."""
+
+MOST_LAID = 16
+"""So many examples are laid end to end, at most."""
+
+LEAST_SEGMENTS = 20
+"""A method without a prior of its own has no confidence unless so many segments are known."""
+
+Make = Callable[[Sequence[SubclassTemplate], Sequence[U64]], Annotator]
+"""A function that makes an annotator of templates and the words of their clips."""
+
+Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
+"""A function that learns templates of clips."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """The takes to annotate, as far as the calibration follows them.
+
+    Attributes
+    ----------
+    frames : sequence of int
+        Their lengths.
+    actors : sequence of str or None
+        Their actors.
+    """
+
+    frames: Sequence[int]
+    actors: Sequence[str | None]
+
+    def seen(self, actors: Iterable[str | None]) -> bool:
+        """Return whether most takes are of some known actors."""
+        known = set(actors) - {None}
+        return 2 * sum(one in known for one in self.actors) > len(self.actors)
+
+    def laid(self, lengths: Sequence[int]) -> int:
+        """Return how many clips of some lengths make a usual take: a power of two, which few new takes change."""
+        ratio = float(np.median(self.frames)) / max(float(np.median(lengths)), 1.0)
+        return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MOST_LAID)))
+
+
+@dataclass(frozen=True)
+class KnownTake:
+    """Examples laid end to end.
+
+    Attributes
+    ----------
+    words : uint64 array (L,)
+        The words.
+    known : int
+        The mask of the features that all of them know.
+    parts : tuple of (str, str, int, int)
+        Actor, class and frames [start, stop) of each example.
+    """
+
+    words: U64
+    known: int
+    parts: tuple[tuple[str, str, int, int], ...]
+
+
+@dataclass(frozen=True)
+class Part:
+    """The takes of one part of the examples, an annotator with templates of the others, and all classes of examples."""
+
+    annotator: Annotator
+    evidence: tuple[str, ...]
+    takes: tuple[KnownTake, ...]
+    labels: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Known:
+    """Segments of which it is known whether their labels are right.
+
+    Attributes
+    ----------
+    evidence : float64 array (S, E)
+        Their evidence.
+    classes : int64 array (S,)
+        Their classes.
+    right : bool array (S,)
+        True where the label is right.
+    alike : tuple of (str, str), length S
+        The actor and the class of the example that has most of their frames.
+    """
+
+    evidence: F64
+    classes: I64
+    right: Bool
+    alike: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class CalibratedConfidence:
+    """A confidence, with the number of segments that it was learned from, of those that are right, and a remark."""
+
+    confidence: Confidence | None
+    segments: int
+    right: int
+    remark: str
+
+
+def calibrate_confidence(
+    clips: Sequence[TrainingClips],
+    actors: Mapping[str, str | None],
+    classes: Classes,
+    method: str,
+    target: Target,
+    learn: Learn,
+    make: Make,
+    executor: Executor,
+) -> CalibratedConfidence:
+    """Learn how confident labels are from examples that are left out.
+
+    Parameters
+    ----------
+    clips : sequence of TrainingClips
+        The examples by subclass; of each at most `MOST_CLIPS` take part.
+    actors : mapping of str to str
+        The actor of each take by its name. Where there are not two, takes are left out one by one.
+    classes : Classes
+        The classes to label with.
+    method : str
+        The name of the method.
+    target : Target
+        The takes to annotate.
+    learn : callable
+        Learns templates of clips.
+    make : callable
+        Makes an annotator of templates and clips.
+    executor : Executor
+        The workers.
+    """
+    some, every = [_thinned(one) for one in clips], classes.of_subclass()
+    of_subclass = {one.subclass: every[one.subclass] for one in some if one.subclass in every}
+    prior = PRIORS.get(method, UNKNOWN)
+    names = {one for each in some for one in each.of_takes}
+    people = {name: actors.get(name) for name in names}
+    several = len(set(people.values())) > 1 and not target.seen(people.values())
+    groups = _parts({name: (people[name] or "") if several else name for name in names})
+    count = target.laid([len(words) for one in some for words in one.words] or [1])
+    parts = []
+    for number in sorted(set(groups.values())):
+        names = {take for take, part in groups.items() if part == number}
+        rest = [part for one in some if (part := one.without(names)).names]
+        shown = {of_subclass[one.subclass] for one in rest if one.subclass in of_subclass}
+        theirs = [part for one in some if of_subclass.get(one.subclass) in shown and (part := one.only(names)).names]
+        if theirs:
+            annotator = make(learn(rest), [words for one in rest for words in one.words])
+            takes = tuple(_laid_out(theirs, actors, of_subclass, count))
+            parts.append(Part(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
+    return _learned(method, list(executor.map(annotate_part, parts)), len(classes.names))
+
+
+_UNKNOWN = "no confidence: too few examples to leave some out, and the method has no confidence of its own"
+
+
+def uncalibrated(method: str, class_count: int) -> Confidence | None:
+    """Return the confidence that a method has without examples; None if it has no prior of its own."""
+    return _learned(method, (), class_count).confidence
+
+
+def _learned(method: str, found: Sequence[Known], class_count: int) -> CalibratedConfidence:
+    prior = PRIORS.get(method, UNKNOWN)
+    right = np.concatenate([np.empty(0, np.bool_), *(one.right for one in found)])
+    if prior is UNKNOWN and len(right) < LEAST_SEGMENTS:
+        return CalibratedConfidence(None, len(right), int(right.sum()), _UNKNOWN)
+    alike = [one for each in found for one in each.alike]
+    counts = {one: alike.count(one) for one in set(alike)}
+    evidence = np.concatenate([np.empty((0, len(prior.evidence))), *(one.evidence for one in found)])
+    classes = np.concatenate([np.empty(0, np.int64), *(one.classes for one in found)])
+    # Segments of one person and class are alike: n of them count as √n that are independent.
+    weights = np.array([counts[one] ** -0.5 for one in alike])
+    confidence = learn_confidence(prior, evidence, classes, right, weights, class_count)
+    remark = (
+        f"confidence is calibrated on {counted(len(right), 'segment')} of examples that were left out in "
+        f"{counted(len(found), 'part')}, {int(right.sum())} of them right"
+        if len(right)
+        else "confidence is not calibrated on this archive: there are too few examples to leave some out"
+    )
+    return CalibratedConfidence(confidence, len(right), int(right.sum()), remark)
+
+
+def annotate_part(part: Part) -> Known:
+    """Annotate the takes of one part, and judge their segments, in a worker.
+
+    Segments of classes without examples, such as combinations, are ignored: none of them could be right.
+    """
+    takes, offsets = part.takes, np.cumsum([0, *(len(one.words) for one in part.takes)]).astype(np.int64)
+    masks = np.array([one.known for one in takes], np.uint64)
+    known = None if (masks == ALL_KNOWN).all() else masks
+    laid = TakeWords(np.arange(len(takes)), offsets, np.concatenate([one.words for one in takes]), known)
+    annotator = replace(part.annotator, confidence=None)
+    labels = [name in part.labels for name in annotator.classes]
+    found = [
+        [segment for segment in one.segments if labels[segment.class_index]] for one in annotate_words(annotator, laid)
+    ]
+    evidence = evidence_of(part.evidence, found, offsets, *annotator.shapes)
+    classes, right, alike = [], [], []
+    for take, segments in zip(takes, found, strict=True):
+        for one in segments:
+            shares = [max(0, min(one.stop, stop) - max(one.start, start)) for _, _, start, stop in take.parts]
+            label = annotator.classes[one.class_index]
+            own = sum(share for share, (_, name, *_) in zip(shares, take.parts, strict=True) if name == label)
+            classes.append(one.class_index)
+            right.append(2 * own > one.stop - one.start)
+            alike.append(take.parts[int(np.argmax(shares))][:2])
+    return Known(evidence, np.array(classes, np.int64), np.array(right, np.bool_), tuple(alike))
+
+
+def _thinned(clips: TrainingClips) -> TrainingClips:
+    """Return at most `MOST_CLIPS` clips, spread evenly over their names."""
+    if len(clips.names) <= MOST_CLIPS:
+        return clips
+    places = np.linspace(0, len(clips.names) - 1, MOST_CLIPS).round().astype(int).tolist()
+    takes = {clips.of_takes[place] for place in places}
+    return clips.only(takes) if len(takes) < len(set(clips.of_takes)) else clips
+
+
+def _parts(group_of: Mapping[str, str]) -> dict[str, int]:
+    """Deal takes to at most `FOLDS` parts, those of a group to the same one: many first, to the smallest part."""
+    groups: dict[str, list[str]] = {}
+    for name, group in sorted(group_of.items()):
+        groups.setdefault(group, []).append(name)
+    sizes, found = np.zeros(min(FOLDS, len(groups)), np.int64), dict[str, int]()
+    for own in sorted(groups.values(), key=lambda one: (-len(one), one)):
+        part = int(np.argmin(sizes))
+        sizes[part] += len(own)
+        found |= dict.fromkeys(own, part)
+    return found
+
+
+def _laid_out(
+    clips: Sequence[TrainingClips], actors: Mapping[str, str | None], of_subclass: Mapping[str, str], count: int
+) -> Iterator[KnownTake]:
+    """Lay clips that know the same features end to end in a drawn order, so many for a take."""
+    every = [
+        (one.known, actors.get(take) or "", of_subclass[one.subclass], words)
+        for one in clips
+        for take, words in zip(one.of_takes, one.words, strict=True)
+    ]
+    drawn = [every[place] for place in np.random.default_rng(0).permutation(len(every)).tolist()]
+    for mask, group in groupby(sorted(drawn, key=lambda one: one[0]), key=lambda one: one[0]):
+        alike = list(group)
+        for first in range(0, len(alike), count):
+            yield _joined(mask, alike[first : first + count])
+
+
+def _joined(mask: int, clips: Sequence[tuple[int, str, str, U64]]) -> KnownTake:
+    edges = pairwise(np.cumsum([0, *(len(words) for _, _, _, words in clips)]).tolist())
+    parts = tuple((actor, label, *edge) for (_, actor, label, _), edge in zip(clips, edges, strict=True))
+    return KnownTake(np.concatenate([words for _, _, _, words in clips]), mask, parts)
