@@ -469,6 +469,35 @@ class Store:
         """
         return data_frame(self.stored.result_view(kind, pipeline, every=every))
 
+    def scan(self, view: str) -> pl.LazyFrame:
+        """Return a view as a lazy frame of polars, over exactly the files of this version.
+
+        A pattern such as ``frames/*.parquet`` would read the rows of older versions, too.
+
+        Parameters
+        ----------
+        view : str
+            ``takes``, ``frames``, or a view of results such as ``annotations`` or ``all_annotations``.
+
+        Returns
+        -------
+        polars.LazyFrame
+            The rows; nothing is read before ``collect``.
+
+        Raises
+        ------
+        KinedexError
+            The view is another one, or a part is damaged.
+
+        Examples
+        --------
+        >>> store.scan("frames").select("take_id").unique().collect().height == store.takes().height
+        True
+        """
+        from kinedex.storage.store.lazy_frames import scan
+
+        return scan(self.stored, view)
+
     # ---- search and ranking ------------------------------------------------------------------------------
 
     def search(self, query: Query | Iterable[Query] | str | Path, *, where: str | None = None) -> pl.DataFrame:

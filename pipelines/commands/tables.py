@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,6 +24,9 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.wording import counted
+
+if TYPE_CHECKING:
+    from kinedex.storage.store.store import Store
 
 
 class _SqlCommand(Command):
@@ -45,7 +48,7 @@ def sql(
     ] = None,
     file: Annotated[Path | None, typer.Option("--file", "-f", help="Read the statement from this file.")] = None,
     path: Annotated[
-        bool, typer.Option("--path", help="Print the path of the index file, which any DuckDB client opens.")
+        bool, typer.Option("--path", help="Write a database file of all views for any DuckDB client, print its path.")
     ] = False,
     allow_files: Annotated[
         list[Path] | None,
@@ -71,11 +74,10 @@ def sql(
     at: AtOption = None,
 ) -> None:  # fmt: skip
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
-
     if path:
         if query is not None or file is not None:
-            raise KinedexError("--path prints the path of the index file and runs no SQL: give no statement")
-        print_path(open_for_reading(store, at).index_path().absolute())
+            raise KinedexError("--path prints the path of the database file and runs no SQL: give no statement")
+        _print_database(open_for_reading(store, at))
         return
     from kinedex.pipelines.console.sql_prompt import ROWS, rows_line, run_prompt
     from kinedex.pipelines.console.terminal import make_console
@@ -98,6 +100,12 @@ def sql(
     show_table(found.table, form, output)
     if found.rows > found.table.num_rows:
         print(f"{rows_line(found)}; --limit 0 shows all", file=sys.stderr)
+
+
+def _print_database(store: Store) -> None:
+    from kinedex.storage.store.database_file import write_database
+
+    print_path(write_database(store))
 
 
 def _bound_memory() -> None:

@@ -40,6 +40,7 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.index.shard_plan import SHARD_FRAMES, ShardPlan, plan_shards, shard_parts
 from kinedex.storage.index.slice_files import write_slices
+from kinedex.storage.index.surface import surface as index_surface
 from kinedex.storage.leases import open_versions
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.frames import read_words
@@ -155,7 +156,7 @@ def _stands(store: Snapshot, generation: Path) -> bool:
     record = read_generation(generation)
     return (
         record is not None
-        and record.surface == tables.surface(store.feature_set, store.rate_hz)
+        and record.surface == index_surface(store.feature_set, store.rate_hz)
         and is_whole(generation)
     )
 
@@ -173,7 +174,7 @@ class _Start:
     lost : tuple of Shard
         Shards whose bit slices are damaged.
     surface : str
-        `tables.surface` of the generation.
+        `surface` of the generation.
     whole_bytes_per_frame : float, optional
         Bytes per frame when its file was last written whole.
     """
@@ -190,7 +191,7 @@ def _build(store: Snapshot, folder: Path, threads: int | None, memory_mb: int | 
     began = time.perf_counter()
     file = folder / FILE
     start = _copied(store, file)
-    surface = tables.surface(store.feature_set, store.rate_hz)
+    surface = index_surface(store.feature_set, store.rate_hz)
     work = plan_shards(store.manifest.frames, start.shards, shard_frames)
     connection = duck.connect(threads, memory_mb)
     try:
@@ -241,7 +242,7 @@ def _write_record(
         content=store.manifest.content_digest(),
         feature_set_digest=store.feature_set.digest,
         rate_hz=store.rate_hz,
-        surface=tables.surface(store.feature_set, store.rate_hz),
+        surface=index_surface(store.feature_set, store.rate_hz),
         shards=shards,
         rows=rows,
         valid_frames=valid_frames,

@@ -99,7 +99,7 @@ class Generation:
     rate_hz : float
         Analysis frames per second.
     surface : str
-        `storage.index.tables.surface` of its views and macros.
+        `storage.index.surface.surface` of its views and macros.
     shards : tuple of Shard
         The shards that hold its rows.
     rows : dict of str to int

@@ -10,7 +10,6 @@ vocabulary of the set, and its valid frames are in `stored_valid_runs` alone. Th
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import chain
@@ -20,13 +19,14 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet, WordSet
-from kinedex.catalog.sql.views import MACROS, VIEWS, help_rows
+from kinedex.catalog.sql.views import VIEWS
 from kinedex.ops.errors import StoreError
 from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inverted_lists
 from kinedex.ops.search.runs import FeatureRuns, WordRuns, feature_runs, word_runs
 from kinedex.ops.words import I64, NO_WORD, U64, TakeWords
 from kinedex.storage import duck
 from kinedex.storage.index.reference_tables import features_table, help_table
+from kinedex.storage.index.surface import index_statements, lists_table
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 BATCH = 122_880
@@ -191,7 +191,7 @@ def describe(connection: duck.Connection, store: Snapshot, *, anew: bool) -> Non
         "FROM stored_vocabulary GROUP BY feature_set, word ORDER BY feature_set, word"
     )
     if anew:
-        for statement in _statements(store.feature_set, store.rate_hz):
+        for statement in index_statements(store.feature_set, store.rate_hz):
             connection.execute(statement)
 
 
@@ -214,32 +214,6 @@ def valid_frames_of(connection: duck.Connection, home: WordSet) -> int:
         JOIN takes AS t ON t.take_id = r.take_id
         WHERE t.known IS NULL OR (t.known & {home.mask}::UBIGINT) = {home.mask}::UBIGINT"""
     return int(duck.rows(connection, query).column(0)[0].as_py())
-
-
-def surface(feature_set: FeatureSet, rate_hz: float) -> str:
-    """Return a hash of the views, macros and help of an index; a change of it leaves the rows valid."""
-    text = "\n".join([*_statements(feature_set, rate_hz), *map(repr, help_rows(index_only=True))])
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def lists_table(feature_set: str) -> str:
-    """Return the quoted name of the table that holds the word runs of a feature set."""
-    return duck.identifier(f"stored_word_runs_{feature_set}")
-
-
-def _statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
-    # every column stands with its table: a bare name could be taken for an argument of a macro
-    run = "s.take_id::BIGINT AS take_id, s.start, s.start + s.frames AS stop"
-    lists = [
-        f"SELECT {duck.quote(name)} AS feature_set, s.word, {run} FROM {lists_table(name)} AS s"
-        for name in sorted(feature_set.sets)
-    ]
-    return [
-        f"CREATE VIEW word_runs AS {' UNION ALL '.join(lists)}",
-        f"CREATE VIEW feature_runs AS SELECT s.feature, {run}, "
-        f"s.frames / {rate_hz!r}::DOUBLE AS seconds FROM stored_feature_runs AS s",
-        *(macro.sql() for macro in MACROS if macro.needs == "index"),
-    ]
 
 
 def clear(connection: duck.Connection) -> None:

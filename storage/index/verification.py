@@ -14,6 +14,7 @@ from kinedex.storage import duck
 from kinedex.storage.index import tables
 from kinedex.storage.index.generations import FILE, Generation, Shard, slices_name
 from kinedex.storage.index.slice_files import ShardSlices, open_slices
+from kinedex.storage.index.surface import lists_table
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 
@@ -109,7 +110,7 @@ def _shards(connection: duck.Connection, feature_set: FeatureSet, record: Genera
             connection,
             f"""SELECT coalesce(r.shard, v.shard) AS shard, r.runs IS NOT DISTINCT FROM v.runs
                 AND r.frames IS NOT DISTINCT FROM v.frames AS same
-            FROM (SELECT homes.shard, count(*) AS runs, sum(frames) AS frames FROM {tables.lists_table(name)} AS runs
+            FROM (SELECT homes.shard, count(*) AS runs, sum(frames) AS frames FROM {lists_table(name)} AS runs
                 LEFT JOIN homes ON homes.take_id = runs.take_id GROUP BY 1) AS r
             FULL JOIN (SELECT shard, sum(runs) AS runs, sum(frames) AS frames FROM stored_vocabulary
                 WHERE feature_set = {duck.quote(name)} GROUP BY 1) AS v ON r.shard = v.shard ORDER BY 1""",

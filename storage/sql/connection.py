@@ -19,7 +19,7 @@ from kinedex.storage.index.generations import (
     read_generation,
 )
 from kinedex.storage.index.reference_tables import features_table, help_table
-from kinedex.storage.index.tables import surface
+from kinedex.storage.index.surface import surface
 from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.remedies import build_index, repair
 from kinedex.storage.snapshot.label_view import shown_labels

@@ -15,6 +15,9 @@ from kinedex.storage.snapshot.schemas import PART_FOLDERS
 FOLDERS = (FOLDER, "frames", "takes", "labels", "index", "results")
 """The folders of a store."""
 
+DATABASE = "kinedex.duckdb"
+"""The file in a store with all views for other DuckDB clients (`storage.store.database_file`)."""
+
 DUCKDB_SIGNS = "?\\"
 """Characters that DuckDB does not take as they stand in the path of a file."""
 

@@ -52,6 +52,7 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.version_changes import Facts
 from kinedex.storage.store.write_access import (
+    DATABASE,
     FOLDERS,
     last_opened,
     refuse_foreign,
@@ -71,6 +72,7 @@ class StoreWriter:
     def __init__(self, path: Path, manifest: Manifest, lock: Lock) -> None:
         self.path = path
         self._committed = manifest
+        self._opened = manifest.version
         self._manifest = manifest
         self._lock = lock
         self._takes: dict[int, pa.Table] = {}
@@ -533,8 +535,17 @@ class StoreWriter:
                 empty(one)
 
     def close(self) -> None:
-        """Release the lock; changes that were not committed are dropped."""
-        self._lock.release()
+        """Release the lock; changes that were not committed are dropped.
+
+        After a commit, the database file for other clients is written anew where there is one.
+        """
+        try:
+            if self._committed.version != self._opened and (self.path / DATABASE).is_file():
+                from kinedex.storage.store.database_file import refresh_database
+
+                refresh_database(self.path)
+        finally:
+            self._lock.release()
 
     def __enter__(self) -> StoreWriter:
         return self
