@@ -85,5 +85,5 @@ def _partners(
     raise SourceError(
         source,
         f"cannot be mirrored: {shown} of one side {'has' if len(odd) == 1 else 'have'} no partner on the other; mirror "
-        "the 24 joints instead (kinedex export --skeleton joints)",
+        "the 24 joints instead (kinedex export --joints)",
     )

@@ -118,7 +118,7 @@ def mirror_plane(figure: Figure) -> MirrorPlane:
                 figure.path,
                 f"cannot be mirrored: '{names[i]}' has the channels {' '.join(kinds) or 'none'}, its partner "
                 f"'{names[other]}' {' '.join(others) or 'none'}; mirror the 24 joints instead (kinedex export "
-                "--skeleton joints)",
+                "--joints)",
             )
     axis = int(np.argmax(np.abs(fit.mapping.root_axes[0])))
     if fit.recognised:  # the root's own axes are not known: the rest pose shows its sides
@@ -230,7 +230,7 @@ def _moved(figure: Figure, tokens: Tokens, turn: F64, shift: F64) -> Tokens:
         raise SourceError(
             figure.path,
             f"cannot be moved or turned: its root '{root.name}' has the channels {has}, and needs three positions and "
-            "three rotations; change the 24 joints instead (kinedex export --skeleton joints)",
+            "three rotations; change the 24 joints instead (kinedex export --joints)",
         )
     values, columns = figure.values(tokens), [step.column for step in turns]
     order = "".join("XYZ"[step.kind] for step in turns)

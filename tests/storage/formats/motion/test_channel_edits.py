@@ -158,7 +158,7 @@ def test_what_the_channels_cannot_express_is_refused(tmp_path: Path) -> None:
     body = mixamo()
     hand = next(joint for joint in body.all() if joint.name.endswith("RightHand"))
     hand.children.append(Joint("Sword", (1.0, 2.0, 3.0)))
-    refused(body, r"cannot be mirrored: 'Sword' of one side has no partner .* --skeleton joints", mirror=True)
+    refused(body, r"cannot be mirrored: 'Sword' of one side has no partner .* --joints", mirror=True)
     body = mixamo()
     arm = next(joint for joint in body.all() if joint.name.endswith("LeftArm"))
     arm.channels = ("Xrotation", "Yrotation", "Zrotation")
