@@ -25,7 +25,7 @@ from kinedex.storage.formats.motion.source_cut import SourceCut
 CONTEXTS_S = (0.0, 0.25, 0.5, 1.0)
 """Seconds of surroundings on both sides, as of `kinedex export --context`."""
 
-EDGES = (0, 1, 2, 3, 4, 5, 10, 15, 30)
+EDGES = (0, 1, 2, 3, 4, 5, 10, 15)
 """The first distances from a cut, in frames, of the rows of the table."""
 
 
