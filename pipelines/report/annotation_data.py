@@ -96,7 +96,7 @@ def read_report_data(
     other_method, otherwise = reader.other_annotations(annotations)
     subclasses = _subclasses(pairs, annotations)
     grouped_by, rows = _takes(store, takes, reader.frame("annotated_takes")["take"].to_list())
-    chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]))
+    chosen, why = _curves_take(curves_take, [row.name for row in rows], own, set(pairs["take"]), annotations)
     records = tuple(record for record in reader.records() if record.stage != own_stage)
     drawn, others = _templates(reader, annotate, subclasses)
     column = _held_out_column(reader)
@@ -266,7 +266,7 @@ def _manual(frame: pl.DataFrame) -> tuple[Segment, ...]:
 
 
 def _curves_take(
-    wanted: str | None, names: Sequence[str], scores: Sequence[Score], with_curves: set[str]
+    wanted: str | None, names: Sequence[str], scores: Sequence[Score], with_curves: set[str], found: pl.DataFrame
 ) -> tuple[str | None, str]:
     if wanted is not None:
         if wanted not in names:
@@ -276,8 +276,11 @@ def _curves_take(
     median = median_take({name: value for name, value in f1.items() if name in with_curves})
     if median is not None:
         return median, "the median take by F (frames)"
-    first = min(with_curves, default=None)
-    return first, "the first by name" if first else ""
+    counts = dict.fromkeys(with_curves, 0) | dict(
+        found.filter(pl.col("take").is_in(list(with_curves))).group_by("take").len().iter_rows()
+    )
+    most = min(counts, key=lambda name: (-counts[name], name), default=None)
+    return most, "the one with the most segments" if most else ""
 
 
 def _curves(reader: Reader, take: str | None) -> tuple[Curve, ...]:

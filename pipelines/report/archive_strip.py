@@ -88,7 +88,10 @@ def archive_strip(takes: Sequence[TakeRow], segments: Sequence[Segment], slots: 
     if not total:
         return ArchiveStrip((), (), (), ())
     firsts = dict(zip(order, (ends - [rows[name].frames for name in order]).tolist(), strict=True))
-    shares = {label: _shares(label, segments, firsts, total) for label in slots}
+    ranges: dict[str, list[tuple[int, int]]] = {label: [] for label in slots}
+    for one in segments:
+        ranges[one.label].append((firsts[one.take] + one.start, firsts[one.take] + one.stop))
+    shares = {label: _shares(own, total) for label, own in ranges.items()}
     lanes = [_area(label, slots[label], _heights(shares[label])) for label in slots if shares[label].any()]
     bands = [
         Band(
@@ -105,12 +108,9 @@ def archive_strip(takes: Sequence[TakeRow], segments: Sequence[Segment], slots: 
     return ArchiveStrip(tuple(bands), tuple(_strip(shares, slots)), tuple(lanes), tuple(places))
 
 
-def _shares(label: str, segments: Sequence[Segment], firsts: Mapping[str, int], total: int) -> F64:
-    """Return the share of the frames of each column that have a label, float64 (BINS,)."""
-    own = np.array(
-        [(firsts[one.take] + one.start, firsts[one.take] + one.stop) for one in segments if one.label == label],
-        np.int64,
-    ).reshape(-1, 2)
+def _shares(ranges: Sequence[tuple[int, int]], total: int) -> F64:
+    """Return the share of the frames of each column that lie in ranges of a class, float64 (BINS,)."""
+    own = np.array(ranges, np.int64).reshape(-1, 2)
     own = own[np.argsort(own[:, 0], kind="stable")]
     begins = np.maximum(own[:, 0], np.concatenate(([0], np.maximum.accumulate(own[:, 1])[:-1])) if len(own) else 0)
     lengths = np.maximum(own[:, 1] - begins, 0)

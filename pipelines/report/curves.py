@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import local_minima
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.data import Curve, Segment, TakeRow
 from kinedex.pipelines.report.timelines import Bar, bar
@@ -137,7 +138,8 @@ def panel(
         lowest=lowest,
         subclasses=len(curves),
         description=f"Distance curve of {label}: {reached}, {len(marks)} minima below the threshold, "
-        f"{len(automatic)} automatic and {len(manual)} manual segments",
+        f"{counted(len(automatic), 'automatic segment')}"
+        + (f", {counted(len(manual), 'manual segment')}" if manual else ""),
     )
 
 

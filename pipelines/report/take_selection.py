@@ -129,7 +129,8 @@ def _by_findings(names: Sequence[str], findings: Mapping[str, Findings], max_tak
     looks = sorted(most, key=lambda name: (-findings[name].doubted, findings[name].least, name))
     empty = sorted(set(names) - set(most))
     if len(names) <= OPEN_ALL and len(names) <= max_takes:
-        return Choice((*most, *empty), (), "the take with the most segments first")
+        doubted = tuple(name for name in looks if findings[name].doubted)
+        return Choice((*most, *empty), (), "the take with the most segments first", look=doubted)
     look = looks[: max_takes // 2]
     rest = [name for name in most if name not in look][: max_takes - len(look)]
     first = [*rest[: OPEN // 2], *look[: OPEN - len(rest[: OPEN // 2])]]
