@@ -5,31 +5,40 @@ are annotated and judged, and nothing else is done with them. The templates begi
 actors. The takes of the other actors are annotated, and a simulated person looks at a few segments in each round: what
 overlaps ground truth of its class becomes an example with the true edges, what agrees with another class an example of
 that one, and the rest is rejected. Then everything is learned and annotated again. The orders in which segments are
-looked at are compared: by confidence, by disagreement of `best` and `thesis`, at random. Where no take of another actor
-has ground truth, the clips of each other actor are laid end to end.
+looked at are compared: by confidence, by margin, by disagreement of `best` and `thesis`, at random. Where no take of
+another actor has ground truth, the clips of each other actor are laid end to end; where none has any, so are those of
+the actors who are left out, a third of all. With `--queries`, keyframe queries are learned from the examples of the
+last round, with and without what was rejected, and takes are annotated within their hits.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, load_classes
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.confidence_calibration import Target, calibrate_confidence
 from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.annotation.threshold_calibration import calibrate
+from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import Executor, make_executor
+from kinedex.pipelines.keyframes.learning import every_query, training_sets
+from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
+from kinedex.pipelines.keyframes.runs import learn
 from kinedex.pipelines.labels.segments import placed_files
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
@@ -41,7 +50,9 @@ DELTA, TAU = 0.05, 0.13
 AGREES = 0.5
 """A segment agrees with a manual one if they share this part of their union."""
 
-ORDERS = ("least confident", "methods disagree", "random", "most confident")
+PARTS = 3  # of the actors, where none has takes with ground truth
+
+ORDERS = ("least confident", "smallest margin", "methods disagree", "random", "most confident")
 
 
 @dataclass(frozen=True)
@@ -52,6 +63,10 @@ class Motion:
     actor: str
     words: U64
     truth: tuple[tuple[str, int, int], ...]
+
+
+Found = tuple[Motion, str, Segment, float | None]
+"""A segment with its motion, its class and its confidence, where it is calibrated."""
 
 
 @dataclass
@@ -99,7 +114,9 @@ def _shared(start: int, stop: int, first: int, last: int) -> float:
     return max(0, min(stop, last) - max(start, first)) / (max(stop, last) - min(start, first))
 
 
-def motions_of(store: Store, classes: Classes, truth_file: Path | None) -> tuple[list[Motion], list[Motion]]:
+def motions_of(
+    store: Store, classes: Classes, clips: pl.DataFrame, truth_file: Path | None
+) -> tuple[list[Motion], list[Motion]]:
     """Return the takes with ground truth, of the store or of a file, and the clips of each actor laid end to end."""
     rows = {row["name"]: row for row in store.takes().iter_rows(named=True)}
     names = {row["take_id"]: name for name, row in rows.items()}
@@ -107,7 +124,7 @@ def motions_of(store: Store, classes: Classes, truth_file: Path | None) -> tuple
     if truth_file is not None:
         for one in placed_files(store, [read_labels(truth_file)]).segments:
             segments[one.take].append((one.label, int(one.start), int(one.stop)))
-    else:
+    elif store.result("ground_truth").num_rows:
         for (take_id, label), ranges in truth_of(store).items():
             segments[names[take_id]] += [(label, *one) for one in ranges]
     takes = [
@@ -116,9 +133,7 @@ def motions_of(store: Store, classes: Classes, truth_file: Path | None) -> tuple
     ]
     of = classes.of_subclass()
     laid = []
-    for (actor,), group in (
-        store.takes("class IS NOT NULL").sort("actor", "name").group_by("actor", maintain_order=True)
-    ):
+    for (actor,), group in clips.sort("actor", "name").group_by("actor", maintain_order=True):
         words, truth, at = [], [], 0
         for take_id, subclass in (
             group.sample(fraction=1.0, shuffle=True, seed=1).select("take_id", "class").iter_rows()
@@ -131,32 +146,55 @@ def motions_of(store: Store, classes: Classes, truth_file: Path | None) -> tuple
 
 
 def annotator(
-    store: Store, templates: Sequence[SubclassTemplate], person: Person, method: str, tau: object
+    store: Store,
+    templates: Sequence[SubclassTemplate],
+    person: Person,
+    method: str,
+    tau: object = TAU,
+    queries: Sequence[KeyframeQuery] = (),
 ) -> Annotator:
     """Return an annotator of one method with templates of a person's examples."""
-    known = load_classes(OWN, {one.subclass for one in templates})
+    known = load_classes(OWN, {one.subclass for one in person.clips()})
     thresholds = tau if isinstance(tau, dict) else dict.fromkeys(known.names, TAU)
     return make_annotator(
-        store.feature_set, templates, known, DELTA, thresholds, method=annotation_method(method),
+        store.feature_set, templates, known, DELTA, thresholds, queries, method=annotation_method(method),
         clips=lambda: list(person.examples.values()),
     )  # fmt: skip
 
 
-def segments_of(made: Annotator, motions: Sequence[Motion]) -> list[tuple[Motion, str, Segment]]:
-    """Annotate motions, and return each segment with its motion and class."""
+def with_confidence(
+    store: Store, made: Annotator, person: Person, pool: Sequence[Motion], executor: Executor
+) -> Annotator:
+    """Return an annotator of `best` with a confidence that is calibrated on a person's examples."""
+    clips = person.clips()
+    found = calibrate_confidence(
+        clips,
+        person.actors,
+        load_classes(OWN, {one.subclass for one in clips}),
+        "best",
+        Target([len(one.words) for one in pool], [one.actor for one in pool]),
+        lambda some: learned(store, some, executor),
+        lambda templates, _: annotator(store, templates, person, "best"),
+        executor,
+    )
+    return replace(made, confidence=found.confidence)
+
+
+def segments_of(made: Annotator, motions: Sequence[Motion]) -> list[Found]:
+    """Annotate motions, and return each segment with its motion, class and confidence."""
     offsets = np.cumsum([0, *(len(one.words) for one in motions)]).astype(np.int64)
     words = TakeWords(np.arange(len(motions)), offsets, np.concatenate([one.words for one in motions]))
     return [
-        (motion, made.classes[segment.class_index], segment)
+        (motion, made.classes[segment.class_index], segment, sure)
         for motion, one in zip(motions, annotate_words(made, words), strict=True)
-        for segment in one.segments
+        for segment, sure in zip(one.segments, one.confidences or repeat(None), strict=False)
     ]
 
 
-def judged(found: Sequence[tuple[Motion, str, Segment]], motions: Sequence[Motion]) -> Counts:
+def judged(found: Sequence[Found], motions: Sequence[Motion]) -> Counts:
     """Count the agreement of segments and ground truth over all motions and classes."""
     automatic, manual = defaultdict(list), defaultdict(list)
-    for motion, label, segment in found:
+    for motion, label, segment, _ in found:
         automatic[motion.name, label].append((segment.start, segment.stop))
     for motion in motions:
         for label, start, stop in motion.truth:
@@ -164,25 +202,21 @@ def judged(found: Sequence[tuple[Motion, str, Segment]], motions: Sequence[Motio
     return pooled(compare(automatic[key], manual[key]) for key in sorted({*automatic, *manual}))
 
 
-def ordered(
-    order: str,
-    best: Sequence[tuple[Motion, str, Segment]],
-    thesis: Sequence[tuple[Motion, str, Segment]],
-    random: np.random.Generator,
-) -> list[tuple[Motion, str, Segment]]:
+def ordered(order: str, best: Sequence[Found], thesis: Sequence[Found], random: np.random.Generator) -> list[Found]:
     """Return segments of `best` in the order in which a person looks at them."""
     others: Mapping[tuple[str, str], list[Segment]] = defaultdict(list)
-    for motion, label, segment in thesis:
+    for motion, label, segment, _ in thesis:
         others[motion.name, label].append(segment)
 
-    def agreement(one: tuple[Motion, str, Segment]) -> float:
-        motion, label, segment = one
+    def agreement(one: Found) -> float:
+        motion, label, segment, _ = one
         shares = [_shared(segment.start, segment.stop, own.start, own.stop) for own in others[motion.name, label]]
         return max(shares, default=0.0)
 
-    keys: dict[str, Callable[[tuple[Motion, str, Segment]], float]] = {
-        "least confident": lambda one: one[2].confidence,
-        "most confident": lambda one: -one[2].confidence,
+    keys: dict[str, Callable[[Found], float]] = {
+        "least confident": lambda one: one[3] or 0.0,
+        "smallest margin": lambda one: one[2].margin,
+        "most confident": lambda one: -(one[3] or 0.0),
         "methods disagree": agreement,
         "random": lambda one: float(random.random()),
     }
@@ -210,6 +244,20 @@ def calibrated(store: Store, person: Person, executor: Executor, *, negatives: b
     return {name: found.get(name, TAU) for name in classes.names}
 
 
+def learned_queries(
+    store: Store, person: Person, runs: int, executor: Executor, *, negatives: bool
+) -> list[KeyframeQuery]:
+    """Return keyframe queries of a person's examples, with or without what was rejected."""
+    clips = person.clips()
+    shipped = load_pipeline("keyframes").stage("learn_keyframes").params
+    assert isinstance(shipped, KeyframeParameters)
+    params = shipped.model_copy(update={"runs": runs})
+    classes = load_classes(OWN, {one.subclass for one in clips})
+    wanted = training_sets(clips, classes, person.rejected if negatives else ())
+    outcomes = [one.outcome for one in learn(wanted, setting_of(params, store), params.rounds(), executor)]
+    return every_query(outcomes, store.feature_set)
+
+
 def simulate(
     store: Store,
     seeds: Person,
@@ -218,29 +266,36 @@ def simulate(
     order: str,
     given: argparse.Namespace,
     seed: int,
-) -> tuple[list[Counts], dict[str, Counts]]:
-    """Return the agreement on unseen takes after each round, and that of `thesis` with thresholds of the last round."""
+) -> tuple[list[Counts], dict[tuple[str, bool], Counts]]:
+    """Return the agreement on unseen takes after each round, and that of the last round with and without rejections."""
     executor = make_executor("serial", None)
     random = np.random.default_rng(seed)
     person = Person(dict(seeds.examples), seeds.actors)
     curve: list[Counts] = []
     templates = learned(store, person.clips(), executor)
     for number in range(given.rounds + 1):
-        best = annotator(store, templates, person, "best", TAU)
+        best = annotator(store, templates, person, "best")
         curve.append(judged(segments_of(best, test), test))
         if number == given.rounds:
             break
+        if "confident" in order:
+            best = with_confidence(store, best, person, pool, executor)
         of_best = [one for one in segments_of(best, pool) if not person.has_seen(one[0], one[2])]
-        thesis = annotator(store, templates, person, "thesis", TAU) if order == "methods disagree" else None
+        thesis = annotator(store, templates, person, "thesis") if order == "methods disagree" else None
         of_thesis = segments_of(thesis, pool) if thesis is not None else []
-        for motion, label, segment in ordered(order, of_best, of_thesis, random)[: given.each]:
+        for motion, label, segment, _ in ordered(order, of_best, of_thesis, random)[: given.each]:
             person.look(motion, label, segment)
         templates = learned(store, person.clips(), executor)
     ends = {}
-    for name, negatives in (("without", False), ("with", True)):
+    for negatives in (False, True):
         taus = calibrated(store, person, executor, negatives=negatives)
-        ends[name] = judged(segments_of(annotator(store, templates, person, "thesis", taus), test), test)
-    return curve, ends
+        ends["thesis, calibrated τ", negatives] = annotator(store, templates, person, "thesis", taus)
+        if given.queries:
+            queries = learned_queries(store, person, given.runs, executor, negatives=negatives)
+            for method in ("thesis", "best"):
+                made = annotator(store, templates, person, method, queries=queries)
+                ends[f"{method}, learned queries", negatives] = made
+    return curve, {name: judged(segments_of(made, test), test) for name, made in ends.items()}
 
 
 def main() -> None:
@@ -251,41 +306,68 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, help="label file with ground truth; that of the store unless given")
     parser.add_argument("--rounds", type=int, default=6, help="rounds")
     parser.add_argument("--each", type=int, default=10, help="segments that the person looks at in a round")
-    parser.add_argument("--actors", type=int, default=3, help="actors to leave out, at most")
+    parser.add_argument("--actors", type=int, default=3, help="actors (or parts of them) to leave out, at most")
     parser.add_argument("--draws", type=int, default=1, help="draws of the first clips for each actor")
+    parser.add_argument("--orders", nargs="+", choices=ORDERS, default=ORDERS, help="orders to compare")
+    parser.add_argument("--least", type=int, default=1, help="classes with fewer clips are excluded")
+    parser.add_argument("--most", type=int, help="clips of an actor and class that take part, at most")
+    parser.add_argument("--queries", action="store_true", help="learn keyframe queries with and without rejections")
+    parser.add_argument("--runs", type=int, default=8, help="runs of keyframe learning, at most")
     given = parser.parse_args()
     store = open_store(given.store)
-    clips = store.takes("class IS NOT NULL")
+    clips = clips_of(store, given.least, given.most)
     classes = load_classes(given.classes, set(clips["class"]))
-    takes, laid = motions_of(store, classes, given.truth)
     curves, ends = defaultdict(list), defaultdict(list)
-    left_out = sorted({one.actor for one in takes})[: given.actors]
-    for actor in left_out:
-        test = [one for one in takes if one.actor == actor]
-        pool = [one for one in takes if one.actor != actor] or [one for one in laid if one.actor != actor]
+    parts = list(parts_of(store, classes, clips, given))
+    for actors, pool, test in parts:
         for seed in range(given.draws):
-            others = clips.filter(pl.col("actor") != actor)
-            of = classes.of_subclass()
-            others = others.with_columns(pl.col("class").replace(of))
+            others = clips.filter(~pl.col("actor").is_in(actors))
+            others = others.with_columns(pl.col("class").replace(classes.of_subclass()))
             first = others.filter(pl.col("name").is_in(draw(others, 1, seed)))
             words = {row["name"]: store.words([row["take_id"]]).take(0) for row in first.iter_rows(named=True)}
-            people = {one.name: one.actor for one in (*takes, *laid)} | dict(first.select("name", "actor").iter_rows())
+            people = {one.name: one.actor for one in (*pool, *test)} | dict(first.select("name", "actor").iter_rows())
             seeds = Person(
                 {(row["class"], row["name"]): words[row["name"]] for row in first.iter_rows(named=True)}, people
             )
-            for order in ORDERS:
+            for order in given.orders:
                 curve, end = simulate(store, seeds, pool, test, order, given, seed)
                 curves[order].append([one.f1 for one in curve])
-                ends[order].append([value for name in ("without", "with") for value in (end[name].f1, end[name].f2)])
-    print(f"{len(left_out)} actors left out, {given.draws} draws; at first one clip of {len(seeds.examples)} classes\n")
+                for (name, negatives), counts in end.items():
+                    ends[order, name, negatives].append([counts.f1, counts.f2])
+    print(f"{len(parts)} parts left out, {given.draws} draws; at first one clip of {len(seeds.examples)} classes\n")
     print(f"| looked at | {' | '.join(str(given.each * number) for number in range(given.rounds + 1))} |")
     print(f"|---|{'--:|' * (given.rounds + 1)}")
     for order, rows in curves.items():
         print(f"| {order} | {' | '.join(f'{value:.2f}' for value in np.mean(rows, axis=0))} |")
-    print("\n| calibrated thresholds, last round | F (frames) | F (segments) | with rejections | F (segments) |")
-    print("|---|--:|--:|--:|--:|")
-    for order, rows in ends.items():
-        print(f"| {order} | {' | '.join(f'{value:.2f}' for value in np.mean(rows, axis=0))} |")
+    print("\n| last round | | F (frames) | F (segments) | with rejections | F (segments) |")
+    print("|---|---|--:|--:|--:|--:|")
+    for order, name in dict.fromkeys((order, name) for order, name, _ in ends):
+        cells = [value for negatives in (False, True) for value in np.mean(ends[order, name, negatives], axis=0)]
+        print(f"| {order} | {name} | {' | '.join(f'{value:.3f}' for value in cells)} |")
+
+
+def clips_of(store: Store, least: int, most: int | None) -> pl.DataFrame:
+    """Return the clips of classes that have enough, of each actor and class at most so many."""
+    clips = store.takes("class IS NOT NULL AND actor IS NOT NULL").sort("name")
+    clips = clips.filter(pl.len().over("class") >= least)
+    return clips if most is None else clips.filter(pl.int_range(pl.len()).over("actor", "class") < most)
+
+
+def parts_of(
+    store: Store, classes: Classes, clips: pl.DataFrame, given: argparse.Namespace
+) -> Iterator[tuple[list[str], list[Motion], list[Motion]]]:
+    """Yield the actors of each part that is left out, the motions of others to look at, and those to judge."""
+    takes, laid = motions_of(store, classes, clips, given.truth)
+    if takes:
+        for actor in sorted({one.actor for one in takes})[: given.actors]:
+            pool = [one for one in takes if one.actor != actor] or [one for one in laid if one.actor != actor]
+            yield [actor], pool, [one for one in takes if one.actor == actor]
+    else:
+        actors = sorted({one.actor for one in laid})
+        for place in range(given.actors):
+            own = actors[place::PARTS]
+            test = [one for one in laid if one.actor in own]
+            yield own, [one for one in laid if one.actor not in own], test
 
 
 if __name__ == "__main__":
