@@ -14,9 +14,8 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin, turned_quaternions
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
-from kinedex.ops.body.resample import resample
+from kinedex.ops.body.resample import covered_frames, resample
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.pipelines.annotation.labels import source_frame
 from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.request import How
 from kinedex.storage.formats.motion.joint_motion import JointMotion
@@ -126,6 +125,7 @@ def source_cut(row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | No
         Skeleton mappings of the store.
     """
     first, last = source_frames(row, clip.first, clip.last)
+    start, stop = source_frames(row, clip.start, clip.stop)
     return SourceCut(
         Path(row["source_root"]) / row["source"],
         skeleton,
@@ -136,7 +136,7 @@ def source_cut(row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | No
         mirror=clip.mirrored,
         rate_hz=how.rate_hz,
         in_place=how.in_place,
-        inner=source_frames(row, clip.start, clip.stop),
+        inner=(max(first, start), min(last, stop)),
         checksum=row["checksum"],
         mappings=mappings,
     )
@@ -144,10 +144,5 @@ def source_cut(row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | No
 
 def source_frames(row: Mapping[str, Any], start: int, stop: int) -> tuple[int, int]:
     """Return the frames of a take's source at analysis frames [start, stop); the whole source for the whole take."""
-    count = int(row["source_frames"])
-    if stop == row["frames"]:
-        last = count
-    else:
-        last = source_frame(stop, float(row["source_rate_hz"]), float(row["rate_hz"]), count)
-    first = source_frame(start, float(row["source_rate_hz"]), float(row["rate_hz"]), count)
-    return min(first, count - 1), max(last, min(first, count - 1) + 1)
+    rates = float(row["source_rate_hz"]), float(row["rate_hz"])
+    return covered_frames(start, stop, int(row["source_frames"]), *rates)
