@@ -9,7 +9,7 @@ from xml.parsers import expat
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
-from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, read_bytes, refuse_long, refuse_many, shown
+from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, label_bytes, refuse_long, refuse_many, shown
 
 DEEPEST = 100
 """Levels of elements; EAF files have six."""
@@ -220,7 +220,7 @@ def read(path: str | Path) -> LabelFile:
         The file is no XML or no EAF, has a document type declaration (none is followed, no entity is expanded), a time
         is missing or out of order, or the file is beyond a limit; the error names the line.
     """
-    data = read_bytes(path)
+    data = label_bytes(path)
     parser = expat.ParserCreate()
     document = _Document(str(path), parser)
     parser.buffer_text = True

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.csv_cells import csv_line, unguarded
+from kinedex.storage.formats.csv_cells import csv_line
+from kinedex.storage.formats.csv_tables import CsvTable
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
 from kinedex.storage.formats.labels.texts import (
     LONGEST_SECONDS,
     MOST_LABELS,
-    open_lines,
+    label_bytes,
     parse_seconds,
     read_text,
     refuse_long,
@@ -76,9 +76,11 @@ def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
 def read_csv(path: str | Path) -> LabelFile:
     """Read a CSV file with a header and the columns take, class, start, stop; further columns are ignored.
 
+    Separator, encoding and decimal comma are those of `storage.formats.csv_tables`, so that files of Excel are read.
+
     start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
     start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, records that
-    somebody looked at the take. The text is UTF-8, with or without a byte order mark.
+    somebody looked at the take.
 
     Parameters
     ----------
@@ -91,30 +93,25 @@ def read_csv(path: str | Path) -> LabelFile:
         A column is missing, a name is empty, a frame is no whole number, a segment does not end after its start, or the
         file is beyond a limit; the error names the line.
     """
-    try:
-        rows = list(_csv_rows(str(path), csv.DictReader(open_lines(path, newline=""))))
-    except csv.Error as fault:
-        raise SourceError(path, f"is not a CSV file: {fault}") from None
+    rows = list(_csv_rows(str(path), CsvTable.of(path, label_bytes(path))))
     segments = tuple(segment for _, segment in rows if segment is not None)
     return LabelFile(str(path), tuple(dict.fromkeys(take for take, _ in rows)), segments)
 
 
-def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, ManualSegment | None]]:
+def _csv_rows(path: str, table: CsvTable) -> Iterator[tuple[str, ManualSegment | None]]:
     """Yield the take of each row, and its segment if it has one."""
-    header = [(name or "").strip() for name in reader.fieldnames or ()]
+    header = table.header
     if not header:
         raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
-    reader.fieldnames = header
     edges = SECONDS if not set(FRAMES) & set(header) and set(SECONDS) & set(header) else FRAMES
     columns = (*NAMES, *edges)
     parse = _frame if edges is FRAMES else _second
     for name in columns:
         if name not in header:
             raise SourceError(path, f"has no column '{name}'{did_you_mean(name, header)}", line=1)
-    for count, row in enumerate(reader, 1):
-        line = reader.line_num
+    for count, (line, row) in enumerate(table.rows(), 1):
         refuse_many(path, count, line)
-        texts = {name: unguarded((row[name] or "").strip()) for name in columns}
+        texts = {name: row[name] for name in columns}
         if not any(texts.values()):
             continue
         take = texts["take"]
@@ -125,7 +122,7 @@ def _csv_rows(path: str, reader: csv.DictReader[str]) -> Iterator[tuple[str, Man
             if not texts[name]:
                 raise SourceError(path, f"{name} is empty", line=line)
             refuse_long(path, len(texts[name]), line, name)
-        start, stop = (parse(path, line, name, texts[name]) for name in edges)
+        start, stop = (parse(path, line, name, table.number(texts[name])) for name in edges)
         if start >= stop:
             unit = "half-open source frames" if edges is FRAMES else "seconds"
             raise SourceError(path, f"start {start} must be before stop {stop} ({unit})", line=line)

@@ -7,12 +7,10 @@ import re
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.small_files import read_bytes
 
 LONGEST_SECONDS = 10_000_000
 """Of a take; a label that ends later is a slip of the pen."""
-
-MOST_BYTES = 64_000_000
-"""Bytes of a label file; a larger one is refused before it is read."""
 
 MOST_LABELS = 500_000
 """Labels, and takes, of a label file."""
@@ -23,27 +21,14 @@ MOST_LETTERS = 100_000
 _SECONDS = re.compile(r"[0-9]{1,9}(?:\.[0-9]{1,20})?|\.[0-9]{1,20}", re.ASCII)
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Return the bytes of a file; a SourceError reports that it cannot be read, or is larger than `MOST_BYTES`."""
-    try:
-        with Path(path).open("rb") as file:
-            size = file.seek(0, io.SEEK_END) if file.seekable() else 0
-            if size <= MOST_BYTES:
-                if size:
-                    file.seek(0)
-                data = file.read(MOST_BYTES + 1)
-                size = len(data)
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    if size > MOST_BYTES:
-        got = f"has {size / 1e6:.1f} MB" if size != MOST_BYTES + 1 else "is larger"
-        raise SourceError(path, f"{got}; label files have at most {MOST_BYTES / 1e6:g} MB: divide it by takes")
-    return data
+def label_bytes(path: str | Path) -> bytes:
+    """Return the bytes of a label file; a SourceError reports that it cannot be read, or is too large."""
+    return read_bytes(path, "label files", "divide it by takes")
 
 
 def read_text(path: str | Path) -> str:
     """Return a file as UTF-8 text, without a byte order mark; a SourceError reports another encoding."""
-    return _decoded(path, read_bytes(path))
+    return _decoded(path, label_bytes(path))
 
 
 def _decoded(path: str | Path, data: bytes) -> str:
@@ -63,7 +48,7 @@ def open_lines(path: str | Path, newline: str | None = None) -> io.TextIOWrapper
     newline : str or None
         As for `open`: None to end every line by LF, whatever ends it in the file (LF, CR LF, CR); "" to leave it so.
     """
-    data = read_bytes(path)
+    data = label_bytes(path)
     _decoded(path, data)  # a fault is found here, with its place in the whole file
     return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=newline)
 

@@ -22,6 +22,13 @@ def test_segments_are_read_with_their_lines_whatever_wrote_the_file(tmp_path: Pa
     assert segments == [("t1", "walk", 0, 12, 2), ("t2", "kick", 5, 6, 4)]
 
 
+def test_a_file_of_excel_has_semicolons_decimal_commas_and_windows_letters(tmp_path: Path):
+    text = "sep=;\r\ntake;class;start_seconds;stop_seconds;remark\r\nt1;Fußtritt;0,5;12;a;b\r\n"
+    for encoding in ("cp1252", "utf-8-sig", "utf-16"):
+        (segment,) = read_ground_truth(written(tmp_path, text.encode(encoding))).segments
+        assert (segment.label, segment.start, segment.stop, segment.line) == ("Fußtritt", 0.5, 12.0, 3)
+
+
 def test_a_row_of_a_take_alone_says_that_nothing_is_in_it(tmp_path: Path):
     path = written(tmp_path, "take,class,start,stop,remark\nt1,walk,0,12,\nt2,,,,looked at\nt1,,,,\n")
     found = read_ground_truth(path)
@@ -42,7 +49,7 @@ def test_a_row_of_a_take_alone_says_that_nothing_is_in_it(tmp_path: Path):
         ("take,class,start,stop\nt,,0,12\n", r"csv:2: class is empty"),
         ("take,class,start,stop\nt,walk,,\n", r"csv:2: start must be.*got ''"),
         ("take,class,start,stop\n,walk,0,12\n", r"csv:2: take is empty"),
-        (b"take,class,start,stop\nt,\xff,0,12\n", r"csv: is not UTF-8 text"),
+        (b"take,class,start,stop\nt,\x81,0,12\n", r"csv: is not UTF-8 text"),
     ],
 )
 def test_a_fault_is_named_with_file_and_line(tmp_path: Path, text: str | bytes, message: str):

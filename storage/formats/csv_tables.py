@@ -1,0 +1,134 @@
+"""CSV files that people save: of Excel in any language, of LibreOffice, of scripts.
+
+The separator is a comma, a semicolon or a tab, whichever the header has; Excel's "sep=;" in the first line counts.
+The text is UTF-8, with or without a byte order mark, UTF-16 with one, or Windows-1252, in which Excel writes "CSV".
+With a separator other than the comma, a comma can divide a number from its decimals.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.csv_cells import unguarded
+
+SEPARATORS = (",", ";", "\t")
+
+_QUOTED = re.compile(r'"(?:[^"]|"")*"?')
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_DECIMAL_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)")
+
+
+def decoded(path: str | Path, data: bytes) -> str:
+    """Return the bytes of a CSV file as text.
+
+    Raises
+    ------
+    SourceError
+        The bytes are text in none of the encodings.
+    """
+    encodings = [encoding for mark, encoding in _MARKS if data.startswith(mark)] or ["utf-8", "cp1252"]
+    first: UnicodeDecodeError | None = None
+    for encoding in encodings:
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError as fault:
+            first = first or fault
+    assert first is not None
+    raise SourceError(path, f"is not UTF-8 text, nor Windows-1252 (byte {first.start}); save it as CSV UTF-8")
+
+
+@dataclass
+class CsvTable:
+    """A CSV file with a header, read row by row.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    header : list of str
+        The names of the columns, without blanks around them; empty for an empty file.
+    separator : str
+        The separator of cells.
+    """
+
+    path: str
+    header: list[str]
+    separator: str
+    _reader: Iterator[list[str]] = field(repr=False)
+    _lines_before: int = 0
+
+    @classmethod
+    def of(cls, path: str | Path, data: bytes) -> CsvTable:
+        """Begin to read the bytes of a CSV file.
+
+        Raises
+        ------
+        SourceError
+            The bytes are no text, or no CSV.
+        """
+        text = decoded(path, data)
+        first, _, rest = text.partition("\n")
+        named = re.fullmatch(r"sep=(.)\r?", first, re.IGNORECASE)
+        before = 1 if named is not None and named[1] in SEPARATORS else 0
+        text = rest if before else text
+        separator = named[1] if named is not None and before else _separator(text)
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        table = cls(str(path), [], separator, reader, before)
+        header = next((cells for _, cells in table._rows() if any(cells)), [])
+        while header and not header[-1]:
+            header.pop()  # Excel ends lines with separators where a column was emptied
+        table.header = header
+        return table
+
+    @property
+    def decimal_comma(self) -> bool:
+        """True if a comma can divide a number from its decimals."""
+        return self.separator != ","
+
+    def rows(self, *, strict: bool = False) -> Iterator[tuple[int, dict[str, str]]]:
+        """Yield the line of each row, and column → cell without blanks around it; rows without any text are skipped.
+
+        Parameters
+        ----------
+        strict : bool
+            Refuse rows with more cells than the header; by default the further cells are ignored.
+
+        Raises
+        ------
+        SourceError
+            The file is no CSV, or a row is refused.
+        """
+        width = len(self.header)
+        for line, cells in self._rows():
+            if strict and any(cells[width:]):
+                raise SourceError(self.path, f"has {len(cells)} cells, and the header has {width}", line=line)
+            if any(cells):
+                cells += [""] * (width - len(cells))
+                yield line, dict(zip(self.header, cells, strict=False))
+
+    def number(self, text: str) -> str:
+        """Return the text of a number with a decimal point, where it has a decimal comma; else the text."""
+        found = _DECIMAL_COMMA.fullmatch(text) if self.decimal_comma else None
+        return f"{found[1]}.{found[2]}" if found else text
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        try:
+            for cells in self._reader:
+                line = self._lines_before + self._reader.line_num  # type: ignore[attr-defined]
+                yield line, [unguarded(cell.strip()) for cell in cells]
+        except csv.Error as fault:
+            raise SourceError(self.path, f"is not a CSV file: {fault}") from None
+
+
+def _separator(text: str) -> str:
+    """Return the separator that the first line with text has most of, outside of quotes."""
+    header = next((line for line in io.StringIO(text) if line.strip()), "")
+    bare = _QUOTED.sub("", header)
+    return max(SEPARATORS, key=lambda one: (bare.count(one), -SEPARATORS.index(one)))
