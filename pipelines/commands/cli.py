@@ -9,6 +9,7 @@ from contextlib import suppress
 # Importing a module registers its commands, in the order of the help. They import what they need when they run.
 from kinedex.pipelines.commands import (  # noqa: F401
     changes,
+    drafts,
     duplicates,
     export,
     history,

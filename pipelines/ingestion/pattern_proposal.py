@@ -1,0 +1,283 @@
+"""Proposals of patterns for the paths of an archive: which token looks like actor, class, number or style."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from kinedex.pipelines.ingestion.path_tokens import Column, Layout, layouts
+
+MOST_PATTERNS = 8
+"""Most patterns of a proposal; further layouts are counted as unmatched."""
+
+_MOTIONS = frozenset(
+    """
+    walk run jog jump hop skip leap kick punch box fight hit sit stand lie crouch squat kneel bend turn rotate spin
+    throw catch grab pick put place deposit lift carry push pull wave clap point reach raise shake nod bow dance salsa
+    climb crawl sneak march stroll strut limp step shuffle stop start idle rest sleep fall roll stretch swing swim cart
+    cartwheel handstand somersault flip bounce dribble shoot pass serve golf tennis basketball guide call byebye hello
+    respond greet talk phone eat drink wash sweep jacks jack lunge press gait balance motion action drive ride
+    """.split()
+)
+_STYLES = frozenset(
+    """
+    angry happy sad proud tired active exhausted elderly old young youthful child childlike normal neutral masculine
+    masculinity feminine femininity drunk depressed confident shy strong weak slow fast quick calm nervous sexy zombie
+    robot heavy light relaxed excited afraid scared giant musical limping injured stiff soft sneaky lazy style
+    """.split()
+)
+_PEOPLE = frozenset("s sub subj subject a actor p person participant performer perf vp proband player user id".split())
+_TRIALS = frozenset("take trial t clip rep repetition no nr number recording rec c r".split())
+_CODE_LETTERS = 3
+_REPEATED = 2
+_NEARLY = 0.8
+_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class Token:
+    """A column of a layout, with what it looks like.
+
+    Attributes
+    ----------
+    column : Column
+        Its values.
+    role : str
+        The name of its group: "actor", "class", "clip", "style", "tag", …; empty where it has none.
+    why : str
+        The reason for that, or what it is otherwise.
+    """
+
+    column: Column
+    role: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A pattern for the paths of one layout.
+
+    Attributes
+    ----------
+    layout : Layout
+        The paths.
+    tokens : tuple of Token
+        A token for each column.
+    """
+
+    layout: Layout
+    tokens: tuple[Token, ...]
+
+    @cached_property
+    def pattern(self) -> str:
+        """The regular expression, with a named group for each token that has a role."""
+        folders = [_expression(token, "") for token in self.tokens if token.column.folder]
+        fields = [_expression(token, self.layout.separator) for token in self.tokens if not token.column.folder]
+        first = next(iter(self.tokens)).column
+        begin = "" if first.is_constant and first.values[0] else "(?:^|/)"
+        return begin + "/".join([*folders, re.escape(self.layout.separator).join(fields)]) + r"\.[^./]+$"
+
+    @cached_property
+    def fits(self) -> bool:
+        """True if the pattern gives every path of the layout the values of its tokens."""
+        compiled = re.compile(self.pattern)
+        for number, path in enumerate(self.layout.paths):
+            found = compiled.search(path)
+            if found is None or any(
+                found[token.role] != token.column.values[number] for token in self.tokens if token.role
+            ):
+                return False
+        return True
+
+
+def propose(paths: Iterable[str]) -> list[Proposal]:
+    """Propose patterns for paths; those of deeper paths and of more fields come first, as they must be tried.
+
+    Parameters
+    ----------
+    paths : iterable of str
+        The paths of motion files below a source root, with / and endings.
+    """
+    found: list[Proposal] = []
+    for layout in layouts(paths):
+        if len(found) == MOST_PATTERNS:
+            break
+        proposal = Proposal(layout, tuple(_tokens(layout, found)))
+        if any(token.role for token in proposal.tokens) and proposal.fits:
+            found.append(proposal)
+    free = [any(column.free for column in one.layout.columns) for one in found]
+    order = sorted(
+        range(len(found)), key=lambda n: (-found[n].layout.folders, free[n], -len(found[n].layout.columns), n)
+    )
+    return [found[number] for number in order]
+
+
+def matched(proposals: Sequence[Proposal], paths: Iterable[str]) -> int:
+    """Return the number of paths that one of the patterns matches."""
+    compiled = [re.compile(proposal.pattern) for proposal in proposals]
+    return sum(any(pattern.search(path) for pattern in compiled) for path in paths)
+
+
+def _tokens(layout: Layout, known: Sequence[Proposal]) -> Iterator[Token]:
+    """Yield what each column of a layout looks like."""
+    columns = layout.columns
+    roles = _inherited(layout, known)
+    plain = [n for n, column in enumerate(columns) if not column.is_constant and not _is_repeated(columns, n)]
+    roles = {number: role for number, role in roles.items() if number in plain or columns[number].is_constant}
+    for role, number in (
+        ("actor", _actor(columns, plain)),
+        ("clip", _clip(columns, plain)),
+        ("class", _class(layout, plain)),
+    ):
+        if number is not None and role not in roles.values() and number not in roles:
+            roles[number] = role
+    taken = set(roles.values())
+    for number in plain:
+        if number not in roles and len(columns[number].counts) < _NEARLY * len(layout.paths):
+            roles[number] = _free_name(columns[number], taken)
+            taken.add(roles[number])
+    for number, column in enumerate(columns):
+        role = roles.get(number, "")
+        yield Token(column, role, _why(layout, number, role))
+
+
+def _inherited(layout: Layout, known: Sequence[Proposal]) -> dict[int, str]:
+    """Return the roles of columns that look like those at the same place of a layout that was looked at before."""
+    roles: dict[int, str] = {}
+    fields = [number for number, column in enumerate(layout.columns) if not column.folder]
+    for proposal in known:
+        others = [token for token in proposal.tokens if not token.column.folder]
+        for number, token in zip(fields, others, strict=False):
+            column = layout.columns[number]
+            shared = set(column.counts) & set(token.column.counts)
+            same = column.shapes <= token.column.shapes and token.role == "actor"
+            if token.role and (shared or same) and token.role not in roles.values() and number not in roles:
+                roles[number] = token.role
+    return roles
+
+
+def _is_repeated(columns: Sequence[Column], number: int) -> bool:
+    """Return whether a column is a folder whose name another column has, too, in nearly every path."""
+    column = columns[number]
+    others = [other for other in columns[number + 1 :] if not other.is_constant]
+    return column.folder and any(
+        sum(a == b for a, b in zip(column.values, other.values, strict=True)) >= _NEARLY * len(column.values)
+        for other in others
+    )
+
+
+def _actor(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
+    """Return the column of people: short codes, numbers after a word for people, or the first of two numbers."""
+    for number in plain:
+        if columns[number].prefix.strip("-. ").lower() in _PEOPLE:
+            return number
+    for number in plain:
+        column = columns[number]
+        lengths = {len(value) for value in column.counts}
+        letters = all(value.isalpha() and value.isascii() for value in column.counts)
+        known = {word for words in column.words for word in words} & (_MOTIONS | _STYLES)
+        if letters and lengths == {next(iter(lengths))} and max(lengths) <= _CODE_LETTERS and not known:
+            return number
+    numbers = [number for number in plain if columns[number].is_number]
+    if len(numbers) >= _REPEATED and len(columns[numbers[0]].counts) < len(columns[numbers[0]].values):
+        return numbers[0]
+    return None
+
+
+def _clip(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
+    """Return the column that counts: the last one of numbers, or of numbers after a word for takes."""
+    for number in reversed(plain):
+        if columns[number].is_number or columns[number].prefix.strip("-. ").lower() in _TRIALS:
+            return number
+    return None
+
+
+def _share(column: Column, known: frozenset[str]) -> float:
+    """Return the share of the values with one of the words, in any form: walking and walks are of walk."""
+    hits = sum(any(_has(word, known) for word in words) for words in column.words)
+    return hits / len(column.counts)
+
+
+def _has(word: str, known: frozenset[str]) -> bool:
+    stems = (word, *(word.removesuffix(ending) for ending in ("s", "es", "ing", "ed", "ning", "ping")))
+    return any(stem in known or f"{stem}e" in known for stem in stems)
+
+
+def _class(layout: Layout, plain: Sequence[int]) -> int | None:
+    """Return the column of motions: the one with most words for motions, else with most values that are repeated."""
+    texts = [number for number in plain if not layout.columns[number].is_number]
+    texts = [number for number in texts if not layout.columns[number].prefix or layout.columns[number].free]
+    columns = layout.columns
+    texts = [number for number in texts if len(columns[number].counts) < _NEARLY * len(layout.paths)]
+    moving = [number for number in texts if _share(columns[number], _MOTIONS) >= _SHARE]
+    if moving:
+        return max(moving, key=lambda n: (_share(columns[n], _MOTIONS), len(columns[n].counts)))
+    repeated = [
+        number
+        for number in texts
+        if not columns[number].folder
+        and len(columns[number].counts) * _REPEATED <= len(layout.paths)
+        and not _share(columns[number], _STYLES)
+    ]
+    return max(repeated, key=lambda n: len(columns[n].counts), default=None)
+
+
+def _free_name(column: Column, taken: set[str]) -> str:
+    """Return a name for a column that is neither actor, class nor clip: style, the word before a number, or tag."""
+    word = re.sub(r"[^a-z]", "", column.prefix.lower())
+    if not column.is_number and not column.prefix and _share(column, _STYLES) > 0:
+        name = "style"
+    elif len(word) > 1 and column.prefix.isascii():
+        name = word
+    else:
+        name = "number" if column.is_number else "folder" if column.folder else "tag"
+    if name in _RESERVED:
+        name = f"{name}_of_path"
+    return next(one for one in (name, *(f"{name}{n}" for n in range(2, len(taken) + 3))) if one not in taken)
+
+
+_RESERVED = frozenset(
+    """take_id name source source_root checksum source_bytes source_mtime_ns format skeleton skeleton_source recipe unit
+    source_rate_hz source_frames rate_hz frames seconds invalid_frames groups warnings known person persons""".split()
+)
+
+
+def _why(layout: Layout, number: int, role: str) -> str:
+    """Return what a column looks like, or why it has no role."""
+    column = layout.columns[number]
+    if not role:
+        if _is_repeated(layout.columns, number):
+            return "repeats the name"
+        return "always the same" if column.is_constant else "differs in every file"
+    looks = {"actor": "looks like people", "class": "looks like motions", "clip": "counts"}
+    return looks.get(role) or ("looks like styles" if role.startswith("style") else "rename it, or leave it out")
+
+
+def _expression(token: Token, separator: str) -> str:
+    """Return the part of a pattern for one token."""
+    column = token.column
+    if column.is_constant and not token.role and not column.is_number:
+        return re.escape(column.values[0]).replace(r"\-", "-").replace(r"\ ", " ")
+    inner = _values_of(column, separator)
+    return f"(?P<{token.role}>{inner})" if token.role else inner
+
+
+def _values_of(column: Column, separator: str) -> str:
+    """Return a regular expression for the values of a column."""
+    if column.is_number:
+        return r"\d+"
+    if column.folder:
+        return "[^/]+"
+    if column.free:
+        return "[^/]+?"
+    if column.prefix:
+        return re.escape(column.prefix).replace(r"\-", "-").replace(r"\ ", " ") + r"\d+"
+    if not separator:
+        for expression in ("[A-Z][a-z]+", "[a-z]+", "[A-Z]+"):
+            if all(re.fullmatch(expression, value) for value in column.counts):
+                return expression
+        return "[^/]*?[^/0-9]"
+    many = "*" if "" in column.counts else "+"
+    return f"[^{re.escape(separator)}/]{many}".replace(r"\ ", " ")

@@ -1,0 +1,151 @@
+"""Drafts of pipelines: the main job with patterns that were proposed for an archive, as commented YAML."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from kinedex.pipelines.console.escapes import visible
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.ingestion.pattern_proposal import Proposal, Token
+
+MOST_VALUES = 12
+"""Most values of a token that a comment lists."""
+
+_WIDEST = 110
+
+_STAGES = """
+  learn_templates:
+    params: {where: "${train}"}
+    # mirror: {kickLeft: kickRight}    # the clips of one class, mirrored, are examples of another
+
+  annotate:
+    params:
+      where: "${annotate}"
+      method: "${method}"
+      classes: "${classes}"
+
+  evaluate:
+    params: {source: "${source}"}
+    # ground_truth: "**/*.eaf"    # other label files; unless given, ground_truth.csv if there is one
+
+  report:
+"""
+
+_SETTINGS = """
+  classes: own                # every value of `class` its own class; or a file of configs/classes, or a path
+  method: best                # or thesis; see docs/accuracy.md
+  train: class IS NOT NULL    # takes to learn from: a filter over the columns of `takes`
+  annotate: class IS NULL     # takes to annotate
+"""
+
+
+def value_counts(token: Token, most: int) -> str:
+    """Return the values of a token with their numbers, most frequent first, such as "walk (12), run (3)"."""
+    counts = sorted(token.column.counts.items(), key=lambda item: (-item[1], item[0]))
+    shown = ", ".join(f"{visible(value) or 'nothing'} ({count:,})" for value, count in counts[:most])
+    return shown + (f" and {len(counts) - most:,} more" if len(counts) > most else "")
+
+
+def pipeline_name(folder: Path) -> str:
+    """Return a name for the pipeline of a folder, of the letters that names of pipelines may have."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "archive"
+
+
+def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int, output: str) -> str:
+    """Return the text of a pipeline file.
+
+    Stages that need example clips, or takes to annotate, are comments where the archive has none.
+
+    Parameters
+    ----------
+    proposals : sequence of Proposal
+        The patterns, in the order in which they are tried.
+    source : Path
+        The folder, absolute.
+    count : int
+        The number of its motion files.
+    matched : int
+        The number of those that a pattern matches.
+    output : str
+        The path of the file, for the command in its comment.
+    """
+    name = pipeline_name(source)
+    with_class = sum(len(one.layout.paths) for one in proposals if any(token.role == "class" for token in one.tokens))
+    lines = [
+        f"# Proposed by `kinedex init` for {counted(count, 'motion file')} below {visible(str(source))}.",
+        "#",
+        f"#   kinedex plan {visible(output)} --store my-store",
+        f"#   kinedex run {visible(output)} --store my-store",
+        "#",
+        f"# The patterns match {matched:,} of {counted(count, 'path')}. Rename groups, or take ?P<name> away; what is",
+        "# changed later re-reads no file. `actor` is whom evaluations leave out, `class` is what is learned.",
+        "",
+        f"name: {_scalar(name)}",
+        f"description: {_scalar(f'Takes of {source.name}, described by their paths.')}",
+        "",
+        "settings:",
+        f"  source: {_scalar(str(source))}",
+        *_SETTINGS.strip("\n").splitlines(),
+        "",
+        "stages:",
+        "  ingest:",
+        "    params:",
+        '      source: "${source}"',
+        "      # metadata: licences.csv    # a table whose rows name takes, and whose columns become columns of takes",
+        *_patterns(proposals),
+        "",
+        "  index:",
+        *_rest(with_class, count),
+    ]
+    return "\n".join(line.rstrip() for line in lines) + "\n"
+
+
+def _patterns(proposals: Sequence[Proposal]) -> list[str]:
+    if not proposals:
+        return [
+            "      # the names have nothing in common; a group of a pattern is a column, as in '(?P<actor>[^_]+)_'",
+            "      patterns: []",
+        ]
+    lines = ["      patterns:"]
+    for proposal in proposals:
+        lines.append(
+            f"        # {counted(len(proposal.layout.paths), 'path')}, such as {visible(proposal.layout.paths[0])}"
+        )
+        for token in (token for token in proposal.tokens if token.role):
+            number = counted(len(token.column.counts), "value")
+            text = f"{token.role} ({token.why}): {number}: {value_counts(token, MOST_VALUES)}"
+            begin = "        #   "
+            lines += textwrap.wrap(text, _WIDEST, initial_indent=begin, subsequent_indent=f"{begin}  ")
+        lines.append(f"        - {_scalar(proposal.pattern)}")
+    return lines
+
+
+def _rest(with_class: int, count: int) -> list[str]:
+    """Return the stages after the index; as comments, with the reason, where they would find no takes."""
+    stages = _STAGES.rstrip().splitlines()
+    if 0 < with_class < count:
+        return stages
+    why = (
+        "no token looks like a class: name one ?P<class>, or add example clips"
+        if not with_class
+        else "every take has a class: there is nothing to annotate before takes without one are there"
+    )
+    learn = stages.index("") + 1
+    first = stages[:0] if not with_class else stages[learn - 1 : stages.index("", learn)]
+    others = stages[len(first) :]
+    return [
+        *first,
+        "",
+        f"  # {why}; then take the # away:",
+        *(f"  # {line[2:]}" if line else "  #" for line in others[1:]),
+    ]
+
+
+def _scalar(text: str) -> str:
+    """Return a text as a YAML scalar on one line."""
+    return yaml.safe_dump(text, default_style="'", width=10**9, allow_unicode=True).strip()
